@@ -1,0 +1,241 @@
+"""Fixed memory layouts of CDR messages.
+
+Once the strings and the array lengths of a message are known (the joints of a robot do not change
+during a run), the CDR encoding of its type is a constant byte layout. A `MessageLayout` is that
+layout as a NumPy structured type of the *whole payload*: writing a field writes the wire bytes, so
+encoding is a memory copy and decoding a copy and a comparison. rosbags remains the reference: the
+template comes from it, and payloads of another layout (a foreign sender) are parsed by it.
+
+Byte order and alignment: OMG Data Distribution Service, RTPS 2.5 clause 10 (encapsulation
+``CDR_LE``) and CORBA 3.3 part 2 clause 9.3.1 (alignment relative to the end of the encapsulation).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
+
+from bus_schema.errors import InvalidMessageError
+from bus_schema.message_types import TYPESTORE
+
+ENCAPSULATION_BYTES = 4
+MAX_PAYLOAD_BYTES = 64 * 1024
+"""Nothing on our topics comes near this; larger payloads are refused before they are parsed."""
+
+_NUMPY_TYPES = {
+    "bool": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "uint16": "<u2", "int16": "<i2",
+    "uint32": "<u4", "int32": "<i4", "uint64": "<u8", "int64": "<i8",
+    "float32": "<f4", "float64": "<f8",
+}  # fmt: skip
+_NANOSECONDS = 1_000_000_000
+
+
+class Record:
+    """One message in wire layout, reused cycle after cycle.
+
+    Attributes:
+        fields: one writable view per variable field, by dotted name; scalars have shape (1,).
+    """
+
+    def __init__(self, layout: MessageLayout) -> None:
+        # The payload starts 4 bytes off an 8-byte boundary, so that the doubles behind the
+        # 4-byte encapsulation header are aligned in memory.
+        storage = np.zeros(ENCAPSULATION_BYTES + layout.size, dtype=np.uint8)
+        self._memory = memoryview(storage)[ENCAPSULATION_BYTES:]
+        self._memory[:] = layout.template
+        payload: NDArray[np.void] = np.ndarray((1,), layout.dtype, storage.data, ENCAPSULATION_BYTES)
+        self.fields: dict[str, NDArray[Any]] = {
+            name: payload[name][0] if payload[name].ndim == 2 else payload[name]
+            for name in layout.dtype.names or ()
+        }
+        self._sec = self.fields["header.stamp.sec"]
+        self._nanosec = self.fields["header.stamp.nanosec"]
+
+    @property
+    def stamp_ns(self) -> int:
+        return int(self._sec[0]) * _NANOSECONDS + int(self._nanosec[0])
+
+    @stamp_ns.setter
+    def stamp_ns(self, stamp_ns: int) -> None:
+        self._sec[0], self._nanosec[0] = divmod(stamp_ns, _NANOSECONDS)
+
+    def payload(self) -> bytes:
+        """The message as wire bytes."""
+        return self._memory.tobytes()
+
+    def load(self, payload: bytes) -> None:
+        """Overwrite this record with a payload of the same layout."""
+        self._memory[:] = payload
+
+
+class MessageLayout:
+    """Wire layout of one message type with fixed strings and array lengths.
+
+    Args:
+        type_name: ROS 2 interface name, e.g. ``sensor_msgs/msg/JointState``.
+        length: length of every numeric array that `lengths` does not name.
+        lengths: lengths of single arrays, by dotted field name; arrays of length 0 are no fields,
+            and what a foreign sender puts there is ignored.
+        strings: value of every string sequence, by dotted field name; plain strings are empty.
+    """
+
+    def __init__(
+        self,
+        type_name: str,
+        length: int,
+        *,
+        lengths: Mapping[str, int] | None = None,
+        strings: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self.type_name = type_name
+        self._lengths = defaultdict(lambda: length, lengths or {})
+        self._strings = {name: list(values) for name, values in (strings or {}).items()}
+        message = _zero_message(type_name, self._lengths, self._strings)
+        self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
+        self.size = len(self.template)
+        self.dtype = self._numpy_type()
+        self._constants = self._constant_segments()
+
+    def decode(self, payload: bytes, into: Record) -> None:
+        """Load `payload` into `into`, whoever encoded it.
+
+        Raises:
+            InvalidMessageError: the payload is no message of this type with these names and lengths.
+        """
+        if len(payload) == self.size and all(payload[a:b] == text for a, b, text in self._constants):
+            into.load(payload)
+        else:
+            self._decode_foreign(payload, into)
+
+    def _decode_foreign(self, payload: bytes, into: Record) -> None:
+        message = parse(payload, self.type_name)
+        order = None
+        for name, expected in self._strings.items():
+            order = _permutation(_attribute(message, name), expected, name)
+        for name, view in into.fields.items():
+            value = np.asarray(_attribute(message, name))
+            if value.ndim == 0:
+                view[0] = value
+            elif value.size == 0:
+                view[:] = np.nan  # a JointState may leave out what its sender does not know
+            elif value.shape != view.shape:
+                raise InvalidMessageError(
+                    "wrong_size", f"{name} has {value.size} entries where {view.size} are expected"
+                )
+            else:
+                view[:] = value if order is None else value[order]
+
+    def _numpy_type(self) -> np.dtype[np.void]:
+        names: list[str] = []
+        formats: list[Any] = []
+        offsets: list[int] = []
+        cursor = _Cursor()
+        self._walk(self.type_name, "", cursor, names, formats, offsets)
+        return np.dtype(
+            {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size}
+        )
+
+    def _walk(
+        self, type_name: str, prefix: str, cursor: _Cursor,
+        names: list[str], formats: list[Any], offsets: list[int],
+    ) -> None:  # fmt: skip
+        for field, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
+            path = prefix + field
+            if kind == Nodetype.NAME:
+                self._walk(argument, path + ".", cursor, names, formats, offsets)
+                continue
+            is_array = kind in (Nodetype.SEQUENCE, Nodetype.ARRAY)
+            base = argument[0][1][0] if is_array else argument[0]
+            if base == "string":
+                values = self._strings.get(path, []) if is_array else [""]
+                cursor.skip_strings(values, counted=is_array)
+                continue
+            if kind == Nodetype.SEQUENCE:
+                cursor.take(4, 4)
+            count = self._lengths[path] if kind == Nodetype.SEQUENCE else argument[1]
+            if is_array and count == 0:
+                continue
+            scalar = np.dtype(_NUMPY_TYPES[base])
+            names.append(path)
+            formats.append((scalar, (count,)) if is_array else scalar)
+            offsets.append(cursor.take(scalar.itemsize * (count if is_array else 1), scalar.itemsize))
+
+    def _constant_segments(self) -> list[tuple[int, int, bytes]]:
+        fields = self.dtype.fields or {}
+        spans = sorted((entry[1], entry[1] + entry[0].itemsize) for entry in fields.values())
+        segments, end = [], 0
+        for start, stop in [*spans, (self.size, self.size)]:
+            if start > end:
+                segments.append((end, start, self.template[end:start]))
+            end = stop
+        return segments
+
+
+class _Cursor:
+    """Position in a CDR stream; offsets count from the start of the payload."""
+
+    def __init__(self) -> None:
+        self._position = 0
+
+    def take(self, size: int, alignment: int) -> int:
+        start = -(-self._position // alignment) * alignment
+        self._position = start + size
+        return start + ENCAPSULATION_BYTES
+
+    def skip_strings(self, values: Sequence[str], *, counted: bool) -> None:
+        if counted:
+            self.take(4, 4)
+        for value in values:
+            self.take(4, 4)
+            self.take(len(value.encode()) + 1, 1)
+
+
+def parse(payload: bytes, type_name: str) -> Any:
+    """Parse a payload with rosbags.
+
+    Raises:
+        InvalidMessageError: it is too large or not a message of that type.
+    """
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise InvalidMessageError(
+            "oversized", f"{len(payload)} bytes, at most {MAX_PAYLOAD_BYTES} are accepted"
+        )
+    try:
+        return TYPESTORE.deserialize_cdr(payload, type_name)
+    except Exception as error:  # rosbags raises whatever its parsing of garbage trips over
+        raise InvalidMessageError("malformed", f"not a {type_name}: {error}") from error
+
+
+def _attribute(message: Any, dotted: str) -> Any:
+    for part in dotted.split("."):
+        message = getattr(message, part)
+    return message
+
+
+def _permutation(received: list[str], expected: list[str], name: str) -> list[int]:
+    if sorted(received) != sorted(expected):
+        raise InvalidMessageError("wrong_names", f"{name} is {received!r}, expected {expected!r}")
+    return [received.index(value) for value in expected]
+
+
+def _zero_message(
+    type_name: str, lengths: Mapping[str, int], strings: Mapping[str, list[str]], prefix: str = ""
+) -> Any:
+    values: dict[str, Any] = {}
+    for field, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
+        path = prefix + field
+        if kind == Nodetype.NAME:
+            values[field] = _zero_message(argument, lengths, strings, path + ".")
+        elif kind == Nodetype.BASE:
+            values[field] = {"string": "", "bool": False}.get(argument[0], 0)
+        elif argument[0][1][0] == "string":
+            values[field] = strings.get(path, [])
+        else:
+            base = _NUMPY_TYPES[argument[0][1][0]]
+            values[field] = np.zeros(lengths[path] if kind == Nodetype.SEQUENCE else argument[1], base)
+    return TYPESTORE.types[type_name](**values)

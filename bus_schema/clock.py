@@ -1,0 +1,74 @@
+"""Clocks of a run: time since its start in whole nanoseconds, virtual or monotonic."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What a loop may ask of time."""
+
+    def now_ns(self) -> int:
+        """Time since the start of the run."""
+        ...
+
+    def wait_until(self, instant_ns: int) -> int:
+        """Return at `instant_ns` or as soon after it as possible; the lateness in ns."""
+        ...
+
+
+class VirtualClock:
+    """Time that passes only when its owner waits: never late, whatever the machine does."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        return self._now_ns
+
+    def wait_until(self, instant_ns: int) -> int:
+        self._now_ns = max(self._now_ns, instant_ns)
+        return 0
+
+
+class MonotonicClock:
+    """CLOCK_MONOTONIC, counted from the creation of the object.
+
+    Instants are absolute, so lateness in one cycle never shifts the next.
+    """
+
+    def __init__(self) -> None:
+        self._start_ns = time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() - self._start_ns
+
+    def wait_until(self, instant_ns: int) -> int:
+        while (remaining_ns := instant_ns - self.now_ns()) > 0:
+            time.sleep(remaining_ns * 1e-9)
+        return -remaining_ns
+
+
+class TickGrid:
+    """The absolute grid of ticks and substeps of a run.
+
+    Args:
+        rate_hz: ticks per second.
+        substeps: physics steps per tick.
+    """
+
+    def __init__(self, rate_hz: float, substeps: int) -> None:
+        self.period_ns = round(1e9 / rate_hz)
+        self.substeps = substeps
+        self.substep_s = self.period_ns * 1e-9 / substeps
+
+    def tick_ns(self, tick: int) -> int:
+        return tick * self.period_ns
+
+    def substep_ns(self, tick: int, substep: int) -> int:
+        """Start of a substep; `substep` counts from 0 within its tick."""
+        return tick * self.period_ns + substep * self.period_ns // self.substeps
+
+    def tick_at_or_before(self, instant_ns: int) -> int:
+        return instant_ns // self.period_ns

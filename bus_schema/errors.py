@@ -1,0 +1,37 @@
+"""Errors of the bus: one root, built-in bases where one fits."""
+
+from __future__ import annotations
+
+
+class BusError(Exception):
+    """Root of all errors of this package."""
+
+
+class InvalidMessageError(BusError, ValueError):
+    """A payload is not a valid message of the expected type.
+
+    Attributes:
+        reason: short identifier under which the rejection is counted.
+    """
+
+    def __init__(self, reason: str, explanation: str) -> None:
+        super().__init__(explanation)
+        self.reason = reason
+
+
+class PeerSilentError(BusError, TimeoutError):
+    """A peer that had to answer did not.
+
+    Attributes:
+        peer: role of the peer (``controller``, ``plant`` or ``recorder``).
+        waited_s: wall time waited for it.
+    """
+
+    def __init__(self, peer: str, waited_s: float, awaited: str) -> None:
+        super().__init__(f"the {peer} is silent: no {awaited} within {waited_s:g} s")
+        self.peer = peer
+        self.waited_s = waited_s
+
+
+class RobotDescriptionError(BusError, ValueError):
+    """A URDF file cannot be used; the message names the file and what is wrong."""

@@ -1,0 +1,58 @@
+"""Section ``link`` of a scenario: which bus, where, and what it does to the messages."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from bus_schema.configuration import NonNegative, Positive, StrictModel
+
+
+class ChannelConfiguration(StrictModel):
+    """One direction of the link.
+
+    Attributes:
+        delay_ms: constant delay of every message.
+    """
+
+    delay_ms: NonNegative = 0.0
+
+    @property
+    def delay_ns(self) -> int:
+        return round(self.delay_ms * 1e6)
+
+
+class LinkConfiguration(StrictModel):
+    """The link between controller and plant.
+
+    Attributes:
+        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``).
+        domain: ROS domain, the first part of every key.
+        plant_endpoint: where the plant listens.
+        controller_endpoint: where the controller listens, for recorders.
+        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
+        uplink: plant to controller.
+        downlink: controller to plant.
+        deadline_ms: largest age of the state that the command in force answers; by default one
+            period beyond the link's own mean delay.
+        connect_timeout_s: how long a process waits for its peers at the start, wall time.
+        reply_timeout_s: how long a silent peer is waited for during a run, wall time.
+    """
+
+    kind: Literal["zenoh", "in_process"] = "zenoh"
+    domain: Annotated[int, Field(ge=0, le=232)] = 0
+    plant_endpoint: str = "tcp/127.0.0.1:7451"
+    controller_endpoint: str = "tcp/127.0.0.1:7452"
+    router_endpoint: str | None = None
+    uplink: ChannelConfiguration = ChannelConfiguration()
+    downlink: ChannelConfiguration = ChannelConfiguration()
+    deadline_ms: Positive | None = None
+    connect_timeout_s: Positive = 20.0
+    reply_timeout_s: Positive = 5.0
+
+    def deadline_ns(self, period_ns: int) -> int:
+        """The deadline for this tick period."""
+        if self.deadline_ms is not None:
+            return round(self.deadline_ms * 1e6)
+        return period_ns + self.uplink.delay_ns + self.downlink.delay_ns

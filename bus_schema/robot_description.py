@@ -1,0 +1,159 @@
+"""What a URDF file says about an arm: its joints, their limits, and a form every simulator reads alike."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.errors import RobotDescriptionError
+
+ACTUATED_TYPES = ("revolute", "continuous")
+_UNLIMITED_RAD = 1e6
+
+
+@dataclass(frozen=True)
+class RobotDescription:
+    """An arm as its URDF describes it; joints in the order of the file.
+
+    Attributes:
+        path: the URDF file.
+        joint_names: names of the revolute and continuous joints; all others are held fixed.
+        effort_limits_nm: largest torque of each joint (inf where the URDF has none).
+        velocity_limits_rad_s: largest speed of each joint (inf where the URDF has none).
+        lower_rad: lower end of each joint's range (-inf for continuous joints).
+        upper_rad: upper end of each joint's range (inf for continuous joints).
+        tip_link: the last link of the longest chain, which carries the payload.
+    """
+
+    path: Path
+    joint_names: tuple[str, ...]
+    effort_limits_nm: Vector
+    velocity_limits_rad_s: Vector
+    lower_rad: Vector
+    upper_rad: Vector
+    tip_link: str
+
+    @property
+    def joints(self) -> int:
+        return len(self.joint_names)
+
+    def resolved_urdf(self, payload_kg: float = 0.0) -> str:
+        """The URDF with every joint either revolute or fixed, mesh files by absolute path.
+
+        Args:
+            payload_kg: point mass fixed to the origin of the tip link.
+        """
+        root = _parse(self.path)
+        for joint in root.iter("joint"):
+            kind = joint.get("type")
+            if kind == "continuous":
+                joint.set("type", "revolute")
+                limit = joint.find("limit")
+                limit = ET.SubElement(joint, "limit") if limit is None else limit
+                limit.set("lower", str(-_UNLIMITED_RAD))
+                limit.set("upper", str(_UNLIMITED_RAD))
+            elif kind is not None and kind not in ACTUATED_TYPES:
+                joint.set("type", "fixed")
+        for mesh in root.iter("mesh"):
+            name = mesh.get("filename", "")
+            if "://" not in name and not Path(name).is_absolute():
+                mesh.set("filename", str(self.path.parent / name))
+        for link in root.findall("link"):
+            if link.find("inertial") is None:  # pybullet would take it for a mass of 1 kg
+                _add_inertial(link, 0.0)
+        if payload_kg > 0.0:
+            _attach_payload(root, self.tip_link, payload_kg)
+        return ET.tostring(root, encoding="unicode")
+
+
+def load_robot(path: Path) -> RobotDescription:
+    """Read a URDF file.
+
+    Raises:
+        RobotDescriptionError: it cannot be read, is no URDF or has no revolute joint.
+    """
+    joints = [j for j in _parse(path).findall("joint") if j.get("type") in ACTUATED_TYPES]
+    if not joints:
+        raise RobotDescriptionError(f"{path} has no revolute or continuous joint")
+    names = tuple(joint.get("name", "") for joint in joints)
+    if len(set(names)) != len(names) or "" in names:
+        raise RobotDescriptionError(f"{path}: joint names must be unique and not empty: {names}")
+    return RobotDescription(
+        path=path,
+        joint_names=names,
+        effort_limits_nm=_limits(path, joints, "effort", math.inf),
+        velocity_limits_rad_s=_limits(path, joints, "velocity", math.inf),
+        lower_rad=_limits(path, joints, "lower", -math.inf),
+        upper_rad=_limits(path, joints, "upper", math.inf),
+        tip_link=_tip_link(path, _parse(path)),
+    )
+
+
+def _parse(path: Path) -> ET.Element:
+    try:
+        root = ET.parse(path).getroot()
+    except FileNotFoundError as error:
+        raise RobotDescriptionError(f"{path} does not exist") from error
+    except (OSError, ET.ParseError) as error:
+        raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
+    if root.tag != "robot":
+        raise RobotDescriptionError(f"{path} is no URDF: its root element is <{root.tag}>")
+    return root
+
+
+def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float) -> Vector:
+    values = []
+    for joint in joints:
+        limit = joint.find("limit")
+        text = None if limit is None else limit.get(attribute)
+        is_range = attribute in ("lower", "upper")
+        if text is None or (is_range and joint.get("type") == "continuous"):
+            values.append(missing)
+            continue
+        try:
+            value = float(text)
+        except ValueError as error:
+            name = joint.get("name")
+            raise RobotDescriptionError(
+                f"{path}: limit {attribute}={text!r} of joint {name} is no number"
+            ) from error
+        # A zero effort or velocity limit is how many exporters write "unknown".
+        values.append(missing if value <= 0.0 and not is_range else value)
+    return np.array(values)
+
+
+def _tip_link(path: Path, root: ET.Element) -> str:
+    parents = {}
+    for joint in root.findall("joint"):
+        parent, child = joint.find("parent"), joint.find("child")
+        if parent is None or child is None:
+            raise RobotDescriptionError(f"{path}: joint {joint.get('name')} lacks parent or child")
+        parents[child.get("link", "")] = parent.get("link", "")
+
+    def depth(link: str) -> int:
+        steps = 0
+        while link in parents and steps <= len(parents):
+            link, steps = parents[link], steps + 1
+        return steps
+
+    return max(parents, key=depth)
+
+
+def _attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
+    link = ET.SubElement(root, "link", name="funnel_hil_payload")
+    _add_inertial(link, payload_kg)
+    joint = ET.SubElement(root, "joint", name="funnel_hil_payload_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=tip_link)
+    ET.SubElement(joint, "child", link="funnel_hil_payload")
+
+
+def _add_inertial(link: ET.Element, mass_kg: float) -> None:
+    """Give `link` a point mass at its origin."""
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=str(mass_kg))
+    ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))

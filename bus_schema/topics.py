@@ -1,0 +1,91 @@
+"""The one table of topics: what is sent, by whom, how often, and under which key."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from bus_schema import message_types
+from bus_schema.cdr_layout import MessageLayout
+
+
+class Role(StrEnum):
+    """The parts of the system that speak on the bus."""
+
+    CONTROLLER = "controller"
+    PLANT = "plant"
+    RECORDER = "recorder"
+
+
+class Rate(StrEnum):
+    """When a topic is sent."""
+
+    TICK = "every tick"
+    EVENT = "when something happens"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    Attributes:
+        name: ROS 2 topic name without slashes.
+        type_name: ROS 2 interface name.
+        sender: the only role that may send it; None where every role may.
+        rate: when it is sent.
+        qos: QoS as rmw_zenoh writes it into liveliness tokens (the ROS 2 default profile:
+            reliable, volatile, keep last 10).
+    """
+
+    name: str
+    type_name: str
+    sender: Role | None
+    rate: Rate
+    qos: str = "::,10:,:,:,,"
+
+    @property
+    def dds_type(self) -> str:
+        package, _, name = self.type_name.split("/")
+        return f"{package}::msg::dds_::{name}_"
+
+    def key_expression(self, domain: int) -> str:
+        """Zenoh key of this topic in a ROS domain, as rmw_zenoh forms it."""
+        return f"{domain}/{self.name}/{self.dds_type}/{message_types.type_hash(self.type_name)}"
+
+
+JOINT_STATES = Topic("joint_states", message_types.JOINT_STATE, Role.PLANT, Rate.TICK)
+JOINT_COMMANDS = Topic("joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK)
+PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK)
+PLANT_TRUTH = Topic("plant_truth", message_types.PLANT_TRUTH, Role.PLANT, Rate.TICK)
+CONTROL_STATUS = Topic("control_status", message_types.CONTROL_STATUS, Role.CONTROLLER, Rate.TICK)
+PLANT_TIMING = Topic("plant_timing", message_types.LOOP_TIMING, Role.PLANT, Rate.TICK)
+CONTROLLER_TIMING = Topic(
+    "controller_timing", message_types.LOOP_TIMING, Role.CONTROLLER, Rate.TICK
+)
+RUN_EVENTS = Topic("run_events", message_types.RUN_EVENT, None, Rate.EVENT)
+
+TOPICS = (
+    JOINT_STATES,
+    JOINT_COMMANDS,
+    PLANT_STATUS,
+    PLANT_TRUTH,
+    CONTROL_STATUS,
+    PLANT_TIMING,
+    CONTROLLER_TIMING,
+    RUN_EVENTS,
+)
+
+
+def layout(topic: Topic, joint_names: tuple[str, ...]) -> MessageLayout:
+    """Wire layout of a fixed-size topic for a robot with these joints.
+
+    A command carries torques alone; its positions and velocities are empty.
+    """
+    if topic.type_name == message_types.RUN_EVENT:
+        raise ValueError(f"{topic.name} has no fixed layout")
+    return MessageLayout(
+        topic.type_name,
+        len(joint_names),
+        lengths={"position": 0, "velocity": 0} if topic is JOINT_COMMANDS else None,
+        strings={"name": joint_names},
+    )

@@ -1,0 +1,159 @@
+"""The control loop: receive a joint state, update the law, send torques.
+
+The loop has no clock of its own: a joint state drives each cycle, and its stamp is the time. The
+same states therefore give the same torques, bit for bit, in a simulation, over a bus and in a replay.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from bus_schema import topics
+from bus_schema.arrays import Vector
+from bus_schema.cdr_layout import Record
+from bus_schema.errors import InvalidMessageError
+from bus_schema.link import ControllerLink
+from bus_schema.robot_description import RobotDescription
+from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
+from controller.prescribed_performance import Funnel
+from controller.reference import Reference
+from controller.torque_guard import TorqueGuard
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ControlTask:
+    """What the controller has to do: this arm, along this reference, inside this funnel."""
+
+    robot: RobotDescription
+    reference: Reference
+    funnel: Funnel
+    law: ControlLaw
+    guard: TorqueGuard
+
+
+class ControlLoop:
+    """One cycle per joint state: read, update, write.
+
+    Attributes:
+        cycles: states answered with a torque of their own.
+        late: states older than the newest seen, answered with the torque in force.
+        rejected: unusable states by reason; they are not answered.
+    """
+
+    def __init__(self, task: ControlTask, link: ControllerLink) -> None:
+        names = task.robot.joint_names
+        self._task = task
+        self._link = link
+        self._state_layout = topics.layout(topics.JOINT_STATES, names)
+        self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
+        self._state = Record(self._state_layout)
+        self._plant_status = Record(self._plant_status_layout)
+        self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
+        self._status = Record(topics.layout(topics.CONTROL_STATUS, names))
+        self._timing = Record(topics.layout(topics.CONTROLLER_TIMING, names))
+        self._tracking = self._tracking_in_status()
+        self._start_ns: int | None = None
+        self._stamp_ns = -1
+        self._cycle_started_ns = 0
+        self.cycles = 0
+        self.late = 0
+        self.rejected: Counter[str] = Counter()
+        link.serve(self.cycle)
+
+    def cycle(self, state: bytes, plant_status: bytes | None) -> None:
+        """Answer one joint state.
+
+        Raises:
+            InvalidTorqueError: the law returned something that is no torque.
+        """
+        started_ns = time.perf_counter_ns()
+        if self._read(state, plant_status):
+            torque = self._update()
+            self._write(torque)
+            self._report(started_ns)
+
+    def _read(self, state: bytes, plant_status: bytes | None) -> bool:
+        """Take in a state; whether it calls for a new torque."""
+        try:
+            self._state_layout.decode(state, self._state)
+            self._require_finite()
+        except InvalidMessageError as error:
+            self.rejected[error.reason] += 1
+            logger.warning("joint state ignored: %s", error)
+            return False
+        stamp_ns = self._state.stamp_ns
+        if self._start_ns is None:
+            self._start_ns = self._start_of_run(plant_status, stamp_ns)
+        if stamp_ns <= self._stamp_ns:
+            self.late += 1
+            self._command.stamp_ns = stamp_ns
+            self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+            return False
+        step_ns = stamp_ns - self._stamp_ns if self._stamp_ns >= 0 else 0
+        self._stamp_ns = stamp_ns
+        self._tracking.update(
+            (stamp_ns - self._start_ns) * 1e-9, step_ns * 1e-9, self._task.reference,
+            self._task.funnel,
+        )  # fmt: skip
+        return True
+
+    def _update(self) -> Vector:
+        torque = self._task.law.torque(self._tracking)
+        return self._task.guard.admit(torque, self.cycles, self._tracking.step_s)
+
+    def _write(self, torque: Vector) -> None:
+        self._command.stamp_ns = self._stamp_ns
+        self._command.fields["effort"][:] = torque
+        sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+        self._status.fields["sequence"][0] = sequence
+
+    def _report(self, started_ns: int) -> None:
+        """Publish what the law thought and how long it took; the torque is already on its way."""
+        done_ns = time.perf_counter_ns()
+        status, timing, bounds = self._status, self._timing, self._tracking.bounds
+        status.stamp_ns = timing.stamp_ns = self._stamp_ns
+        status.fields["upper_bound"][:] = bounds[UPPER]
+        np.negative(bounds[LOWER], out=status.fields["lower_bound"])
+        timing.fields["cycle"][0] = self.cycles
+        timing.fields["period_ns"][0] = started_ns - self._cycle_started_ns if self.cycles else 0
+        timing.fields["step_ns"][0] = done_ns - started_ns
+        self._link.publish(topics.CONTROL_STATUS, status.payload())
+        self._link.publish(topics.CONTROLLER_TIMING, timing.payload())
+        self._cycle_started_ns = started_ns
+        self.cycles += 1
+
+    def _require_finite(self) -> None:
+        fields = self._state.fields
+        if not (np.isfinite(fields["position"]).all() and np.isfinite(fields["velocity"]).all()):
+            raise InvalidMessageError("not_finite", "a position or velocity is not finite")
+
+    def _start_of_run(self, plant_status: bytes | None, first_stamp_ns: int) -> int:
+        """When the run began on the plant's clock; a foreign plant's begins with its first state."""
+        if plant_status is None:
+            return first_stamp_ns
+        try:
+            self._plant_status_layout.decode(plant_status, self._plant_status)
+        except InvalidMessageError as error:
+            self.rejected[error.reason] += 1
+            return first_stamp_ns
+        fields = self._plant_status.fields
+        return int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])
+
+    def _tracking_in_status(self) -> Tracking:
+        """The tracking situation and the law's diagnostics, laid into the messages that carry them."""
+        tracking, diagnostics = Tracking(self._task.robot.joints), self._task.law.diagnostics
+        tracking.position = self._state.fields["position"]
+        tracking.velocity = self._state.fields["velocity"]
+        for name in ("reference_position", "reference_velocity", "error", "error_rate"):
+            setattr(tracking, name, self._status.fields[name])
+        for name, values in vars(diagnostics).items():
+            self._status.fields[name][:] = values
+            setattr(diagnostics, name, self._status.fields[name])
+        return tracking

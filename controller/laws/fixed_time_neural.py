@@ -1,0 +1,126 @@
+"""The fixed-time neural law: model-free, with a funnel, a terminal sliding surface and a network.
+
+After section 4 of the paper (the proposed law). With s the sliding variable divided by the slope
+r of the error transformation, so that s = q̇ − q̇_r for a reference velocity q̇_r,
+
+    τ = −Ŵᵀ Φ(z) − K₁ sig(s)^γ₁ − K₂ sig(s)^γ₂ − K₃ s,
+    dŴ/dt = Γ (Φ(z) s − κ₁ sig(Ŵ)^γ₁ − κ₂ sig(Ŵ)^γ₂),   z = (tanh ε, tanh 0.1 ε̇).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.compiled import compiled
+from bus_schema.configuration import (
+    NonNegative,
+    PerJointNonNegative,
+    PerJointPositive,
+    Positive,
+    PowerAboveOne,
+    PowerBelowOne,
+)
+from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
+from controller.prescribed_performance import clip_into_funnel, transform, transformation_rates
+from controller.rbf_network import NODES, activate, adapt, node_centres
+from controller.sliding_surface import sig, surface_pull
+
+
+class FixedTimeNeuralGains(NamedTuple):
+    """Gains, named as in the equations above; per joint where they carry torque."""
+
+    k_1: PerJointNonNegative
+    k_2: PerJointNonNegative
+    k_3: PerJointNonNegative
+    adaptation_rate: PerJointPositive
+    alpha_1: Positive = 5.0
+    alpha_2: Positive = 5.0
+    phi_1: PowerAboveOne = 1.4
+    phi_2: PowerBelowOne = 0.6
+    gamma_1: PowerAboveOne = 1.4
+    gamma_2: PowerBelowOne = 0.6
+    eta: Positive = 0.02
+    kappa_1: NonNegative = 1e-6
+    kappa_2: NonNegative = 1e-6
+    node_width: Positive = 0.3
+
+    @classmethod
+    def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeNeuralGains:
+        """Gains for joints that see these inertias (the diagonal of M), shape (joints,)."""
+        return cls(
+            k_1=15.0 * inertia_kg_m2,
+            k_2=15.0 * inertia_kg_m2,
+            k_3=20.0 * inertia_kg_m2,
+            adaptation_rate=4000.0 * inertia_kg_m2,
+        )
+
+
+class FixedTimeNeural:
+    """The law with its network weights."""
+
+    def __init__(self, gains: FixedTimeNeuralGains) -> None:
+        joints = gains.k_1.size
+        self.gains = gains
+        self.diagnostics = Diagnostics(joints)
+        self._centres = node_centres()
+        self._activation: Vector = np.zeros(NODES)
+        self._weights: Matrix = np.zeros((joints, NODES))
+        self._torque: Vector = np.zeros(joints)
+
+    def reset(self) -> None:
+        self._weights[:] = 0.0
+
+    def torque(self, tracking: Tracking) -> Vector:
+        _torque(
+            tracking.error,
+            tracking.error_rate,
+            tracking.bounds,
+            tracking.step_s,
+            self.gains,
+            self._weights,
+            self._centres,
+            self._activation,
+            self.diagnostics.transformed_error,
+            self.diagnostics.sliding_variable,
+            self.diagnostics.network_output,
+            self.diagnostics.network_norm,
+            self._torque,
+        )
+        return self._torque
+
+
+@compiled
+def _torque(
+    error: Vector, error_rate: Vector, bounds: Matrix, step_s: float, gains: FixedTimeNeuralGains,
+    weights: Matrix, centres: Matrix, activation: Vector,
+    transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
+) -> None:  # fmt: skip
+    g = gains
+    squared_norm = 0.0
+    for i in range(error.size):
+        upper, lower = bounds[UPPER, i], bounds[LOWER, i]
+        e = clip_into_funnel(error[i], upper, lower)
+        r, v = transformation_rates(e, upper, lower, bounds[D_UPPER, i], bounds[D_LOWER, i])
+        epsilon = transform(e, upper, lower)
+        d_epsilon = r * (error_rate[i] - v)
+        pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
+        s = (d_epsilon + pull) / r
+
+        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), centres, g.node_width, activation)
+        adapt(
+            weights[i], activation, s, step_s,
+            g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
+        )  # fmt: skip
+        output = 0.0
+        for k in range(centres.shape[0]):
+            output -= weights[i, k] * activation[k]
+            squared_norm += weights[i, k] * weights[i, k]
+
+        reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
+        torque[i] = output - reaching
+        transformed[i], sliding[i], network[i] = epsilon, s, output
+    network_norm[0] = math.sqrt(squared_norm)

@@ -1,0 +1,116 @@
+"""The nominal rigid-body model of an arm, on pinocchio."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import ConfigurationError
+from bus_schema.robot_description import RobotDescription
+
+
+class ManipulatorModel:
+    """Rigid-body dynamics M(q) q̈ + C(q, q̇) q̇ + G(q) = τ of an arm.
+
+    Args:
+        robot: description of the arm.
+        scale: factor on all masses and inertias (1 for the arm as described).
+        payload_kg: point mass at the tip, not scaled.
+    """
+
+    def __init__(
+        self, robot: RobotDescription, *, scale: float = 1.0, payload_kg: float = 0.0
+    ) -> None:
+        self._model = pinocchio.buildModelFromXML(robot.resolved_urdf(payload_kg))
+        for index, inertia in enumerate(self._model.inertias):
+            self._model.inertias[index] = pinocchio.Inertia(
+                scale * inertia.mass, inertia.lever, scale * inertia.inertia
+            )
+        self._data = self._model.createData()
+        self._tip = self._model.getFrameId(robot.tip_link)
+        # pinocchio may order the joints otherwise than the URDF file.
+        self._order = [
+            self._model.joints[self._model.getJointId(name)].idx_v for name in robot.joint_names
+        ]
+
+    def mass_matrix(self, position: Vector) -> Matrix:
+        """M(q), shape (joints, joints), kg m²."""
+        full = pinocchio.crba(self._model, self._data, self._scatter(position))
+        upper = np.triu(full)
+        symmetric = upper + np.triu(full, 1).T
+        return np.ascontiguousarray(symmetric[np.ix_(self._order, self._order)])
+
+    def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
+        """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
+        full = pinocchio.computeCoriolisMatrix(
+            self._model, self._data, self._scatter(position), self._scatter(velocity)
+        )
+        return np.ascontiguousarray(full[np.ix_(self._order, self._order)])
+
+    def gravity(self, position: Vector) -> Vector:
+        """G(q), shape (joints,), N m."""
+        full = pinocchio.computeGeneralizedGravity(
+            self._model, self._data, self._scatter(position)
+        )
+        return np.ascontiguousarray(full[self._order])
+
+    def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
+        """Torque of a motion, shape (joints,), N m."""
+        full = pinocchio.rnea(
+            self._model, self._data,
+            self._scatter(position), self._scatter(velocity), self._scatter(acceleration),
+        )  # fmt: skip
+        return np.ascontiguousarray(full[self._order])
+
+    def forward_dynamics(self, position: Vector, velocity: Vector, torque: Vector) -> Vector:
+        """Acceleration under a torque, shape (joints,), rad/s²."""
+        full = pinocchio.aba(
+            self._model, self._data,
+            self._scatter(position), self._scatter(velocity), self._scatter(torque),
+        )  # fmt: skip
+        return np.ascontiguousarray(full[self._order])
+
+    def energy(self, position: Vector, velocity: Vector) -> float:
+        """Kinetic plus potential energy, J."""
+        return float(
+            pinocchio.computeMechanicalEnergy(
+                self._model, self._data, self._scatter(position), self._scatter(velocity)
+            )
+        )
+
+    def tip_position(self, position: Vector) -> Vector:
+        """Origin of the tip link in the base frame, shape (3,), m."""
+        pinocchio.forwardKinematics(self._model, self._data, self._scatter(position))
+        placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
+        return np.array(placement.translation)
+
+    def yaw_pitch_pitch_lengths(self) -> tuple[float, float, float]:
+        """Shoulder height, upper arm and forearm of a yaw-pitch-pitch arm, m.
+
+        Raises:
+            ConfigurationError: the arm is no such arm, or does not lie along x at zero.
+        """
+        zero = np.zeros(self._model.nv)
+        if len(self._order) == 3:
+            pinocchio.computeJointJacobians(self._model, self._data, zero)
+            tip = self.tip_position(zero)
+            origins = [self._data.oMi[j].translation for j in range(1, 4)]
+            axes = [self._data.J[3:, i] for i in range(3)]
+            height, upper_arm, forearm = origins[1][2], origins[2][0], tip[0] - origins[2][0]
+            straight = [(0, 0, height), (upper_arm, 0, height), (upper_arm + forearm, 0, height)]
+            if np.allclose(axes, [(0, 0, 1), (0, 1, 0), (0, 1, 0)], atol=1e-6) and np.allclose(
+                [origins[1], origins[2], tip], straight, atol=1e-6
+            ):
+                return float(height), float(upper_arm), float(forearm)
+        raise ConfigurationError(
+            "reference.kind",
+            "cartesian_path",
+            "needs a three-joint arm that yaws about z, pitches twice about y and lies along x"
+            " with all joints at zero; joint_sinusoids and minimum_jerk work for any arm",
+        )
+
+    def _scatter(self, values: Vector) -> Vector:
+        scattered = np.zeros(self._model.nv)
+        scattered[self._order] = values
+        return scattered

@@ -1,0 +1,184 @@
+"""Reference trajectories in joint space, with analytic first and second derivatives."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.compiled import compiled
+
+
+class Reference(Protocol):
+    """A joint trajectory over the time of a run."""
+
+    def evaluate(
+        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
+    ) -> None:
+        """Write position (rad), velocity and acceleration at `time_s`, shape (joints,) each."""
+        ...
+
+
+def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matrix:
+    """Reference positions at each time, shape (times, joints), rad."""
+    positions = np.empty((len(times_s), joints))
+    velocity, acceleration = np.empty(joints), np.empty(joints)
+    for row, time_s in zip(positions, times_s, strict=True):
+        reference.evaluate(float(time_s), row, velocity, acceleration)
+    return positions
+
+
+class CartesianPath:
+    """A path of the tool of a yaw-pitch-pitch arm, through analytic inverse kinematics, elbow up.
+
+    Args:
+        axes: shape (3, 5): offset (m), velocity (m/s), amplitude (m), frequency (rad/s) and
+            phase (rad) of x, y and z: offset + velocity t + amplitude sin(frequency t + phase).
+        shoulder_height_m: height of the shoulder above the base.
+        upper_arm_m: shoulder to elbow.
+        forearm_m: elbow to tool.
+
+    Where the path is out of reach the reference is NaN.
+    """
+
+    def __init__(
+        self, axes: Matrix, shoulder_height_m: float, upper_arm_m: float, forearm_m: float
+    ) -> None:
+        self._axes = np.ascontiguousarray(axes)
+        self._lengths = (shoulder_height_m, upper_arm_m, forearm_m)
+
+    def evaluate(
+        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
+    ) -> None:
+        _cartesian_path(time_s, self._axes, *self._lengths, position, velocity, acceleration)
+
+
+class JointSinusoids:
+    """Each joint moves as centre + Σ amplitude sin(frequency t + phase).
+
+    Args:
+        centre_rad: shape (joints,).
+        terms: shape (terms, joints, 3): amplitude (rad), frequency (rad/s), phase (rad).
+    """
+
+    def __init__(self, centre_rad: Vector, terms: Matrix) -> None:
+        self._centre = centre_rad
+        self._terms = np.ascontiguousarray(terms)
+
+    def evaluate(
+        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
+    ) -> None:
+        _joint_sinusoids(time_s, self._centre, self._terms, position, velocity, acceleration)
+
+
+class MinimumJerk:
+    """Rest-to-rest moves through waypoints, each a quintic of least jerk; at rest before and after.
+
+    Args:
+        times_s: increasing, shape (waypoints,).
+        positions_rad: shape (waypoints, joints).
+    """
+
+    def __init__(self, times_s: Vector, positions_rad: Matrix) -> None:
+        self._times = np.ascontiguousarray(times_s)
+        self._positions = np.ascontiguousarray(positions_rad)
+
+    def evaluate(
+        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
+    ) -> None:
+        _minimum_jerk(time_s, self._times, self._positions, position, velocity, acceleration)
+
+
+@compiled
+def _axis(time_s: float, axis: Vector) -> tuple[float, float, float]:
+    offset, speed, amplitude, frequency, phase = axis[0], axis[1], axis[2], axis[3], axis[4]
+    angle = frequency * time_s + phase
+    sine = amplitude * math.sin(angle)
+    return (
+        offset + speed * time_s + sine,
+        speed + frequency * amplitude * math.cos(angle),
+        -frequency * frequency * sine,
+    )
+
+
+@compiled
+def _cartesian_path(
+    time_s: float, axes: Matrix, shoulder_height: float, upper_arm: float, forearm: float,
+    position: Vector, velocity: Vector, acceleration: Vector,
+) -> None:  # fmt: skip
+    x, d_x, dd_x = _axis(time_s, axes[0])
+    y, d_y, dd_y = _axis(time_s, axes[1])
+    z, d_z, dd_z = _axis(time_s, axes[2])
+    height = z - shoulder_height
+
+    reach = math.sqrt(x * x + y * y)
+    d_reach = (x * d_x + y * d_y) / reach
+    dd_reach = (d_x * d_x + d_y * d_y + x * dd_x + y * dd_y - d_reach * d_reach) / reach
+    d_yaw = (x * d_y - y * d_x) / (reach * reach)
+    position[0] = math.atan2(y, x)
+    velocity[0] = d_yaw
+    acceleration[0] = (x * dd_y - y * dd_x) / (reach * reach) - 2.0 * d_reach * d_yaw / reach
+
+    # Law of cosines for the elbow; a and b are the pitch of upper arm and forearm.
+    cos_elbow = (reach * reach + height * height - upper_arm * upper_arm - forearm * forearm) / (
+        2.0 * upper_arm * forearm
+    )
+    elbow = math.acos(cos_elbow) if abs(cos_elbow) <= 1.0 else math.nan
+    a = math.atan2(-height, reach) - math.atan2(
+        forearm * math.sin(elbow), upper_arm + forearm * math.cos(elbow)
+    )
+    b = a + elbow
+    position[1], position[2] = a, elbow
+
+    # reach = L1 cos a + L2 cos b, height = −L1 sin a − L2 sin b, differentiated once and twice.
+    sin_a, cos_a = upper_arm * math.sin(a), upper_arm * math.cos(a)
+    sin_b, cos_b = forearm * math.sin(b), forearm * math.cos(b)
+    determinant = sin_a * cos_b - sin_b * cos_a
+    d_a = (-cos_b * d_reach + sin_b * d_z) / determinant
+    d_b = (cos_a * d_reach - sin_a * d_z) / determinant
+    reach_rest = dd_reach + cos_a * d_a * d_a + cos_b * d_b * d_b
+    height_rest = dd_z - sin_a * d_a * d_a - sin_b * d_b * d_b
+    dd_a = (-cos_b * reach_rest + sin_b * height_rest) / determinant
+    dd_b = (cos_a * reach_rest - sin_a * height_rest) / determinant
+    velocity[1], velocity[2] = d_a, d_b - d_a
+    acceleration[1], acceleration[2] = dd_a, dd_b - dd_a
+
+
+@compiled
+def _joint_sinusoids(
+    time_s: float, centre: Vector, terms: Matrix,
+    position: Vector, velocity: Vector, acceleration: Vector,
+) -> None:  # fmt: skip
+    for i in range(centre.size):
+        position[i], velocity[i], acceleration[i] = centre[i], 0.0, 0.0
+        for term in range(terms.shape[0]):
+            amplitude, frequency, phase = terms[term, i, 0], terms[term, i, 1], terms[term, i, 2]
+            angle = frequency * time_s + phase
+            sine = amplitude * math.sin(angle)
+            position[i] += sine
+            velocity[i] += frequency * amplitude * math.cos(angle)
+            acceleration[i] -= frequency * frequency * sine
+
+
+@compiled
+def _minimum_jerk(
+    time_s: float, times: Vector, positions: Matrix,
+    position: Vector, velocity: Vector, acceleration: Vector,
+) -> None:  # fmt: skip
+    segment = min(max(int(np.searchsorted(times, time_s)) - 1, 0), max(times.size - 2, 0))
+    following = min(segment + 1, times.size - 1)
+    duration = times[following] - times[segment]
+    x = 0.0 if duration <= 0.0 else min(max((time_s - times[segment]) / duration, 0.0), 1.0)
+    moving = 0.0 < x < 1.0
+    shape = x * x * x * (10.0 + x * (6.0 * x - 15.0))
+    d_shape = 30.0 * x * x * (1.0 - x) * (1.0 - x) / duration if moving else 0.0
+    dd_shape = (
+        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (duration * duration) if moving else 0.0
+    )
+    for i in range(position.size):
+        distance = positions[following, i] - positions[segment, i]
+        position[i] = positions[segment, i] + distance * shape
+        velocity[i] = distance * d_shape
+        acceleration[i] = distance * dd_shape

@@ -1,0 +1,294 @@
+"""Scenarios: the one description that controller, plant, recorder and judge all read.
+
+A scenario is a YAML file. Everything that can be wrong with it is found here, before any process
+starts, and told with file, key, value and what is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field, ValidationError
+
+from bus_schema.arrays import Vector
+from bus_schema.clock import TickGrid
+from bus_schema.configuration import (
+    ConfigurationError,
+    NonNegative,
+    PerJoint,
+    Positive,
+    StrictModel,
+    expand,
+)
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.link_configuration import LinkConfiguration
+from bus_schema.robot_description import RobotDescription, load_robot
+from controller.configuration import (
+    ControllerConfiguration,
+    FunnelConfiguration,
+    ReferenceConfiguration,
+)
+from controller.control_loop import ControlTask
+from controller.prescribed_performance import Funnel
+from controller.reference import Reference, sample_positions
+from controller.torque_guard import TorqueGuard
+from deploy.robot_files import find_urdf
+from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.plant_loop import PlantTask
+
+SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
+_CHECKED_PER_SECOND = 100
+
+
+class RobotConfiguration(StrictModel):
+    """The arm.
+
+    Attributes:
+        urdf: a path (relative to the scenario file), the name of a shipped robot, or
+            ``pybullet_data:`` with a path inside that package.
+        initial_offset_rad: joint positions at the start, relative to the reference.
+    """
+
+    urdf: str
+    initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
+
+
+class MetricsConfiguration(StrictModel):
+    """The judge.
+
+    Attributes:
+        from_s: start of the time over which tracking errors are summed up.
+    """
+
+    from_s: NonNegative = 2.0
+
+
+class Scenario(StrictModel):
+    """A whole experiment."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    duration_s: Positive
+    rate_hz: Annotated[float, Field(ge=1, le=10_000)] = 1000.0
+    clock: Literal["realtime", "lockstep"] = "realtime"
+    seed: Annotated[int, Field(ge=0)] = 0
+    robot: RobotConfiguration
+    reference: ReferenceConfiguration
+    funnel: FunnelConfiguration = FunnelConfiguration()
+    controller: ControllerConfiguration = ControllerConfiguration()
+    link: LinkConfiguration = LinkConfiguration()
+    plant: PlantConfiguration = PlantConfiguration()
+    metrics: MetricsConfiguration = MetricsConfiguration()
+
+
+class ScenarioError(Exception):
+    """A scenario cannot be used; the message names file, key, value and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scenario with everything its values refer to, checked against each other.
+
+    Attributes:
+        source: the scenario file.
+        funnel: the bounds that laws and judge share.
+        gains: gains in use, expanded to the robot's joints.
+        start_position_rad: joint positions at the start, shape (joints,).
+    """
+
+    scenario: Scenario
+    source: Path
+    robot: RobotDescription
+    reference: Reference
+    funnel: Funnel
+    gains: Any
+    start_position_rad: Vector
+    grid: TickGrid
+
+    @property
+    def ticks(self) -> int:
+        return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
+
+    @property
+    def tick_times_s(self) -> Vector:
+        """Time of every tick, shape (ticks,)."""
+        return np.arange(self.ticks) * (self.grid.period_ns * 1e-9)
+
+    def control_task(self) -> ControlTask:
+        """A fresh task for a controller."""
+        controller = self.scenario.controller
+        limits = self.robot.effort_limits_nm
+        return ControlTask(
+            robot=self.robot,
+            reference=self.reference,
+            funnel=self.funnel,
+            law=controller.build_law(self.gains),
+            guard=TorqueGuard(
+                controller.law, limits, controller.torque_rate_limits(self.robot.joints)
+            ),
+        )
+
+    def plant_task(self, *, lockstep: bool) -> PlantTask:
+        """The task of a plant."""
+        return PlantTask(
+            robot=self.robot,
+            plant=self.scenario.plant,
+            link=self.scenario.link,
+            grid=self.grid,
+            ticks=self.ticks,
+            lockstep=lockstep,
+        )
+
+    def arm(self) -> ArmPlant:
+        """A fresh arm at its start."""
+        return ArmPlant(
+            self.scenario.plant,
+            self.robot,
+            self.start_position_rad,
+            self.grid.substep_s,
+            self.scenario.seed,
+        )
+
+
+def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
+    """Load, override and check a scenario.
+
+    Args:
+        name_or_path: a scenario file, or the name of a shipped scenario.
+        overrides: ``dotted.key=value``; values are YAML.
+
+    Raises:
+        ScenarioError: anything about it is wrong.
+    """
+    path = find_scenario(name_or_path)
+    values = _read_yaml(path)
+    for override in overrides:
+        _override(values, override)
+    try:
+        scenario = Scenario.model_validate(values)
+    except ValidationError as error:
+        raise ScenarioError(_explain(error, path)) from error
+    return check(scenario, path)
+
+
+def check(scenario: Scenario, source: Path) -> Setup:
+    """Check a scenario against the files and the robot it refers to.
+
+    Raises:
+        ScenarioError: something does not fit.
+    """
+    try:
+        return _check(scenario, source)
+    except RobotDescriptionError as error:
+        key = f"robot.urdf = {scenario.robot.urdf!r}"
+        raise ScenarioError(f"{source}: {key}: {error}") from error
+    except ConfigurationError as error:
+        raise ScenarioError(f"{source}: {error}") from error
+
+
+def find_scenario(name_or_path: str) -> Path:
+    """The file of a scenario.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path.resolve()
+    shipped = SHIPPED / f"{name_or_path}.yaml"
+    if shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
+    raise ScenarioError(f"{name_or_path}: no such file, nor one of the shipped scenarios {names}")
+
+
+def _check(scenario: Scenario, source: Path) -> Setup:
+    robot = load_robot(find_urdf(scenario.robot.urdf, source.parent))
+    reference = scenario.reference.build(robot)
+    grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
+    key = "robot.initial_offset_rad"
+    offset = expand(scenario.robot.initial_offset_rad, robot.joints, key)
+    _require_reachable(reference, robot, scenario)
+    start = sample_positions(reference, np.zeros(1), robot.joints)[0] + offset
+    if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
+        allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
+        raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
+    setup = Setup(
+        scenario=scenario,
+        source=source,
+        robot=robot,
+        reference=reference,
+        funnel=scenario.funnel.build(offset),
+        gains=scenario.controller.build_gains(robot, start),
+        start_position_rad=start,
+        grid=grid,
+    )
+    setup.control_task()
+    return setup
+
+
+def _require_reachable(reference: Reference, robot: RobotDescription, scenario: Scenario) -> None:
+    times = np.arange(0.0, scenario.duration_s, 1.0 / _CHECKED_PER_SECOND)
+    positions = sample_positions(reference, times, robot.joints)
+    outside = ~((positions >= robot.lower_rad) & (positions <= robot.upper_rad)).all(axis=1)
+    if outside.any():
+        first = int(np.argmax(outside))
+        what = np.round(positions[first], 4).tolist()
+        raise ConfigurationError(
+            "reference",
+            f"{what} at {times[first]:g} s",
+            f"must stay within the arm's reach and joint limits {_ranges(robot)}",
+        )
+
+
+def _ranges(robot: RobotDescription) -> str:
+    ends = zip(robot.lower_rad, robot.upper_rad, strict=True)
+    return ", ".join(f"[{lower:.4g}, {upper:.4g}]" for lower, upper in ends)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
+    if not isinstance(values, dict):
+        raise ScenarioError(f"{path}: a scenario is a mapping of keys to values")
+    return values
+
+
+def _override(values: dict[str, Any], override: str) -> None:
+    key, separator, text = override.partition("=")
+    if not separator or not key:
+        raise ScenarioError(f"--set {override}: the form is dotted.key=value")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"--set {override}: {text!r} is no YAML value") from error
+    *sections, last = key.split(".")
+    for section in sections:
+        inner = values.setdefault(section, {})
+        if not isinstance(inner, dict):
+            inner = values[section] = {}
+        values = inner
+    values[last] = value
+
+
+def _explain(error: ValidationError, path: Path) -> str:
+    lines = []
+    for problem in error.errors(include_url=False):
+        key = ".".join(str(part) for part in problem["loc"])
+        message = problem["msg"].removeprefix("Value error, ")
+        if problem["type"] == "extra_forbidden":
+            lines.append(f"{path}: {key}: there is no such key")
+        elif problem["type"] == "missing":
+            lines.append(f"{path}: {key}: is missing")
+        else:
+            allowed = message.removeprefix("Input should be ")
+            lines.append(f"{path}: {key} = {problem['input']!r}: must be {allowed}")
+    return "\n".join(lines)

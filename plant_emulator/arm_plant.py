@@ -1,0 +1,119 @@
+"""The emulated arm: rigid bodies, actuators, friction, disturbance, brakes and encoders."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.configuration import expand
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.joint_hardware import Encoders
+from plant_emulator.joint_torques import JointTorques
+from plant_emulator.pybullet_arm import PybulletArm
+
+
+class Mode(IntEnum):
+    """What the arm does; numbers as in PlantStatus.msg."""
+
+    BRAKED = 0
+    TRACKING = 1
+    STOPPING = 2
+    FAULT = 3
+
+
+class ArmPlant:
+    """The arm with all its hardware, advanced one physics substep at a time.
+
+    Args:
+        configuration: section ``plant`` of the scenario.
+        robot: description of the arm.
+        start_position_rad: joint positions at the start, shape (joints,).
+        substep_s: length of a substep.
+        seed: seed of everything random in the arm.
+
+    Attributes:
+        mode: what the arm does.
+        torques: torques of the last substep.
+    """
+
+    def __init__(
+        self,
+        configuration: PlantConfiguration,
+        robot: RobotDescription,
+        start_position_rad: Vector,
+        substep_s: float,
+        seed: int,
+    ) -> None:
+        disturbance_seed, encoder_seed = np.random.SeedSequence(seed).spawn(2)
+        self._safe_stop = configuration.safe_stop
+        self._stop_damping = expand(
+            configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s"
+        )
+        self.torques = JointTorques(
+            configuration, robot, substep_s, np.random.default_rng(disturbance_seed)
+        )
+        self._encoders = Encoders(
+            configuration.encoder, robot.joints, np.random.default_rng(encoder_seed)
+        )
+        self._commanded: Vector = np.zeros(robot.joints)
+        self._arm = PybulletArm(
+            robot, substep_s, payload_kg=configuration.payload_kg, gui=configuration.gui
+        )
+        self._arm.place(start_position_rad)
+        self._arm.set_brakes(engaged=True)
+        self.mode = Mode.BRAKED
+
+    @property
+    def position(self) -> Vector:
+        """True joint positions, rad, shape (joints,)."""
+        return self._arm.position
+
+    @property
+    def velocity(self) -> Vector:
+        """True joint velocities, rad/s, shape (joints,)."""
+        return self._arm.velocity
+
+    def read_encoders(self, into_position: Vector, into_velocity: Vector) -> None:
+        """Write what a controller gets to see of the motion."""
+        self._encoders.read(self.position, self.velocity, into_position, into_velocity)
+
+    def command(self, torque_nm: Vector) -> None:
+        """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
+        if self.mode is Mode.BRAKED:
+            self._arm.set_brakes(engaged=False)
+            self.mode = Mode.TRACKING
+        if self.mode is Mode.TRACKING:
+            self._commanded[:] = torque_nm
+
+    def stop(self) -> None:
+        """Begin the configured safe stop. There is no way back."""
+        self.mode = Mode.STOPPING
+        self._commanded[:] = 0.0
+        if self._safe_stop == "brake":
+            self._arm.set_brakes(engaged=True)
+
+    def brake(self) -> None:
+        """Engage the brakes for good."""
+        self.mode = Mode.FAULT
+        self._commanded[:] = 0.0
+        self._arm.set_brakes(engaged=True)
+
+    def step(self, time_s: float) -> None:
+        """Advance by one substep that starts at `time_s`."""
+        if self.mode is Mode.TRACKING:
+            self._arm.step(self.torques.act(self._commanded, self.velocity, time_s))
+        elif self.mode is Mode.STOPPING and self._safe_stop != "brake":
+            if self._safe_stop == "damping":
+                np.multiply(self._stop_damping, self.velocity, out=self._commanded)
+                np.negative(self._commanded, out=self._commanded)
+            self._arm.step(self.torques.act(self._commanded, self.velocity, time_s))
+        else:
+            self.torques.rest()
+            self._arm.step_braked()
+
+    def close(self) -> None:
+        """Free the physics server."""
+        self._arm.close()

@@ -1,0 +1,78 @@
+"""The gate every command passes: nothing invalid, stale or unasked-for comes through."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from bus_schema import topics
+from bus_schema.arrays import Vector
+from bus_schema.cdr_layout import Record
+from bus_schema.errors import InvalidMessageError
+from bus_schema.link import CommandArrival
+
+logger = logging.getLogger(__name__)
+
+_LOGGED_PER_REASON = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A valid command.
+
+    Attributes:
+        torque_nm: shape (joints,).
+        sequence: number its sender gave it.
+        stamp_ns: stamp of the state it answers.
+    """
+
+    torque_nm: Vector
+    sequence: int
+    stamp_ns: int
+
+
+class CommandGate:
+    """Decodes commands and keeps out what is not valid, finite, right-sized and newer.
+
+    Attributes:
+        last_answered_ns: stamp of the state that the last well-formed command answered.
+    """
+
+    def __init__(self, joint_names: tuple[str, ...], rejected: Counter[str]) -> None:
+        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
+        self._record = Record(self._layout)
+        self._rejected = rejected
+        self._newest_ns = -1
+        self.last_answered_ns = -1
+
+    def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
+        """The command in `arrival`, or None if it must change nothing.
+
+        Args:
+            arrival: what came off the bus.
+            newest_state_ns: stamp of the newest state that was sent out.
+        """
+        try:
+            return self._admit(arrival, newest_state_ns)
+        except InvalidMessageError as error:
+            self._rejected[error.reason] += 1
+            if self._rejected[error.reason] <= _LOGGED_PER_REASON:
+                logger.warning("command ignored: %s", error)
+            return None
+
+    def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:
+        self._layout.decode(arrival.payload, self._record)
+        torque = self._record.fields["effort"]
+        stamp_ns = self._record.stamp_ns
+        if not np.isfinite(torque).all():
+            raise InvalidMessageError("not_finite", "a torque is not finite")
+        if stamp_ns > newest_state_ns:
+            raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
+        self.last_answered_ns = stamp_ns
+        if stamp_ns <= self._newest_ns:
+            raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
+        self._newest_ns = stamp_ns
+        return Command(torque.copy(), arrival.sequence, stamp_ns)

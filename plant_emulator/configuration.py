@@ -1,0 +1,150 @@
+"""Section ``plant`` of a scenario: what the emulated arm has that an ideal one has not."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from bus_schema.configuration import (
+    NonNegative,
+    PerJointNonNegative,
+    PerJointPositive,
+    Positive,
+    StrictModel,
+)
+
+
+def _zero() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return np.zeros(1)
+
+
+class FrictionConfiguration(StrictModel):
+    """Joint friction: (Coulomb + Stribeck excess) tanh(q̇ / smoothing velocity) + viscous q̇.
+
+    Attributes:
+        enabled: false for none at all.
+        coulomb_nm: dry friction at speed.
+        viscous_nm_s: friction per rad/s.
+        stribeck_nm: dry friction beyond Coulomb's near standstill.
+        stribeck_velocity_rad_s: speed over which that excess dies away.
+        smoothing_velocity_rad_s: speed over which dry friction changes its sign.
+    """
+
+    enabled: bool = True
+    coulomb_nm: PerJointNonNegative = Field(default_factory=_zero)
+    viscous_nm_s: PerJointNonNegative = Field(default_factory=_zero)
+    stribeck_nm: PerJointNonNegative = Field(default_factory=_zero)
+    stribeck_velocity_rad_s: PerJointPositive = Field(default_factory=lambda: np.array([0.1]))
+    smoothing_velocity_rad_s: PerJointPositive = Field(default_factory=lambda: np.array([0.01]))
+
+
+class _Term(StrictModel):
+    """Attributes: joint: name of the joint, or ``all``."""
+
+    joint: str
+
+
+class ConstantTerm(_Term):
+    """A constant torque."""
+
+    kind: Literal["constant"]
+    torque_nm: float
+
+
+class SineTerm(_Term):
+    """amplitude sin(frequency t + phase)."""
+
+    kind: Literal["sine"]
+    amplitude_nm: float
+    frequency_rad_s: Positive
+    phase_rad: float = 0.0
+
+
+class StepTerm(_Term):
+    """A torque from a time on."""
+
+    kind: Literal["step"]
+    torque_nm: float
+    start_s: NonNegative
+
+
+class PulseTerm(_Term):
+    """A torque for a time."""
+
+    kind: Literal["pulse"]
+    torque_nm: float
+    start_s: NonNegative
+    duration_s: Positive
+
+
+class NoiseTerm(_Term):
+    """Noise of a given strength between two frequencies, drawn from the scenario's seed."""
+
+    kind: Literal["noise"]
+    rms_nm: NonNegative
+    lowest_hz: Positive
+    highest_hz: Positive
+
+
+DisturbanceTerm = Annotated[
+    ConstantTerm | SineTerm | StepTerm | PulseTerm | NoiseTerm, Field(discriminator="kind")
+]
+
+
+class DisturbanceConfiguration(StrictModel):
+    """External torques that oppose the actuators: the sum of the terms."""
+
+    enabled: bool = True
+    terms: list[DisturbanceTerm] = []
+
+
+class EncoderConfiguration(StrictModel):
+    """What the controller sees of the joints.
+
+    Attributes:
+        resolution_rad: positions are whole multiples of this; 0 for exact ones.
+        velocity_noise_rad_s: standard deviation of white noise on velocities.
+    """
+
+    resolution_rad: PerJointNonNegative = Field(default_factory=_zero)
+    velocity_noise_rad_s: PerJointNonNegative = Field(default_factory=_zero)
+
+
+class ActuatorConfiguration(StrictModel):
+    """What stands between a commanded torque and the joint.
+
+    Attributes:
+        saturation_nm: largest torque; by default the URDF's effort limits.
+        lag_ms: time constant of the torque loop; 0 for none.
+    """
+
+    saturation_nm: PerJointPositive | None = None
+    lag_ms: NonNegative = 0.0
+
+
+class PlantConfiguration(StrictModel):
+    """The emulated arm.
+
+    Attributes:
+        substeps: physics steps per tick.
+        payload_kg: point mass at the tip that the nominal model does not know of.
+        command_timeout_ms: time without a valid command after which the arm is stopped.
+        safe_stop: how it is stopped: by the brakes, by damping torques, or by zero torque.
+        stop_damping_nm_s: torque per rad/s of the ``damping`` stop.
+        stop_duration_s: time that a run goes on after a safe stop, for the record.
+        gui: open pybullet's window.
+    """
+
+    substeps: Annotated[int, Field(ge=1, le=100)] = 4
+    payload_kg: NonNegative = 0.0
+    command_timeout_ms: Positive = 100.0
+    safe_stop: Literal["brake", "damping", "zero_torque"] = "brake"
+    stop_damping_nm_s: PerJointPositive = Field(default_factory=lambda: np.array([20.0]))
+    stop_duration_s: NonNegative = 0.5
+    gui: bool = False
+    friction: FrictionConfiguration = FrictionConfiguration()
+    disturbance: DisturbanceConfiguration = DisturbanceConfiguration()
+    encoder: EncoderConfiguration = EncoderConfiguration()
+    actuator: ActuatorConfiguration = ActuatorConfiguration()

@@ -1,0 +1,86 @@
+"""All torques that act on the joints in one physics substep."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.compiled import compiled
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.disturbance import add_disturbance, disturbance_table
+from plant_emulator.friction import friction_table, friction_torque
+from plant_emulator.joint_hardware import ActuatorLimits
+
+
+class JointTorques:
+    """Actuators, friction and disturbance between a command and the rigid bodies.
+
+    Attributes:
+        actuator: torque that the actuators deliver, N m.
+        friction: friction, opposing, N m.
+        disturbance: disturbance, opposing, N m.
+        total: actuator − friction − disturbance, N m. All of shape (joints,).
+        saturated: whether the last command asked for all that an actuator has, or more.
+    """
+
+    def __init__(
+        self,
+        configuration: PlantConfiguration,
+        robot: RobotDescription,
+        substep_s: float,
+        random: np.random.Generator,
+    ) -> None:
+        limits = ActuatorLimits(configuration.actuator, robot, substep_s)
+        self._saturation = limits.saturation_nm
+        self._lag_factor = limits.lag_factor
+        self._friction_table = friction_table(configuration.friction, robot.joints)
+        self._disturbance_table = disturbance_table(
+            configuration.disturbance, robot.joint_names, random
+        )
+        self.actuator: Vector = np.zeros(robot.joints)
+        self.friction: Vector = np.zeros(robot.joints)
+        self.disturbance: Vector = np.zeros(robot.joints)
+        self.total: Vector = np.zeros(robot.joints)
+        self.saturated = False
+
+    def act(self, commanded_nm: Vector, velocity: Vector, time_s: float) -> Vector:
+        """Total torque of a substep that starts at `time_s`, shape (joints,), N m."""
+        self.saturated = _act(
+            commanded_nm,
+            velocity,
+            time_s,
+            self._saturation,
+            self._lag_factor,
+            self._friction_table,
+            self._disturbance_table,
+            self.actuator,
+            self.friction,
+            self.disturbance,
+            self.total,
+        )
+        return self.total
+
+    def rest(self) -> None:
+        """The brakes hold the joints: nothing else is felt."""
+        self.actuator[:] = 0.0
+        self.friction[:] = 0.0
+        self.disturbance[:] = 0.0
+        self.saturated = False
+
+
+@compiled
+def _act(
+    commanded: Vector, velocity: Vector, time_s: float,
+    saturation: Vector, lag_factor: float, friction_parameters: Matrix, disturbances: Matrix,
+    actuator: Vector, friction: Vector, disturbance: Vector, total: Vector,
+) -> bool:  # fmt: skip
+    add_disturbance(time_s, disturbances, disturbance)
+    saturated = False
+    for i in range(velocity.size):
+        target = min(max(commanded[i], -saturation[i]), saturation[i])
+        saturated = saturated or abs(commanded[i]) >= saturation[i]
+        actuator[i] = target + lag_factor * (actuator[i] - target)
+        friction[i] = friction_torque(velocity[i], friction_parameters, i)
+        total[i] = actuator[i] - friction[i] - disturbance[i]
+    return saturated

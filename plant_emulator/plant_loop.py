@@ -1,0 +1,302 @@
+"""The plant's loop: exchange messages, advance the physics, publish what the joints do.
+
+The plant owns the clock of a run. At each tick of an absolute grid it looks back: the commands that
+arrived meanwhile come into force at the physics substep at which they took effect, the physics
+catches up with the clock, and the joints are measured. In virtual time nothing is ever late; in
+real time a late tick is skipped whole, and the physics goes through it all the same.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from dataclasses import dataclass, field
+
+from bus_schema import topics
+from bus_schema.cdr_layout import Record
+from bus_schema.clock import Clock, TickGrid
+from bus_schema.errors import PeerSilentError
+from bus_schema.events import EventKind, RunEvent
+from bus_schema.link import PlantLink
+from bus_schema.link_configuration import LinkConfiguration
+from bus_schema.robot_description import RobotDescription
+from bus_schema.topics import Role
+from plant_emulator.arm_plant import ArmPlant, Mode
+from plant_emulator.command_gate import Command, CommandGate
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.impairment import Channel
+from plant_emulator.watchdog import Watchdog
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PlantTask:
+    """What the plant has to do.
+
+    Attributes:
+        lockstep: wait for the reply to every state that is delivered.
+        ticks: length of the run.
+    """
+
+    robot: RobotDescription
+    plant: PlantConfiguration
+    link: LinkConfiguration
+    grid: TickGrid
+    ticks: int
+    lockstep: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Measurement:
+    """A joint state with the plant status that belongs to it, on its way to the controller."""
+
+    stamp_ns: int
+    state: bytes
+    status: bytes
+
+
+@dataclass
+class PlantOutcome:
+    """How a run ended.
+
+    Attributes:
+        ticks: ticks that passed.
+        completed: the run came to its planned end.
+        faults: one sentence each.
+        wall_s: wall time the loop took.
+    """
+
+    ticks: int = 0
+    completed: bool = False
+    faults: list[str] = field(default_factory=list)
+    wall_s: float = 0.0
+
+
+class PlantLoop:
+    """One run of the plant.
+
+    Attributes:
+        stop_requested: set it from a signal handler or another thread to end the run cleanly.
+        tick: ticks that have passed.
+        deadline_misses: ticks at which the command in force was too old.
+    """
+
+    def __init__(self, task: PlantTask, arm: ArmPlant, link: PlantLink, clock: Clock) -> None:
+        names = task.robot.joint_names
+        self._task, self._arm, self._link, self._clock = task, arm, link, clock
+        self._grid = task.grid
+        self._uplink: Channel[_Measurement] = Channel(task.link.uplink)
+        self._downlink: Channel[Command] = Channel(task.link.downlink)
+        self._gate = CommandGate(names, self._downlink.counts.rejected)
+        timeout_ns = round(task.plant.command_timeout_ms * 1e6)
+        round_trip_ns = task.link.uplink.delay_ns + task.link.downlink.delay_ns
+        self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
+        self._deadline_ns = task.link.deadline_ns(task.grid.period_ns)
+        self._state = Record(topics.layout(topics.JOINT_STATES, names))
+        self._status = Record(topics.layout(topics.PLANT_STATUS, names))
+        self._truth = Record(topics.layout(topics.PLANT_TRUTH, names))
+        self._timing = Record(topics.layout(topics.PLANT_TIMING, names))
+        self._telemetry: list[tuple[topics.Topic, bytes]] = []
+        self._in_force: Command | None = None
+        self._newest_sent_ns = -1
+        self._round_trip_ns = self._state_age_ns = -1
+        self._lateness_ns = self._skipped = 0
+        self._cycle_started_ns = 0
+        self._controller_is_lost = False
+        self._end_tick = task.ticks
+        self._outcome = PlantOutcome()
+        self.stop_requested = False
+        self.tick = 0
+        self.deadline_misses = 0
+
+    def run(self) -> PlantOutcome:
+        """Run from tick 0 to the end, a fault or a request to stop."""
+        started_s = time.monotonic()
+        self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
+        self._record_truth()
+        self._measure()
+        while self.tick < self._end_tick and not self.stop_requested:
+            self._cycle()
+        self._exchange_until(self._grid.tick_ns(self.tick))
+        self._arm.brake()
+        self._outcome.ticks = self.tick
+        self._outcome.completed = self.tick >= self._task.ticks and not self._outcome.faults
+        self._outcome.wall_s = time.monotonic() - started_s
+        self._say_goodbye()
+        return self._outcome
+
+    def _cycle(self) -> None:
+        tick = self._next_tick()
+        self._exchange_until(self._grid.tick_ns(tick))
+        started_ns = time.perf_counter_ns()
+        self._advance_to(tick)
+        if tick < self._end_tick:
+            self._measure()
+        self._report_timing(started_ns)
+
+    def _next_tick(self) -> int:
+        """The next tick of the grid, or the one that the clock has reached if that is later."""
+        reached = self._grid.tick_at_or_before(self._clock.now_ns())
+        tick = min(max(self.tick + 1, reached), self._end_tick)
+        self._skipped += tick - self.tick - 1
+        return tick
+
+    def _exchange_until(self, until_ns: int) -> None:
+        """Deliver the states that fall due, and take in the commands that arrive, until then."""
+        while (due_ns := self._uplink.next_due_ns()) is not None and due_ns < until_ns:
+            self._clock.wait_until(due_ns)
+            self._deliver(self._uplink.receive()[1], due_ns)
+        self._flush_telemetry()
+        self._lateness_ns = self._clock.wait_until(until_ns)
+        self._collect_commands()
+
+    def _deliver(self, measurement: _Measurement, now_ns: int) -> None:
+        self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
+        self._state_age_ns = now_ns - measurement.stamp_ns
+        self._link.send_state(measurement.state, measurement.status)
+        self._flush_telemetry()
+        if self._task.lockstep and not self._controller_is_lost:
+            self._await_reply(measurement.stamp_ns)
+
+    def _await_reply(self, stamp_ns: int) -> None:
+        """Wait for the reply to one state; if it stays out, go on alone until the watchdog acts."""
+        timeout_s = self._task.link.reply_timeout_s
+        give_up_s = time.monotonic() + timeout_s
+        self._collect_commands()
+        while self._gate.last_answered_ns != stamp_ns and not self.stop_requested:
+            if self._link.controller_has_left():
+                self._give_up_on_controller("the controller has left the bus")
+            elif time.monotonic() > give_up_s:
+                silence = PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a joint state")
+                self._give_up_on_controller(str(silence))
+            else:
+                self._link.await_command(_PATIENCE_S)
+                self._collect_commands()
+                continue
+            return
+
+    def _give_up_on_controller(self, reason: str) -> None:
+        self._controller_is_lost = True
+        self._fail(reason)
+
+    def _collect_commands(self) -> None:
+        for arrival in self._link.take_commands():
+            command = self._gate.admit(arrival, self._newest_sent_ns)
+            if command is not None:
+                self._downlink.send(command, arrival.arrival_ns)
+
+    def _advance_to(self, tick: int) -> None:
+        """Let the physics catch up with the clock, substep by substep."""
+        while self.tick < tick:
+            for substep in range(self._grid.substeps):
+                now_ns = self._grid.substep_ns(self.tick, substep)
+                self._put_into_force(now_ns)
+                if self._watchdog.has_expired(now_ns) and self._arm.mode in _COMMANDABLE:
+                    self._stop_safely()
+                self._arm.step(now_ns * 1e-9)
+            self.tick += 1
+            self._put_into_force(self._grid.tick_ns(self.tick))
+            self._record_truth()
+
+    def _put_into_force(self, now_ns: int) -> None:
+        while (due_ns := self._downlink.next_due_ns()) is not None and due_ns <= now_ns:
+            effective_ns, command = self._downlink.receive()
+            self._watchdog.feed(effective_ns)
+            self._round_trip_ns = effective_ns - command.stamp_ns
+            if self._arm.mode is Mode.BRAKED:
+                self._announce(EventKind.TRACKING, "first valid command: brakes released")
+            if self._arm.mode in _COMMANDABLE:
+                self._in_force = command
+                self._arm.command(command.torque_nm)
+
+    def _stop_safely(self) -> None:
+        timeout_ms = self._task.plant.command_timeout_ms
+        kind = self._task.plant.safe_stop
+        self._arm.stop()
+        self._fail(f"no valid command for {timeout_ms:g} ms: safe stop ({kind})")
+        stop_ticks = round(self._task.plant.stop_duration_s * 1e9 / self._grid.period_ns)
+        self._end_tick = min(self._end_tick, self.tick + 1 + stop_ticks)
+
+    def _measure(self) -> None:
+        """Measure the joints and send the state on its way."""
+        state, status = self._state, self._status
+        stamp_ns = self._grid.tick_ns(self.tick)
+        state.stamp_ns = status.stamp_ns = stamp_ns
+        self._arm.read_encoders(state.fields["position"], state.fields["velocity"])
+        state.fields["effort"][:] = self._arm.torques.actuator
+        status.fields["mode"][0] = self._arm.mode
+        status.fields["command_sequence"][0] = self._in_force.sequence if self._in_force else 0
+        status.fields["command_age_ns"][0] = self._command_age_ns()
+        measurement = _Measurement(stamp_ns, state.payload(), status.payload())
+        self._uplink.send(measurement, stamp_ns)
+
+    def _record_truth(self) -> None:
+        """Note what is true at this tick, also at one that was skipped."""
+        fields, torques, age_ns = self._truth.fields, self._arm.torques, self._command_age_ns()
+        stamp_ns = self._grid.tick_ns(self.tick)
+        # Before the first command nothing in force can be older than the run itself.
+        is_in_time = (age_ns if age_ns >= 0 else stamp_ns) <= self._deadline_ns
+        self.deadline_misses += not is_in_time
+        self._truth.stamp_ns = stamp_ns
+        fields["mode"][0] = self._arm.mode
+        fields["command_sequence"][0] = self._in_force.sequence if self._in_force else 0
+        fields["command_age_ns"][0] = age_ns
+        fields["round_trip_ns"][0] = self._round_trip_ns
+        fields["state_age_ns"][0] = self._state_age_ns
+        fields["deadline_met"][0] = is_in_time
+        fields["saturated"][0] = torques.saturated
+        fields["position"][:] = self._arm.position
+        fields["velocity"][:] = self._arm.velocity
+        fields["torque"][:] = torques.actuator
+        fields["friction"][:] = torques.friction
+        fields["disturbance"][:] = torques.disturbance
+        self._telemetry.append((topics.PLANT_TRUTH, self._truth.payload()))
+        self._round_trip_ns = self._state_age_ns = -1
+
+    def _report_timing(self, started_ns: int) -> None:
+        fields = self._timing.fields
+        self._timing.stamp_ns = self._grid.tick_ns(self.tick)
+        fields["cycle"][0] = self.tick
+        fields["period_ns"][0] = started_ns - self._cycle_started_ns if self.tick > 1 else 0
+        fields["lateness_ns"][0] = self._lateness_ns
+        fields["step_ns"][0] = time.perf_counter_ns() - started_ns
+        fields["skipped"][0] = self._skipped
+        self._telemetry.append((topics.PLANT_TIMING, self._timing.payload()))
+        self._cycle_started_ns = started_ns
+
+    def _command_age_ns(self) -> int:
+        if self._in_force is None:
+            return -1
+        return self._grid.tick_ns(self.tick) - self._in_force.stamp_ns
+
+    def _fail(self, reason: str) -> None:
+        self._outcome.faults.append(reason)
+        logger.error("%s", reason)
+        self._announce(EventKind.FAULT, reason)
+
+    def _announce(self, kind: EventKind, detail: str) -> None:
+        event = RunEvent(self._grid.tick_ns(self.tick), Role.PLANT, kind, detail)
+        self._telemetry.append((topics.RUN_EVENTS, event.encode()))
+
+    def _flush_telemetry(self) -> None:
+        for topic, payload in self._telemetry:
+            self._link.publish(topic, payload)
+        self._telemetry.clear()
+
+    def _say_goodbye(self) -> None:
+        outcome = self._outcome
+        counts = {
+            "uplink": self._uplink.counts.as_dict(), "downlink": self._downlink.counts.as_dict()
+        }  # fmt: skip
+        if self.stop_requested:
+            self._announce(EventKind.STOPPED, "stopped on request")
+        self._announce(EventKind.COUNTS, json.dumps(counts))
+        ended = {"completed": outcome.completed, "ticks": outcome.ticks, "wall_s": outcome.wall_s}
+        self._announce(EventKind.ENDED, json.dumps(ended))
+        self._flush_telemetry()
+
+
+_PATIENCE_S = 0.1
+_COMMANDABLE = (Mode.BRAKED, Mode.TRACKING)
