@@ -17,6 +17,7 @@ from bus_schema import topics
 from bus_schema.arrays import Vector
 from bus_schema.cdr_layout import Record
 from bus_schema.errors import InvalidMessageError
+from bus_schema.finite import all_finite
 from bus_schema.link import ControllerLink
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
@@ -131,7 +132,7 @@ class ControlLoop:
 
     def _require_finite(self) -> None:
         fields = self._state.fields
-        if not (np.isfinite(fields["position"]).all() and np.isfinite(fields["velocity"]).all()):
+        if not (all_finite(fields["position"]) and all_finite(fields["velocity"])):
             raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
     def _start_of_run(self, plant_status: bytes | None, first_stamp_ns: int) -> int:

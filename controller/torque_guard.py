@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Vector
+from bus_schema.compiled import compiled
+from bus_schema.finite import all_finite
 
 
 class ControllerError(Exception):
@@ -36,11 +38,8 @@ class TorqueGuard:
 
     def __init__(self, law: str, limits_nm: Vector, rate_limits_nm_s: Vector) -> None:
         self._law = law
-        self._upper = limits_nm
-        self._lower = -limits_nm
+        self._limits = limits_nm
         self._rate_limits = rate_limits_nm_s
-        self._limits_rate = bool(np.any(np.isfinite(rate_limits_nm_s)))
-        self._previous: Vector = np.zeros(limits_nm.size)
         self._out: Vector = np.zeros(limits_nm.size)
 
     def admit(self, torque: Vector, tick: int, step_s: float) -> Vector:
@@ -54,11 +53,21 @@ class TorqueGuard:
             raise InvalidTorqueError(
                 self._law, tick, f"{shape} where shape {self._out.shape} is expected"
             )
-        if not np.isfinite(torque).all():
+        if not all_finite(torque):
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
-        np.clip(torque, self._lower, self._upper, out=self._out)
-        if self._limits_rate and tick > 0:
-            change = self._rate_limits * step_s
-            np.clip(self._out, self._previous - change, self._previous + change, out=self._out)
-        self._previous[:] = self._out
+        _limit(torque, self._limits, self._rate_limits, step_s, self._out)
         return self._out
+
+
+@compiled
+def _limit(
+    torque: Vector, limits: Vector, rate_limits: Vector, step_s: float, previous_and_out: Vector
+) -> None:
+    for i in range(torque.size):
+        limited = min(max(torque[i], -limits[i]), limits[i])
+        if step_s > 0.0:
+            change = rate_limits[i] * step_s
+            limited = min(
+                max(limited, previous_and_out[i] - change), previous_and_out[i] + change
+            )
+        previous_and_out[i] = limited

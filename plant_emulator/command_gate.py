@@ -6,12 +6,11 @@ import logging
 from collections import Counter
 from dataclasses import dataclass
 
-import numpy as np
-
 from bus_schema import topics
 from bus_schema.arrays import Vector
 from bus_schema.cdr_layout import Record
 from bus_schema.errors import InvalidMessageError
+from bus_schema.finite import all_finite
 from bus_schema.link import CommandArrival
 
 logger = logging.getLogger(__name__)
@@ -67,7 +66,7 @@ class CommandGate:
         self._layout.decode(arrival.payload, self._record)
         torque = self._record.fields["effort"]
         stamp_ns = self._record.stamp_ns
-        if not np.isfinite(torque).all():
+        if not all_finite(torque):
             raise InvalidMessageError("not_finite", "a torque is not finite")
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
