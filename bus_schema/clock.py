@@ -9,6 +9,10 @@ from typing import Protocol
 class Clock(Protocol):
     """What a loop may ask of time."""
 
+    def start(self) -> None:
+        """The run starts now: time is 0."""
+        ...
+
     def now_ns(self) -> int:
         """Time since the start of the run."""
         ...
@@ -24,6 +28,9 @@ class VirtualClock:
     def __init__(self) -> None:
         self._now_ns = 0
 
+    def start(self) -> None:
+        self._now_ns = 0
+
     def now_ns(self) -> int:
         return self._now_ns
 
@@ -33,12 +40,15 @@ class VirtualClock:
 
 
 class MonotonicClock:
-    """CLOCK_MONOTONIC, counted from the creation of the object.
+    """CLOCK_MONOTONIC, counted from the start of the run (before that, from the object's creation).
 
     Instants are absolute, so lateness in one cycle never shifts the next.
     """
 
     def __init__(self) -> None:
+        self.start()
+
+    def start(self) -> None:
         self._start_ns = time.monotonic_ns()
 
     def now_ns(self) -> int:

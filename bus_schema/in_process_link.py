@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
-from bus_schema.link import CommandArrival, StateHandler
+from bus_schema.link import CommandArrival, StateHandler, never
 from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Topic
 
 Tap = Callable[[Topic, int, bytes], None]
@@ -45,7 +45,9 @@ class InProcessPlantLink:
         self._bus = bus
         self.publish = bus.publish
 
-    def await_controller(self, timeout_s: float) -> None:
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
         if self._bus.on_state is None:
             raise PeerSilentError("controller", timeout_s, "handler of joint states")
 

@@ -29,6 +29,11 @@ class CommandArrival:
     arrival_ns: int
 
 
+def never() -> bool:
+    """No stop is ever requested."""
+    return False
+
+
 class Publisher(Protocol):
     """What both sides have in common."""
 
@@ -44,8 +49,10 @@ class Publisher(Protocol):
 class PlantLink(Publisher, Protocol):
     """The plant's side."""
 
-    def await_controller(self, timeout_s: float) -> None:
-        """Wait until somebody is there to answer.
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait until somebody is there to answer, or until asked to stop.
 
         Raises:
             PeerSilentError: nobody came.

@@ -22,6 +22,7 @@ class RobotDescription:
 
     Attributes:
         path: the URDF file.
+        text: its content.
         joint_names: names of the revolute and continuous joints; all others are held fixed.
         effort_limits_nm: largest torque of each joint (inf where the URDF has none).
         velocity_limits_rad_s: largest speed of each joint (inf where the URDF has none).
@@ -31,6 +32,7 @@ class RobotDescription:
     """
 
     path: Path
+    text: str
     joint_names: tuple[str, ...]
     effort_limits_nm: Vector
     velocity_limits_rad_s: Vector
@@ -48,7 +50,7 @@ class RobotDescription:
         Args:
             payload_kg: point mass fixed to the origin of the tip link.
         """
-        root = _parse(self.path)
+        root = ET.fromstring(self.text)
         for joint in root.iter("joint"):
             kind = joint.get("type")
             if kind == "continuous":
@@ -77,7 +79,8 @@ def load_robot(path: Path) -> RobotDescription:
     Raises:
         RobotDescriptionError: it cannot be read, is no URDF or has no revolute joint.
     """
-    joints = [j for j in _parse(path).findall("joint") if j.get("type") in ACTUATED_TYPES]
+    text, root = _parse(path)
+    joints = [j for j in root.findall("joint") if j.get("type") in ACTUATED_TYPES]
     if not joints:
         raise RobotDescriptionError(f"{path} has no revolute or continuous joint")
     names = tuple(joint.get("name", "") for joint in joints)
@@ -85,25 +88,27 @@ def load_robot(path: Path) -> RobotDescription:
         raise RobotDescriptionError(f"{path}: joint names must be unique and not empty: {names}")
     return RobotDescription(
         path=path,
+        text=text,
         joint_names=names,
         effort_limits_nm=_limits(path, joints, "effort", math.inf),
         velocity_limits_rad_s=_limits(path, joints, "velocity", math.inf),
         lower_rad=_limits(path, joints, "lower", -math.inf),
         upper_rad=_limits(path, joints, "upper", math.inf),
-        tip_link=_tip_link(path, _parse(path)),
+        tip_link=_tip_link(path, root),
     )
 
 
-def _parse(path: Path) -> ET.Element:
+def _parse(path: Path) -> tuple[str, ET.Element]:
     try:
-        root = ET.parse(path).getroot()
+        text = path.read_text()
+        root = ET.fromstring(text)
     except FileNotFoundError as error:
         raise RobotDescriptionError(f"{path} does not exist") from error
-    except (OSError, ET.ParseError) as error:
+    except (OSError, UnicodeDecodeError, ET.ParseError) as error:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
     if root.tag != "robot":
         raise RobotDescriptionError(f"{path} is no URDF: its root element is <{root.tag}>")
-    return root
+    return text, root
 
 
 def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float) -> Vector:

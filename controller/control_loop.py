@@ -46,6 +46,8 @@ class ControlLoop:
         cycles: states answered with a torque of their own.
         late: states older than the newest seen, answered with the torque in force.
         rejected: unusable states by reason; they are not answered.
+        tracking: the situation at the newest state.
+        stamp_ns: stamp of the newest state; -1 before the first.
     """
 
     def __init__(self, task: ControlTask, link: ControllerLink) -> None:
@@ -59,14 +61,22 @@ class ControlLoop:
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
         self._status = Record(topics.layout(topics.CONTROL_STATUS, names))
         self._timing = Record(topics.layout(topics.CONTROLLER_TIMING, names))
-        self._tracking = self._tracking_in_status()
+        self.tracking = self._tracking_in_status()
         self._start_ns: int | None = None
-        self._stamp_ns = -1
+        self.stamp_ns = -1
         self._cycle_started_ns = 0
         self.cycles = 0
         self.late = 0
         self.rejected: Counter[str] = Counter()
         link.serve(self.cycle)
+
+    def warm_up(self) -> None:
+        """Compile the law before time counts, and leave no trace of it."""
+        self.tracking.update(0.0, 0.0, self._task.reference, self._task.funnel)
+        self._task.guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
+        self._require_finite()
+        self._task.law.reset()
+        self._task.guard.reset()
 
     def cycle(self, state: bytes, plant_status: bytes | None) -> None:
         """Answer one joint state.
@@ -92,25 +102,25 @@ class ControlLoop:
         stamp_ns = self._state.stamp_ns
         if self._start_ns is None:
             self._start_ns = self._start_of_run(plant_status, stamp_ns)
-        if stamp_ns <= self._stamp_ns:
+        if stamp_ns <= self.stamp_ns:
             self.late += 1
             self._command.stamp_ns = stamp_ns
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
             return False
-        step_ns = stamp_ns - self._stamp_ns if self._stamp_ns >= 0 else 0
-        self._stamp_ns = stamp_ns
-        self._tracking.update(
+        step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
+        self.stamp_ns = stamp_ns
+        self.tracking.update(
             (stamp_ns - self._start_ns) * 1e-9, step_ns * 1e-9, self._task.reference,
             self._task.funnel,
         )  # fmt: skip
         return True
 
     def _update(self) -> Vector:
-        torque = self._task.law.torque(self._tracking)
-        return self._task.guard.admit(torque, self.cycles, self._tracking.step_s)
+        torque = self._task.law.torque(self.tracking)
+        return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
 
     def _write(self, torque: Vector) -> None:
-        self._command.stamp_ns = self._stamp_ns
+        self._command.stamp_ns = self.stamp_ns
         self._command.fields["effort"][:] = torque
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         self._status.fields["sequence"][0] = sequence
@@ -118,8 +128,8 @@ class ControlLoop:
     def _report(self, started_ns: int) -> None:
         """Publish what the law thought and how long it took; the torque is already on its way."""
         done_ns = time.perf_counter_ns()
-        status, timing, bounds = self._status, self._timing, self._tracking.bounds
-        status.stamp_ns = timing.stamp_ns = self._stamp_ns
+        status, timing, bounds = self._status, self._timing, self.tracking.bounds
+        status.stamp_ns = timing.stamp_ns = self.stamp_ns
         status.fields["upper_bound"][:] = bounds[UPPER]
         np.negative(bounds[LOWER], out=status.fields["lower_bound"])
         timing.fields["cycle"][0] = self.cycles

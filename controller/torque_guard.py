@@ -42,6 +42,10 @@ class TorqueGuard:
         self._rate_limits = rate_limits_nm_s
         self._out: Vector = np.zeros(limits_nm.size)
 
+    def reset(self) -> None:
+        """Forget the torque before."""
+        self._out[:] = 0.0
+
     def admit(self, torque: Vector, tick: int, step_s: float) -> Vector:
         """The torque to send, shape (joints,), N m.
 

@@ -76,6 +76,11 @@ class ArmPlant:
         """True joint velocities, rad/s, shape (joints,)."""
         return self._arm.velocity
 
+    def warm_up(self) -> None:
+        """Compile what a step calls, and leave no trace of it."""
+        self.torques.act(self._commanded, self.velocity, 0.0)
+        self.torques.rest()
+
     def read_encoders(self, into_position: Vector, into_velocity: Vector) -> None:
         """Write what a controller gets to see of the motion."""
         self._encoders.read(self.position, self.velocity, into_position, into_velocity)

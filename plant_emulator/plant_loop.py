@@ -18,6 +18,7 @@ from bus_schema.cdr_layout import Record
 from bus_schema.clock import Clock, TickGrid
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
+from bus_schema.finite import all_finite
 from bus_schema.link import PlantLink
 from bus_schema.link_configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
@@ -78,7 +79,6 @@ class PlantLoop:
     """One run of the plant.
 
     Attributes:
-        stop_requested: set it from a signal handler or another thread to end the run cleanly.
         tick: ticks that have passed.
         deadline_misses: ticks at which the command in force was too old.
     """
@@ -107,17 +107,27 @@ class PlantLoop:
         self._controller_is_lost = False
         self._end_tick = task.ticks
         self._outcome = PlantOutcome()
-        self.stop_requested = False
+        self._stop_requested = False
         self.tick = 0
         self.deadline_misses = 0
+
+    def warm_up(self) -> None:
+        """Compile what the loop calls before time counts, and leave no trace of it."""
+        self._arm.warm_up()
+        all_finite(self._state.fields["position"])
+
+    def request_stop(self) -> None:
+        """End the run cleanly at the next tick; safe from signal handlers and other threads."""
+        self._stop_requested = True
 
     def run(self) -> PlantOutcome:
         """Run from tick 0 to the end, a fault or a request to stop."""
         started_s = time.monotonic()
+        self._clock.start()
         self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
         self._record_truth()
         self._measure()
-        while self.tick < self._end_tick and not self.stop_requested:
+        while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
         self._exchange_until(self._grid.tick_ns(self.tick))
         self._arm.brake()
@@ -165,21 +175,17 @@ class PlantLoop:
         timeout_s = self._task.link.reply_timeout_s
         give_up_s = time.monotonic() + timeout_s
         self._collect_commands()
-        while self._gate.last_answered_ns != stamp_ns and not self.stop_requested:
-            if self._link.controller_has_left():
-                self._give_up_on_controller("the controller has left the bus")
-            elif time.monotonic() > give_up_s:
-                silence = PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a joint state")
-                self._give_up_on_controller(str(silence))
-            else:
-                self._link.await_command(_PATIENCE_S)
+        while self._gate.last_answered_ns != stamp_ns and not self._stop_requested:
+            if self._link.await_command(_PATIENCE_S):
                 self._collect_commands()
-                continue
-            return
-
-    def _give_up_on_controller(self, reason: str) -> None:
-        self._controller_is_lost = True
-        self._fail(reason)
+            elif self._link.controller_has_left():
+                self._controller_is_lost = True
+                self._fail("the controller has left the bus")
+                return
+            elif time.monotonic() > give_up_s:
+                self._controller_is_lost = True
+                self._fail(str(PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")))
+                return
 
     def _collect_commands(self) -> None:
         for arrival in self._link.take_commands():
@@ -290,7 +296,7 @@ class PlantLoop:
         counts = {
             "uplink": self._uplink.counts.as_dict(), "downlink": self._downlink.counts.as_dict()
         }  # fmt: skip
-        if self.stop_requested:
+        if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")
         self._announce(EventKind.COUNTS, json.dumps(counts))
         ended = {"completed": outcome.completed, "ticks": outcome.ticks, "wall_s": outcome.wall_s}

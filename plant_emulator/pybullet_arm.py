@@ -7,13 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pybullet
+from numpy.typing import NDArray
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
 
 GRAVITY_M_S2 = 9.81
 _BRAKE_TO_EFFORT = 10.0
 _BRAKE_TORQUE_NM = 10_000.0
+_CAMERA_FROM = np.array([0.55, -0.75, 0.36])
+_FIELD_OF_VIEW_DEG = 35.0
+_FRAME_MARGIN = 1.05
 
 
 class PybulletArm:
@@ -89,6 +93,61 @@ class PybulletArm:
                 self._body, position.tolist(), physicsClientId=self._client
             )
         )
+
+    def extent(self, positions: Matrix) -> tuple[Vector, Vector]:
+        """Corners of the box around all joints and links at all `positions`, m, shape (3,) each.
+
+        Moves the arm: not for one that is running.
+
+        Args:
+            positions: joint positions, rad, shape (poses, joints).
+        """
+        points = [np.zeros(3)]
+        links = range(pybullet.getNumJoints(self._body, physicsClientId=self._client))
+        for position in positions:
+            self.place(position)
+            for link in links:
+                state = pybullet.getLinkState(
+                    self._body, link, computeForwardKinematics=True, physicsClientId=self._client
+                )
+                points += [np.array(state[0]), np.array(state[4])]
+        return np.min(points, axis=0), np.max(points, axis=0)
+
+    def render(
+        self,
+        position: Vector,
+        width_px: int,
+        height_px: int,
+        extent: tuple[Vector, Vector] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Picture of the arm on white by the software renderer, shape (height, width, 3), RGB.
+
+        Moves the arm: not for one that is running.
+
+        Args:
+            position: joint positions, rad, shape (joints,).
+            width_px: width of the picture.
+            height_px: height of the picture.
+            extent: box that fills the picture, m; by default the arm's own at `position`.
+        """
+        lower, upper = extent or self.extent(position[None, :])
+        self.place(position)
+        centre = (lower + upper) / 2
+        radius = _FRAME_MARGIN * float(np.linalg.norm(upper - lower)) / 2
+        half_angle = np.radians(_FIELD_OF_VIEW_DEG / 2)
+        distance = radius / np.sin(half_angle) * max(1.0, height_px / width_px)
+        eye = centre + distance * _CAMERA_FROM / np.linalg.norm(_CAMERA_FROM)
+        view = pybullet.computeViewMatrix(eye.tolist(), centre.tolist(), [0, 0, 1])
+        projection = pybullet.computeProjectionMatrixFOV(
+            _FIELD_OF_VIEW_DEG, width_px / height_px, distance / 10, distance * 10
+        )
+        _, _, colours, _, bodies = pybullet.getCameraImage(
+            width_px, height_px, view, projection, renderer=pybullet.ER_TINY_RENDERER,
+            lightDirection=[1, -2, 3], shadow=0, physicsClientId=self._client,
+        )  # fmt: skip
+        picture = np.array(colours, dtype=np.uint8).reshape(height_px, width_px, 4)[..., :3]
+        picture[np.reshape(bodies, (height_px, width_px)) < 0] = 255
+        return picture
 
     def close(self) -> None:
         """Free the physics server."""

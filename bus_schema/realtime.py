@@ -1,0 +1,207 @@
+"""Sets a process up for real time and reports what the machine granted.
+
+Nothing here is required for a run: what is refused costs lateness, not correctness. So no refusal
+is an error, and none is silent.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+SCHEDULER = "real-time scheduler"
+MEMORY_LOCK = "memory lock"
+TIMER_SLACK = "timer slack"
+AFFINITY = "CPU affinity"
+GARBAGE_COLLECTOR = "garbage collector"
+
+_MCL_CURRENT = 1  # <sys/mman.h>
+_MCL_FUTURE = 2
+_PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
+_PR_GET_TIMERSLACK = 30
+_PROBE_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True)
+class Grant:
+    """What came of one request to the machine.
+
+    Attributes:
+        name: what was asked for.
+        granted: whether it is in force.
+        detail: what is in force, or why it was refused and what would change that.
+    """
+
+    name: str
+    granted: bool
+    detail: str
+
+
+class _RefusedError(Exception):
+    """A request was refused; the message says why and what would change that."""
+
+
+def go_realtime(priority: int = 50, cpu: int | None = None) -> list[Grant]:
+    """Set the calling process up for real time; never raises for what is refused.
+
+    Call it in the main thread before other threads exist: Linux keeps scheduler, timer slack and
+    affinity per thread, and a thread inherits them from the one that starts it.
+
+    Args:
+        priority: SCHED_FIFO priority, 1 to 99.
+        cpu: the only CPU to run on; None leaves the choice to the kernel.
+    """
+    grants = [request_fifo(priority)]
+    if cpu is not None:
+        grants.append(_ask(AFFINITY, lambda: _pin(cpu)))
+    grants.append(_ask(MEMORY_LOCK, _lock_memory))
+    grants.append(_ask(TIMER_SLACK, _minimise_timer_slack))
+    grants.append(_freeze_garbage_collector())
+    return grants
+
+
+def probe() -> list[Grant]:
+    """What `go_realtime` would be granted; tried out in a child, so the caller stays as it is."""
+    command = [sys.executable, "-P", __file__]
+    try:
+        child = subprocess.run(
+            command, capture_output=True, text=True, timeout=_PROBE_TIMEOUT_S, check=True
+        )
+        return [Grant(**values) for values in json.loads(child.stdout)]
+    except (OSError, subprocess.SubprocessError, ValueError) as error:
+        names = (SCHEDULER, MEMORY_LOCK, TIMER_SLACK, GARBAGE_COLLECTOR)
+        return [Grant(name, False, f"could not be tried out: {error}") for name in names]
+
+
+def request_fifo(priority: int) -> Grant:
+    """Put the calling thread, and the threads it starts from now on, under SCHED_FIFO.
+
+    Args:
+        priority: 1 to 99.
+    """
+    return _ask(SCHEDULER, lambda: _schedule(priority))
+
+
+def _ask(name: str, request: Callable[[], str]) -> Grant:
+    if sys.platform != "linux":
+        return Grant(name, False, f"set up on Linux only, not on {sys.platform}")
+    try:
+        return Grant(name, True, request())
+    except (_RefusedError, OSError, ValueError, OverflowError) as error:
+        return Grant(name, False, str(error))
+
+
+def _schedule(priority: int) -> str:
+    limit = _raised_limit(resource.RLIMIT_RTPRIO)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError as error:
+        raise _RefusedError(
+            f"SCHED_FIFO {priority} is not permitted (rtprio limit {limit}): allow it by rtprio "
+            f"{priority} in /etc/security/limits.conf, LimitRTPRIO={priority} in a systemd unit "
+            "or the capability CAP_SYS_NICE"
+        ) from error
+    except OSError as error:
+        raise _RefusedError(
+            f"SCHED_FIFO {priority}: {error.strerror}; priorities are 1 to 99"
+        ) from error
+    return f"SCHED_FIFO, priority {priority}"
+
+
+def _pin(cpu: int) -> str:
+    usable = sorted(os.sched_getaffinity(0))
+    if cpu not in usable:
+        raise _RefusedError(f"CPU {cpu} cannot be used; usable are {usable}")
+    os.sched_setaffinity(0, {cpu})
+    return f"CPU {cpu}"
+
+
+def _lock_memory() -> str:
+    limit = _raised_limit(resource.RLIMIT_MEMLOCK)
+    # Under a finite limit mlockall may well succeed, and the first allocation beyond the limit
+    # then fail in the middle of the run.
+    if limit != resource.RLIM_INFINITY and not _exempt_from_memlock_limit():
+        raise _RefusedError(
+            f"memlock limit is {limit // 1024} KiB, and later allocations would fail on it: allow "
+            "memlock unlimited in /etc/security/limits.conf, LimitMEMLOCK=infinity in a systemd "
+            "unit or the capability CAP_IPC_LOCK"
+        )
+    needed, available = _unbacked_kib(), _available_kib()
+    if needed > available:
+        raise _RefusedError(
+            f"locking would claim {needed // 1024} MiB more, {available // 1024} MiB are available"
+        )
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        raise _RefusedError(f"mlockall: {os.strerror(ctypes.get_errno())}")
+    return "current and future pages"
+
+
+def _minimise_timer_slack() -> str:
+    libc = ctypes.CDLL(None, use_errno=True)
+    unused = [ctypes.c_ulong(0)] * 3
+    if libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), *unused) != 0:
+        raise _RefusedError(f"prctl: {os.strerror(ctypes.get_errno())}")
+    slack_ns = libc.prctl(_PR_GET_TIMERSLACK, ctypes.c_ulong(0), *unused)
+    return f"{slack_ns} ns"  # the kernel keeps 0 for a thread under SCHED_FIFO
+
+
+def _freeze_garbage_collector() -> Grant:
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    return Grant(GARBAGE_COLLECTOR, True, f"off, {gc.get_freeze_count()} objects set aside")
+
+
+def _raised_limit(limit: int) -> int:
+    """The soft limit after raising it to the hard one, which needs no privilege."""
+    hard = resource.getrlimit(limit)[1]
+    resource.setrlimit(limit, (hard, hard))
+    return hard
+
+
+def _exempt_from_memlock_limit() -> bool:
+    """Whether one page can be locked under a limit of zero.
+
+    The set of capabilities is no answer: inside a user namespace it may hold CAP_IPC_LOCK, and the
+    kernel asks for the one of the initial namespace.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    page = ctypes.create_string_buffer(1)
+    soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, hard))
+    try:
+        locked: bool = libc.mlock(page, ctypes.c_size_t(1)) == 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_MEMLOCK, (soft, hard))
+    if locked:
+        libc.munlock(page, ctypes.c_size_t(1))
+    return locked
+
+
+def _unbacked_kib() -> int:
+    """Address space of this process that has no memory behind it yet, in KiB."""
+    status = Path("/proc/self/status").read_text()
+    return _kib(status, "VmSize") - _kib(status, "VmRSS")
+
+
+def _available_kib() -> int:
+    return _kib(Path("/proc/meminfo").read_text(), "MemAvailable")
+
+
+def _kib(text: str, key: str) -> int:
+    found = re.search(rf"^{key}:\s+(\d+) kB", text, re.MULTILINE)
+    return int(found[1]) if found else 0
+
+
+if __name__ == "__main__":
+    print(json.dumps([asdict(grant) for grant in go_realtime()]))

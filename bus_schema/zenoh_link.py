@@ -1,0 +1,319 @@
+"""Both sides of the link over Zenoh, in rmw_zenoh's wire format.
+
+The plant listens, and so does the controller; the controller connects to the plant, a recorder to
+both. So every pair has a connection of its own, and no message takes a detour.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+
+from bus_schema import topics
+from bus_schema.cdr_layout import MAX_PAYLOAD_BYTES
+from bus_schema.clock import Clock
+from bus_schema.errors import PeerSilentError
+from bus_schema.link import CommandArrival, StateHandler, never
+from bus_schema.link_configuration import LinkConfiguration
+from bus_schema.rmw_wire import (
+    Attachment,
+    Entity,
+    EntityKind,
+    endpoint_gid,
+    endpoint_token,
+    graph_key_expression,
+    node_token,
+)
+from bus_schema.topics import Role, Topic
+from bus_schema.zenoh_session import Delivery, ZenohPublisher, ZenohSession
+
+NODE_PREFIX = "funnel_hil_"
+_LARGEST_BACKLOG = 10_000
+_POLL_S = 0.05
+_GRACE_S = 1.0
+
+
+class ZenohNode:
+    """A session that is a node of the ROS graph: it announces itself and knows who is there.
+
+    Args:
+        link: section ``link`` of the scenario.
+        role: what this node is.
+        lossless: rather wait for the network than drop a message.
+    """
+
+    def __init__(self, link: LinkConfiguration, role: Role, *, lossless: bool) -> None:
+        listen, connect = _endpoints(link, role)
+        # A recorder may fall behind, and must not hold up the loop when it does.
+        self._session = ZenohSession(listen, connect, low_latency=role is not Role.RECORDER)
+        self._domain = link.domain
+        self._role = role
+        self._lossless = lossless
+        self._node = f"{NODE_PREFIX}{role}"
+        self._entities: dict[str, Entity] = {}
+        self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
+        self._sequences: defaultdict[str, int] = defaultdict(int)
+        self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
+
+    def announce(self) -> None:
+        """Show the node to the others; to be called once it is ready."""
+        self._session.announce(node_token(self._domain, self._session.identifier, self._node))
+
+    def advertise(self, topic: Topic) -> ZenohPublisher:
+        """Declare a publisher and announce it."""
+        publisher = self._session.publisher(
+            topic.key_expression(self._domain), may_drop=not self._lossless
+        )
+        token = self._announce(EntityKind.PUBLISHER, topic)
+        self._publishers[topic.name] = (publisher, endpoint_gid(token))
+        return publisher
+
+    def subscribe(self, topic: Topic, on_delivery: Callable[[Delivery], None]) -> None:
+        """Subscribe and announce it."""
+        self._session.subscribe(topic.key_expression(self._domain), on_delivery)
+        self._announce(EntityKind.SUBSCRIBER, topic)
+
+    def publish(self, topic: Topic, payload: bytes) -> int:
+        """Send a message; its sequence number."""
+        publisher, gid = self._publishers[topic.name]
+        self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
+        publisher.put(payload, Attachment(sequence, time.time_ns(), gid).encode())
+        return sequence
+
+    def has_publisher(self, topic: Topic) -> bool:
+        """Whether another session has announced that it sends on a topic."""
+        return any(
+            entity.kind == EntityKind.PUBLISHER and entity.topic == topic.name
+            for entity in self._others()
+        )
+
+    def await_role(
+        self, role: Role, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait for one of our own processes, or until asked to stop.
+
+        Raises:
+            PeerSilentError: it did not come.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        while not self.sees(role) and not is_stop_requested():
+            if time.monotonic() > give_up_s:
+                raise PeerSilentError(role, timeout_s, "sign of life")
+            time.sleep(_POLL_S)
+
+    def sees(self, role: Role) -> bool:
+        """Whether one of our own processes is on the bus."""
+        name = f"{NODE_PREFIX}{role}"
+        return any(
+            entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
+        )
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._session.close()
+
+    def _others(self) -> list[Entity]:
+        own = self._session.identifier
+        return [entity for entity in list(self._entities.values()) if entity.session != own]
+
+    def _announce(self, kind: EntityKind, topic: Topic) -> str:
+        self._sequences["entities"] = entity_id = self._sequences["entities"] + 1
+        token = endpoint_token(
+            self._domain, self._session.identifier, self._node, entity_id, kind, topic
+        )
+        self._session.announce(token)
+        return token
+
+    def _on_token(self, token: str, alive: bool) -> None:
+        entity = Entity.from_token(token)
+        if entity is not None and alive:
+            self._entities[token] = entity
+        else:
+            self._entities.pop(token, None)
+
+
+class ZenohPlantLink:
+    """The plant's side.
+
+    Args:
+        link: section ``link`` of the scenario.
+        clock: the plant's clock, which stamps arrivals.
+        lossless: rather wait for the network than drop a message.
+        await_recorder: do not start without a recorder.
+    """
+
+    def __init__(
+        self, link: LinkConfiguration, clock: Clock, *, lossless: bool, await_recorder: bool
+    ) -> None:
+        self._clock = clock
+        self._await_recorder = await_recorder
+        self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
+        self._pending: list[CommandArrival] = []
+        self._commander_was_seen = False
+        self._node = ZenohNode(link, Role.PLANT, lossless=lossless)
+        self._states = self._node.advertise(topics.JOINT_STATES)
+        for topic in _TELEMETRY[Role.PLANT]:
+            self._node.advertise(topic)
+        self._node.subscribe(topics.JOINT_COMMANDS, self._on_command)
+        self._node.announce()
+        self.publish = self._node.publish
+        self.close = self._node.close
+
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait for a publisher of commands, or at least for a stranger who listens to states."""
+        give_up_s = time.monotonic() + timeout_s
+        if self._await_recorder:
+            self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+        listened_since_s = None
+        while not self._node.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
+            now_s = time.monotonic()
+            # A client without rmw_zenoh's tokens can only be told by its subscription.
+            if self._states.has_subscribers() and not self._node.sees(Role.RECORDER):
+                listened_since_s = now_s if listened_since_s is None else listened_since_s
+                if now_s - listened_since_s > _GRACE_S:
+                    return
+            if now_s > give_up_s:
+                raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
+            time.sleep(_POLL_S)
+        self._commander_was_seen = True
+
+    def send_state(self, state: bytes, status: bytes) -> None:
+        self.publish(topics.PLANT_STATUS, status)
+        self.publish(topics.JOINT_STATES, state)
+
+    def await_command(self, timeout_s: float) -> bool:
+        if not self._pending:
+            try:
+                self._pending.append(self._arrivals.get(timeout=timeout_s))
+            except queue.Empty:
+                return False
+        return True
+
+    def controller_has_left(self) -> bool:
+        return self._commander_was_seen and not self._node.has_publisher(topics.JOINT_COMMANDS)
+
+    def take_commands(self) -> list[CommandArrival]:
+        taken, self._pending = self._pending, []
+        for _ in range(self._arrivals.qsize()):
+            taken.append(self._arrivals.get_nowait())
+        return taken
+
+    def _on_command(self, delivery: Delivery) -> None:
+        if self._arrivals.qsize() >= _LARGEST_BACKLOG:
+            return  # a flood: what comes after is no use, and memory is bounded
+        attachment = Attachment.decode(delivery.attachment)
+        self._arrivals.put(
+            CommandArrival(
+                delivery.payload[: MAX_PAYLOAD_BYTES + 1],
+                attachment.sequence if attachment else 0,
+                attachment.gid if attachment else b"",
+                self._clock.now_ns(),
+            )
+        )
+
+
+class ZenohControllerLink:
+    """The controller's side. States are answered on the network thread, as they arrive.
+
+    Args:
+        link: section ``link`` of the scenario.
+        lossless: rather wait for the network than drop a message.
+
+    Attributes:
+        failure: the exception that ended the service of states, if any.
+    """
+
+    def __init__(self, link: LinkConfiguration, *, lossless: bool) -> None:
+        self._link = link
+        self._on_state: StateHandler | None = None
+        self._status = b""
+        self._states_seen = 0
+        self._over = threading.Event()
+        self.failure: Exception | None = None
+        self._node = ZenohNode(link, Role.CONTROLLER, lossless=lossless)
+        for topic in _TELEMETRY[Role.CONTROLLER]:
+            self._node.advertise(topic)
+        self._node.subscribe(topics.PLANT_STATUS, self._on_status_delivery)
+        self._node.subscribe(topics.JOINT_STATES, self._on_state_delivery)
+        self._node.announce()
+        self.publish = self._node.publish
+        self.close = self._node.close
+
+    def serve(self, on_state: StateHandler) -> None:
+        self._on_state = on_state
+
+    def take_command(
+        self, *, await_recorder: bool, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Announce that commands will come, which lets the plant start.
+
+        Raises:
+            PeerSilentError: a recorder was to be awaited and did not come.
+        """
+        if await_recorder:
+            timeout_s = self._link.connect_timeout_s
+            self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+        self._node.advertise(topics.JOINT_COMMANDS)
+
+    def join(self, *, is_stop_requested: Callable[[], bool]) -> None:
+        """Wait for the end of the run.
+
+        Raises:
+            PeerSilentError: the plant never came, or went silent.
+            Exception: whatever the handler of states raised.
+        """
+        seen, last_change_s, allowed_s = 0, time.monotonic(), self._link.connect_timeout_s
+        plant_was_there = False
+        while not self._over.wait(_POLL_S) and not is_stop_requested():
+            plant_is_there = self._node.has_publisher(topics.JOINT_STATES)
+            if plant_was_there and not plant_is_there:
+                return
+            plant_was_there = plant_is_there
+            if self._states_seen != seen:
+                seen, last_change_s = self._states_seen, time.monotonic()
+                allowed_s = self._link.reply_timeout_s + _GRACE_S
+            elif time.monotonic() - last_change_s > allowed_s:
+                raise PeerSilentError(Role.PLANT, allowed_s, "joint state")
+        if self.failure is not None:
+            raise self.failure
+
+    def _on_status_delivery(self, delivery: Delivery) -> None:
+        self._status = delivery.payload
+
+    def _on_state_delivery(self, delivery: Delivery) -> None:
+        status, self._status = self._status, b""
+        if self._on_state is None or self._over.is_set():
+            return
+        self._states_seen += 1
+        try:
+            self._on_state(delivery.payload, status or None)
+        except Exception as error:  # noqa: BLE001 (raised again by join, on the main thread)
+            self.failure = error
+            self._over.set()
+
+
+_TELEMETRY: dict[Role, Sequence[Topic]] = {
+    Role.PLANT: (
+        topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.PLANT_TIMING, topics.RUN_EVENTS
+    ),
+    Role.CONTROLLER: (
+        topics.CONTROL_STATUS, topics.CONTROLLER_TIMING, topics.RUN_EVENTS
+    ),
+}  # fmt: skip
+
+
+def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:
+    """Endpoints to listen on and to connect to."""
+    router = [link.router_endpoint] if link.router_endpoint is not None else []
+    match role:
+        case Role.PLANT:
+            return [link.plant_endpoint], router
+        case Role.CONTROLLER:
+            return [link.controller_endpoint], [link.plant_endpoint, *router]
+        case Role.RECORDER:
+            return [], [link.plant_endpoint, link.controller_endpoint, *router]

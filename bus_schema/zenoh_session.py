@@ -1,0 +1,181 @@
+"""The Zenoh session: the only file that imports zenoh.
+
+Settings are chosen for latency: one runtime thread, no discovery, no batching of what must leave at
+once, callbacks on the network thread.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+# Read by zenoh when it is imported: what receives shares one thread, so that a message reaches its
+# callback without a hand-over. What sends from queues has another: a callback that fills a queue
+# must not be what the emptying of the queue waits for.
+os.environ.setdefault(
+    "ZENOH_RUNTIME",
+    "(rx: (handover: app), net: (handover: app), acc: (handover: app), app: (worker_threads: 1),"
+    " tx: (worker_threads: 1))",
+)
+
+import zenoh  # noqa: E402
+
+from bus_schema.configuration import ConfigurationError  # noqa: E402
+from bus_schema.errors import BusError  # noqa: E402
+
+MAX_MESSAGE_BYTES = 1 << 20
+"""Larger messages are cut off by the transport itself."""
+
+
+class SessionError(BusError, ConnectionError):
+    """A session cannot be opened; the message names the endpoints."""
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A message as it came off the wire.
+
+    Attributes:
+        key: its key.
+        payload: its bytes.
+        attachment: the bytes beside it; empty if there were none.
+    """
+
+    key: str
+    payload: bytes
+    attachment: bytes
+
+
+class ZenohPublisher:
+    """Sends on one key."""
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self._publisher = publisher
+
+    def put(self, payload: bytes, attachment: bytes) -> None:
+        """Send; nothing happens once the session is closed."""
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.put(payload, attachment=attachment)
+
+    def has_subscribers(self) -> bool:
+        """Whether anybody on the network subscribes to the key."""
+        return bool(self._publisher.matching_status)
+
+
+class ZenohSession:
+    """An open session.
+
+    Args:
+        listen: endpoints to serve.
+        connect: endpoints to connect to; retried in the background until they answer.
+        low_latency: use the transport without queues: least delay, but a peer that stops reading
+            holds up the sender. Both ends must want it.
+
+    Raises:
+        SessionError: an endpoint cannot be served or is malformed.
+    """
+
+    def __init__(
+        self, listen: Sequence[str], connect: Sequence[str], *, low_latency: bool
+    ) -> None:
+        try:
+            self._session = zenoh.open(_configuration(listen, connect, low_latency=low_latency))
+        except zenoh.ZError as error:
+            raise SessionError(
+                f"no Zenoh session (listening on {list(listen)}, connecting to {list(connect)}):"
+                f" {error}"
+            ) from error
+        self.identifier = str(self._session.zid())
+        self._kept: list[object] = []
+
+    def publisher(self, key: str, *, may_drop: bool) -> ZenohPublisher:
+        """Declare a publisher.
+
+        Args:
+            key: where it sends.
+            may_drop: rather drop a message than wait for a slow network.
+        """
+        control = zenoh.CongestionControl.DROP if may_drop else zenoh.CongestionControl.BLOCK
+        return ZenohPublisher(
+            self._session.declare_publisher(key, congestion_control=control, express=True)
+        )
+
+    def subscribe(self, key: str, on_delivery: Callable[[Delivery], None]) -> None:
+        """Have `on_delivery` called on the network thread; it must neither block nor raise."""
+
+        def handle(sample: zenoh.Sample) -> None:
+            attachment = sample.attachment
+            on_delivery(
+                Delivery(
+                    str(sample.key_expr),
+                    sample.payload.to_bytes(),
+                    b"" if attachment is None else attachment.to_bytes(),
+                )
+            )
+
+        handler = zenoh.handlers.Callback(handle, indirect=False)
+        self._kept.append(self._session.declare_subscriber(key, handler))
+
+    def announce(self, token: str) -> None:
+        """Declare a liveliness token, which lives as long as the session."""
+        self._kept.append(self._session.liveliness().declare_token(token))
+
+    def watch_tokens(self, key: str, on_change: Callable[[str, bool], None]) -> None:
+        """Have `on_change` called with each token and whether it is alive, old ones first."""
+
+        def handle(sample: zenoh.Sample) -> None:
+            on_change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        handler = zenoh.handlers.Callback(handle, indirect=False)
+        watch = self._session.liveliness().declare_subscriber(key, handler, history=True)
+        self._kept.append(watch)
+
+    def close(self) -> None:
+        """Close the session; what was put before is sent first."""
+        self._session.close()
+
+
+def check_endpoint(endpoint: str, key: str) -> None:
+    """Check that an endpoint is well formed.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    configuration = zenoh.Config()
+    try:
+        configuration.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError as error:
+        raise ConfigurationError(
+            key, endpoint, "must be a Zenoh endpoint such as tcp/127.0.0.1:7451"
+        ) from error
+
+
+def _configuration(
+    listen: Sequence[str], connect: Sequence[str], *, low_latency: bool
+) -> zenoh.Config:
+    settings = {
+        "mode": "peer",
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {
+            "period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5
+        },
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,
+        "transport/unicast/lowlatency": low_latency,
+        "transport/unicast/qos/enabled": False,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": 2_000_000,
+        "transport/link/tx/queue/size/data": 16,
+        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+    }  # fmt: skip
+    configuration = zenoh.Config()
+    for path, value in settings.items():
+        configuration.insert_json5(path, json.dumps(value))
+    return configuration

@@ -1,0 +1,259 @@
+"""The command line: `funnel-hil`."""
+
+from __future__ import annotations
+
+import json
+import logging
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from bus_schema.topics import Role
+from deploy import doctor as doctor_module
+from deploy.experiments.replay import replay as replay_run
+from deploy.experiments.simulate import simulate as simulate_setup
+from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
+from deploy.processes import Voice, run_controller, run_plant, run_recorder
+from deploy.run_folder import RunFolder, RunFolderError, load_run
+from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.terminal import RunProgress, show_summary
+from plant_emulator.plant_loop import PlantLoop
+
+FINISHED, FAULT, BAD_INPUT, BOUNDS_NOT_KEPT, INTERRUPTED = 0, 1, 2, 3, 130
+_SIMULATE_POLL_S = 0.1
+
+app = typer.Typer(
+    help="Hardware-in-the-loop test bench for prescribed-performance robot control.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a scenario value; repeatable."),
+]
+Out = Annotated[
+    Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
+]
+RequireBounds = Annotated[
+    bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
+]
+ToParent = Annotated[bool, typer.Option("--to-parent", hidden=True)]
+AwaitRecorder = Annotated[
+    bool, typer.Option("--await-recorder", help="Start only once a recorder listens.")
+]
+
+
+@app.command()
+def run(
+    scenario: ScenarioArgument = "paper_arm",
+    overrides: Overrides = None,
+    out: Out = None,
+    require_bounds: RequireBounds = False,
+) -> None:
+    """Run controller, plant and recorder as separate processes, and judge the run."""
+    setup = load_setup(scenario, with_free_endpoints(overrides or []))
+    if setup.scenario.link.kind == "in_process":
+        raise ScenarioError(
+            f"{setup.source}: link.kind = 'in_process': must be zenoh for run; simulate runs in one"
+            " process"
+        )
+    console = Console()
+    folder = RunFolder.create(setup.scenario.name, out)
+    folder.write_scenario(setup)
+    folder.write_manifest(setup, {})
+    launcher = Launcher(setup, folder)
+    _on_interrupt(launcher.request_stop)
+    with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:
+        outcome = launcher.run(progress.hear)
+    folder.write_manifest(setup, outcome.grants)
+    _finish(console, folder, outcome, require_bounds=require_bounds)
+
+
+@app.command()
+def simulate(
+    scenario: ScenarioArgument = "paper_arm",
+    overrides: Overrides = None,
+    out: Out = None,
+    require_bounds: RequireBounds = False,
+) -> None:
+    """Run a scenario in one process and in virtual time."""
+    setup = load_setup(scenario, overrides or [])
+    console = Console()
+    folder = RunFolder.create(setup.scenario.name, out)
+    folder.write_scenario(setup)
+    folder.write_manifest(setup, {})
+    outcome = RunOutcome()
+    over = threading.Event()
+
+    with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:
+
+        def watch(loop: PlantLoop) -> None:
+            def stop() -> None:
+                outcome.interrupted = True
+                loop.request_stop()
+
+            _on_interrupt(stop)
+            _every(
+                _SIMULATE_POLL_S, over, lambda: progress.at(setup.grid.tick_ns(loop.tick) * 1e-9)
+            )
+
+        try:
+            simulation = simulate_setup(setup, watch)
+        finally:
+            over.set()
+    simulation.write_log(folder.log)
+    _finish(console, folder, outcome, require_bounds=require_bounds)
+
+
+@app.command()
+def controller(
+    scenario: ScenarioArgument,
+    overrides: Overrides = None,
+    await_recorder: AwaitRecorder = False,
+    to_parent: ToParent = False,
+) -> None:
+    """Be the controller: answer the joint states of a plant on the bus."""
+    setup = load_setup(scenario, overrides or [])
+    voice = Voice(Role.CONTROLLER, to_parent=to_parent)
+    raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
+
+
+@app.command()
+def plant(
+    scenario: ScenarioArgument,
+    overrides: Overrides = None,
+    await_recorder: AwaitRecorder = False,
+    to_parent: ToParent = False,
+) -> None:
+    """Be the plant: emulate the arm for a controller on the bus."""
+    setup = load_setup(scenario, overrides or [])
+    voice = Voice(Role.PLANT, to_parent=to_parent)
+    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder))
+
+
+@app.command()
+def record(
+    scenario: ScenarioArgument,
+    overrides: Overrides = None,
+    out: Out = None,
+    log: Annotated[Path | None, typer.Option("--log", hidden=True)] = None,
+    to_parent: ToParent = False,
+) -> None:
+    """Be the recorder: write every message on the bus to a run folder."""
+    setup = load_setup(scenario, overrides or [])
+    voice = Voice(Role.RECORDER, to_parent=to_parent)
+    if log is not None:
+        raise typer.Exit(run_recorder(setup, log, voice))
+    folder = RunFolder.create(setup.scenario.name, out)
+    folder.write_scenario(setup)
+    folder.write_manifest(setup, {})
+    code = run_recorder(setup, folder.log, voice)
+    if code == FINISHED:
+        _finish(Console(), folder, RunOutcome(), require_bounds=False)
+    raise typer.Exit(code)
+
+
+@app.command()
+def replay(run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")]) -> None:
+    """Feed a recorded run to the law again and compare the torques bit for bit."""
+    data, contents = load_run(run_dir)
+    result = replay_run(data.setup, contents)
+    console = Console()
+    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
+    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
+    if result.is_identical:
+        console.print("[bold green]identical[/]")
+        return
+    console.print(f"[bold red]different[/] from command {result.first_difference} on")
+    raise typer.Exit(FAULT)
+
+
+@app.command()
+def report(run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")]) -> None:
+    """Judge a recorded run again: summary.json and report.html."""
+    data, _ = load_run(run_dir)
+    folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
+    console = Console()
+    show_summary(console, folder.conclude(data))
+    console.print(f"report: {folder.report}", soft_wrap=True)
+
+
+@app.command()
+def doctor() -> None:
+    """Say what this machine grants, and what each missing thing costs."""
+    doctor_module.show(doctor_module.examine(), Console())
+
+
+def main() -> None:
+    """Entry point; bad input ends here with one message and exit code 2."""
+    logging.basicConfig(level=logging.ERROR, format="%(message)s", stream=sys.stderr)
+    logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
+    try:
+        app()
+    except (ScenarioError, RunFolderError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+
+
+def _finish(
+    console: Console, folder: RunFolder, outcome: RunOutcome, *, require_bounds: bool
+) -> None:
+    """Judge a run, show the result, and leave with the exit code it deserves."""
+    try:
+        data, _ = load_run(folder.path)
+    except RunFolderError as error:
+        for failure in [*outcome.failures, str(error)]:
+            console.print(f"[bold red]fault[/]  {failure}")
+        folder.summary.write_text(
+            json.dumps({"completed": False, "faults": [*outcome.failures, str(error)]}) + "\n"
+        )
+        raise typer.Exit(FAULT) from error
+    summary = folder.conclude(data, outcome.failures)
+    show_summary(console, summary)
+    console.print(f"results: {folder.path}", soft_wrap=True)
+    console.print(f"report:  {folder.report}", soft_wrap=True)
+    raise typer.Exit(_exit_code(summary, outcome, require_bounds=require_bounds))
+
+
+def _exit_code(summary: dict[str, Any], outcome: RunOutcome, *, require_bounds: bool) -> int:
+    if outcome.interrupted:
+        return INTERRUPTED
+    if summary["faults"] or not summary["completed"]:
+        return FAULT
+    if require_bounds and not summary["bounds"]["kept"]:
+        return BOUNDS_NOT_KEPT
+    return FINISHED
+
+
+def _on_interrupt(stop: Callable[[], None]) -> None:
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        stop()
+
+    signal.signal(signal.SIGINT, handle)
+    signal.signal(signal.SIGTERM, handle)
+
+
+def _every(seconds: float, over: threading.Event, action: Callable[[], None]) -> None:
+    """Do something again and again on a thread of its own, until `over`."""
+
+    def repeat() -> None:
+        while not over.wait(seconds):
+            action()
+
+    threading.Thread(target=repeat, daemon=True).start()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""Replay: a recorded run's delivered states fed to the law again, torques compared bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus_schema import topics
+from bus_schema.clock import VirtualClock
+from bus_schema.in_process_link import InProcessBus, InProcessControllerLink
+from bus_schema.mcap_log import LogContents
+from controller.control_loop import ControlLoop
+from deploy.experiments.run_data import digest
+from deploy.scenario import Setup
+
+_STAMP = slice(4, 12)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """How a replay compares with its recording.
+
+    Attributes:
+        recorded: commands in the recording.
+        replayed: commands that the law gave now.
+        first_difference: index of the first command that differs; None if none does.
+        digest: digest of the replay.
+        recorded_digest: digest of the recording.
+    """
+
+    recorded: int
+    replayed: int
+    first_difference: int | None
+    digest: str
+    recorded_digest: str
+
+    @property
+    def is_identical(self) -> bool:
+        return self.first_difference is None and self.digest == self.recorded_digest
+
+
+def replay(setup: Setup, contents: LogContents) -> Replay:
+    """Feed the recorded joint states to a fresh law.
+
+    Args:
+        setup: the recorded scenario.
+        contents: the recording.
+    """
+    states = contents.payloads[topics.JOINT_STATES.name]
+    recorded = contents.payloads[topics.JOINT_COMMANDS.name]
+    # States and plant statuses belong together by their stamps, which stand at the same place.
+    statuses = {status[_STAMP]: status for status in contents.payloads[topics.PLANT_STATUS.name]}
+    bus = InProcessBus(VirtualClock())
+    loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
+    loop.warm_up()
+    for state in states:
+        loop.cycle(state, statuses.get(state[_STAMP]))
+    replayed = [command.payload for command in bus.commands]
+    pairs = zip(recorded, replayed, strict=False)
+    differing = (index for index, (a, b) in enumerate(pairs) if a != b)
+    shorter = min(len(recorded), len(replayed))
+    first = next(differing, None if len(recorded) == len(replayed) else shorter)
+    return Replay(
+        recorded=len(recorded),
+        replayed=len(replayed),
+        first_difference=first,
+        digest=digest(states, replayed),
+        recorded_digest=digest(states, recorded),
+    )

@@ -1,0 +1,198 @@
+"""Controller, plant and recorder as processes: real-time setup, signals, progress, farewell."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from bus_schema.clock import Clock, MonotonicClock, VirtualClock
+from bus_schema.errors import BusError
+from bus_schema.events import EventKind, RunEvent
+from bus_schema.realtime import go_realtime
+from bus_schema.topics import RUN_EVENTS, Role
+from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
+from controller.control_law import LOWER, UPPER
+from controller.control_loop import ControlLoop
+from controller.torque_guard import ControllerError
+from deploy.recorder import Recorder
+from deploy.scenario import Setup
+from plant_emulator.plant_loop import PlantLoop
+
+FINISHED, FAULT = 0, 1
+_PROGRESS_S = 0.2
+
+
+class Voice:
+    """How a process speaks to whoever started it: sentences to people, JSON lines to `run`.
+
+    Args:
+        role: the process.
+        to_parent: speak JSON lines.
+    """
+
+    def __init__(self, role: Role, *, to_parent: bool) -> None:
+        self._role = role
+        self._to_parent = to_parent
+        self._console = Console(highlight=False)
+
+    def say(self, kind: str, **values: Any) -> None:
+        """Say something: ``note``, ``fault``, ``grants``, ``progress`` or ``result``."""
+        if self._to_parent:
+            # print would interleave with other threads; one write per line does not.
+            with contextlib.suppress(BrokenPipeError):
+                print(json.dumps({"kind": kind, **values}), flush=True)
+        elif kind in ("note", "fault"):
+            self._console.print(f"{self._role}: {values['text']}", markup=False)
+        elif kind == "progress":
+            shown = ", ".join(f"{name} {value}" for name, value in values.items())
+            self._console.print(f"{self._role}: {shown}", markup=False)
+
+
+class StopRequest:
+    """Set by SIGINT or SIGTERM; a process looks at it and leaves in order."""
+
+    def __init__(self, on_stop: Callable[[], None] | None = None) -> None:
+        self._on_stop = on_stop
+        self.is_set = False
+        signal.signal(signal.SIGINT, self._handle)
+        signal.signal(signal.SIGTERM, self._handle)
+
+    def _handle(self, _number: int, _frame: FrameType | None) -> None:
+        self.is_set = True
+        if self._on_stop is not None:
+            self._on_stop()
+
+
+def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
+    """Be the plant for one run; the exit code."""
+    lockstep = setup.scenario.clock == "lockstep"
+    clock: Clock = VirtualClock() if lockstep else MonotonicClock()
+    arm = setup.arm()
+    _go_realtime(setup, voice)
+    link = None
+    try:
+        link = ZenohPlantLink(
+            setup.scenario.link, clock, lossless=lockstep, await_recorder=await_recorder
+        )
+        loop = PlantLoop(setup.plant_task(lockstep=lockstep), arm, link, clock)
+        loop.warm_up()
+        stop = StopRequest(loop.request_stop)
+        voice.say("note", text=f"listening at {setup.scenario.link.plant_endpoint}")
+        link.await_controller(setup.scenario.link.connect_timeout_s, lambda: stop.is_set)
+        with _progress(voice, lambda: _plant_progress(loop, setup)):
+            outcome = loop.run()
+        for fault in outcome.faults:
+            voice.say("fault", text=fault)
+        voice.say("result", completed=outcome.completed, ticks=outcome.ticks)
+        return FAULT if outcome.faults else FINISHED
+    except BusError as error:
+        voice.say("fault", text=str(error))
+        return FAULT
+    finally:
+        if link is not None:
+            link.close()
+        arm.close()
+
+
+def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
+    """Be the controller for one run; the exit code."""
+    stop = StopRequest()
+    link = None
+    loop = None
+    try:
+        link = ZenohControllerLink(
+            setup.scenario.link, lossless=setup.scenario.clock == "lockstep"
+        )
+        loop = ControlLoop(setup.control_task(), link)
+        loop.warm_up()
+        _go_realtime(setup, voice)
+        voice.say("note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}")
+        link.take_command(
+            await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set
+        )
+        with _progress(voice, lambda: _controller_progress(loop)):
+            link.join(is_stop_requested=lambda: stop.is_set)
+        voice.say("result", cycles=loop.cycles, late=loop.late, rejected=dict(loop.rejected))
+        return FINISHED
+    except (BusError, ControllerError) as error:
+        voice.say("fault", text=str(error))
+        if link is not None and loop is not None:
+            event = RunEvent(loop.stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
+            link.publish(RUN_EVENTS, event.encode())
+        return FAULT
+    finally:
+        if link is not None:
+            link.close()
+
+
+def run_recorder(setup: Setup, path: Path, voice: Voice) -> int:
+    """Be the recorder for one run; the exit code."""
+    stop = StopRequest()
+    try:
+        recorder = Recorder(setup, path)
+    except (BusError, OSError) as error:
+        voice.say("fault", text=f"{path}: {error}")
+        return FAULT
+    voice.say("note", text=f"recording to {path}")
+    try:
+        recorder.run(lambda: stop.is_set)
+        return FINISHED
+    except (BusError, OSError) as error:
+        voice.say("fault", text=str(error))
+        return FAULT
+    finally:
+        recorder.close()
+        voice.say("note", text=f"{recorder.messages} messages recorded, {recorder.lost} lost")
+
+
+def _go_realtime(setup: Setup, voice: Voice) -> None:
+    if setup.scenario.clock != "realtime":
+        return
+    grants = go_realtime()
+    voice.say("grants", grants=[vars(grant) for grant in grants])
+    for grant in grants:
+        if not grant.granted:
+            voice.say("note", text=f"works without {grant.name}: {grant.detail}")
+
+
+@contextlib.contextmanager
+def _progress(voice: Voice, look: Callable[[], dict[str, Any]]) -> Iterator[None]:
+    """Say how the loop is doing a few times a second, from outside the loop."""
+    over = threading.Event()
+
+    def report() -> None:
+        while not over.wait(_PROGRESS_S):
+            voice.say("progress", **look())
+
+    thread = threading.Thread(target=report, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _plant_progress(loop: PlantLoop, setup: Setup) -> dict[str, Any]:
+    time_s = setup.grid.tick_ns(loop.tick) * 1e-9
+    return {"time_s": round(time_s, 3), "deadline_misses": loop.deadline_misses}
+
+
+def _controller_progress(loop: ControlLoop) -> dict[str, Any]:
+    tracking = loop.tracking
+    bounds = np.where(tracking.error >= 0.0, tracking.bounds[UPPER], tracking.bounds[LOWER])
+    joint = int(np.argmax(np.abs(tracking.error) / np.maximum(bounds, 1e-12)))
+    return {
+        "joint": joint + 1,
+        "error_mrad": round(1e3 * float(tracking.error[joint]), 4),
+        "bound_mrad": round(1e3 * float(bounds[joint]), 3),
+    }

@@ -1,0 +1,142 @@
+"""The recorder: a process of its own that writes every message on the bus to an MCAP file."""
+
+from __future__ import annotations
+
+import queue
+import struct
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from bus_schema import topics
+from bus_schema.errors import PeerSilentError
+from bus_schema.mcap_log import McapLog
+from bus_schema.rmw_wire import Attachment
+from bus_schema.topics import Role, Topic
+from bus_schema.zenoh_link import ZenohNode
+from bus_schema.zenoh_session import Delivery
+from deploy.scenario import Setup
+from deploy.scenario_text import effective_scenario
+
+SCENARIO_ATTACHMENT = "scenario.yaml"
+ROBOT_ATTACHMENT = "robot.urdf"
+RUN_METADATA = "run"
+RECORDER_METADATA = "recorder"
+_STAMP = struct.Struct("<iI")
+_STAMP_OFFSET = 4
+_LARGEST_BACKLOG = 500_000
+_FLUSH_S = 0.1
+
+
+def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
+    """Begin the recording of a run, with all that is needed to judge or repeat it."""
+    names = setup.robot.joint_names
+    tick_bytes = sum(
+        topics.layout(topic, names).size
+        for topic in topics.TOPICS
+        if topic.rate is topics.Rate.TICK
+    )
+    log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
+    scenario = setup.scenario
+    log.attach(SCENARIO_ATTACHMENT, "application/yaml", effective_scenario(setup).encode())
+    log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
+    log.add_metadata(
+        RUN_METADATA,
+        {"scenario": scenario.name, "law": scenario.controller.law, "clock": clock, "link": link},
+    )
+    return log
+
+
+def stamp_of(payload: bytes) -> int | None:
+    """Header stamp of a CDR payload in ns; all our messages begin with a header."""
+    if len(payload) < _STAMP_OFFSET + _STAMP.size:
+        return None
+    sec, nanosec = _STAMP.unpack_from(payload, _STAMP_OFFSET)
+    stamp_ns: int = sec * 1_000_000_000 + nanosec
+    return stamp_ns if stamp_ns >= 0 else None
+
+
+class Recorder:
+    """Writes what it hears until both sides have left.
+
+    Attributes:
+        messages: messages written.
+        lost: messages that never came, by the gaps in their senders' numbers.
+    """
+
+    def __init__(self, setup: Setup, path: Path) -> None:
+        self._setup = setup
+        self._log = open_log(
+            setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind
+        )
+        self._heard: queue.SimpleQueue[tuple[Topic, Delivery]] = queue.SimpleQueue()
+        self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
+        self._last_stamp_ns = 0
+        self.messages = 0
+        self.lost = 0
+        self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=True)
+        for topic in topics.TOPICS:
+            self._node.subscribe(topic, partial(self._on_delivery, topic))
+        self._node.announce()
+
+    def run(self, is_stop_requested: Callable[[], bool]) -> None:
+        """Record until both sides have left the bus, or until asked to stop.
+
+        Raises:
+            PeerSilentError: nobody came.
+        """
+        give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
+        has_heard = False
+        while not is_stop_requested():
+            somebody_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
+            wrote = self._write_for(_FLUSH_S)
+            has_heard = has_heard or wrote
+            if has_heard and not somebody_is_there and not wrote:
+                return
+            if not has_heard and not somebody_is_there and time.monotonic() > give_up_s:
+                raise PeerSilentError("plant", self._setup.scenario.link.connect_timeout_s, "message")
+
+    def close(self) -> None:
+        """Write what was heard, and finish the file."""
+        self._node.close()
+        self._write_for(0.0)
+        counts = {"messages": str(self.messages), "lost": str(self.lost)}
+        self._log.add_metadata(RECORDER_METADATA, counts)
+        self._log.close()
+
+    def _on_delivery(self, topic: Topic, delivery: Delivery) -> None:
+        if self._heard.qsize() < _LARGEST_BACKLOG:  # beyond it, the gap in numbers tells the loss
+            self._heard.put((topic, delivery))
+
+    def _write_for(self, duration_s: float) -> bool:
+        """Write what comes in for a while, then hand it to the disk; whether anything came."""
+        until_s = time.monotonic() + duration_s
+        wrote = False
+        while True:
+            left_s = until_s - time.monotonic()
+            try:
+                topic, delivery = self._heard.get(block=left_s > 0.0, timeout=max(left_s, 0.0))
+            except queue.Empty:
+                break
+            self._write(topic, delivery)
+            wrote = True
+            if left_s <= 0.0 and duration_s > 0.0:
+                break
+        self._log.flush()
+        return wrote
+
+    def _write(self, topic: Topic, delivery: Delivery) -> None:
+        attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
+        if attachment.sequence:
+            key = (topic.name, attachment.gid)
+            self.lost += max(0, attachment.sequence - self._last_sequence[key] - 1)
+            self._last_sequence[key] = max(attachment.sequence, self._last_sequence[key])
+        stamp_ns = stamp_of(delivery.payload)
+        self._last_stamp_ns = self._last_stamp_ns if stamp_ns is None else stamp_ns
+        self._log.write(
+            topic, attachment.sequence, self._last_stamp_ns, attachment.source_time_ns,
+            delivery.payload,
+        )  # fmt: skip
+        self.messages += 1

@@ -1,0 +1,149 @@
+"""What a run leaves behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from bus_schema.mcap_log import LogContents, read_log
+from deploy.experiments.metrics import summarise
+from deploy.experiments.report import write_report
+from deploy.experiments.run_data import RunData, build_run_data
+from deploy.recorder import (
+    RECORDER_METADATA,
+    ROBOT_ATTACHMENT,
+    RUN_METADATA,
+    SCENARIO_ATTACHMENT,
+)
+from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario_text import effective_scenario, plain
+
+_LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
+
+
+class RunFolderError(Exception):
+    """A folder holds no run that can be read."""
+
+
+class RunFolder:
+    """The files of one run.
+
+    Args:
+        path: the folder; created where it does not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.log = path / "run.mcap"
+        self.scenario = path / "scenario.yaml"
+        self.summary = path / "summary.json"
+        self.manifest = path / "manifest.json"
+        self.report = path / "report.html"
+
+    @staticmethod
+    def create(name: str, out: Path | None) -> RunFolder:
+        """The folder for a new run, by default ``runs/<name>-<time>``.
+
+        Raises:
+            ScenarioError: it cannot be created or written to.
+        """
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        path = (out or _unused(Path("runs") / f"{name}-{stamp}")).resolve()
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
+        if not os.access(path, os.W_OK):
+            raise ScenarioError(f"--out {path}: is not writable")
+        folder = RunFolder(path)
+        for file in (folder.log, folder.summary, folder.manifest, folder.report):
+            file.unlink(missing_ok=True)
+        return folder
+
+    def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
+        """Write what was run, with what, and where; `grants` is what real-time setup got, by role."""
+        manifest = {
+            "command": sys.argv,
+            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "host": {
+                "machine": platform.machine(),
+                "kernel": platform.release(),
+                "cpus": os.cpu_count(),
+                "python": platform.python_version(),
+            },
+            "versions": {name: _version(name) for name in _LIBRARIES},
+            "realtime": dict(grants),
+            "gains": {setup.scenario.controller.law: plain(setup.gains)},
+            "scenario": plain(setup.scenario),
+        }
+        self.manifest.write_text(json.dumps(manifest, indent=2) + "\n")
+
+    def write_scenario(self, setup: Setup) -> None:
+        """Write the scenario in force, with all its overrides."""
+        self.scenario.write_text(effective_scenario(setup))
+
+    def conclude(self, run: RunData, extra_faults: Sequence[str] = ()) -> dict[str, Any]:
+        """Judge a run and write summary and report; the summary.
+
+        Args:
+            run: its data.
+            extra_faults: what the recording cannot know, such as a process that was killed.
+        """
+        summary = summarise(run)
+        summary["faults"] = [*summary["faults"], *extra_faults]
+        summary["completed"] = summary["completed"] and not extra_faults
+        self.summary.write_text(json.dumps(summary, indent=2) + "\n")
+        write_report(run, summary, self.report)
+        return summary
+
+
+def load_run(path: Path) -> tuple[RunData, LogContents]:
+    """Read a run folder or an MCAP file back.
+
+    Raises:
+        RunFolderError: there is no recording of ours.
+    """
+    file = path / "run.mcap" if path.is_dir() else path
+    if not file.is_file():
+        raise RunFolderError(f"{path}: holds no run.mcap")
+    contents = read_log(file)
+    if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
+        raise RunFolderError(f"{file}: is no recording of funnel-hil (no scenario inside)")
+    with tempfile.TemporaryDirectory() as folder:
+        scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
+        scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
+        robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
+        try:
+            setup = load_setup(str(scenario), [f"robot.urdf={robot}"])
+        except ScenarioError as error:
+            raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
+    run, recorder = contents.metadata.get(RUN_METADATA, {}), contents.metadata.get(RECORDER_METADATA)
+    data = build_run_data(
+        setup,
+        contents.payloads,
+        clock=run.get("clock", "unknown"),
+        link=run.get("link", "unknown"),
+        lost=int((recorder or {}).get("lost", 0)),
+        complete=contents.complete,
+    )
+    return data, contents
+
+
+def _unused(path: Path) -> Path:
+    candidates: Mapping[int, Path] = {n: Path(f"{path}-{n}") for n in range(2, 1000)}
+    return next((p for p in (path, *candidates.values()) if not p.exists()), path)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None

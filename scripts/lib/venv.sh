@@ -1,0 +1,54 @@
+# shellcheck shell=bash
+# Sets up .venv in the repository. Sourced by scripts whose working folder is its root.
+
+# 3.11 comes first because pybullet has a ready wheel for it; elsewhere pip compiles pybullet,
+# which takes a C++ compiler and many minutes.
+PYTHON_CANDIDATES=(python3.11 python3 python3.12 python3.13 python3.14)
+
+# find_python: prints the path of a Python 3.11 or newer; PYTHON in the environment goes first.
+find_python() {
+  local candidate
+  for candidate in ${PYTHON:+"$PYTHON"} "${PYTHON_CANDIDATES[@]}"; do
+    if "$candidate" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' \
+      2>/dev/null; then
+      command -v "$candidate"
+      return
+    fi
+  done
+  {
+    echo "No Python 3.11 or newer with its venv module (tried ${PYTHON:-} ${PYTHON_CANDIDATES[*]})."
+    echo "On Debian and Ubuntu: apt-get install python3 python3-venv. Or set PYTHON to the path of one."
+  } >&2
+  return 1
+}
+
+# venv_state: prints what an installation depends on; fails where .venv cannot be used.
+venv_state() {
+  .venv/bin/python - 2>/dev/null <<'PYTHON'
+import hashlib, pathlib, sys
+print(sys.version, hashlib.sha256(pathlib.Path("pyproject.toml").read_bytes()).hexdigest())
+PYTHON
+}
+
+# ensure_venv EXTRAS: provides .venv with this project and EXTRAS ("" or "dev") installed in it.
+# Stamps in .venv tell what it holds; as long as they are up to date, nothing is done.
+ensure_venv() {
+  local extras=$1 state base
+  # The files of a virtual environment name its folder, so a moved or copied one is of no use.
+  if ! state=$(venv_state) || [[ $(cat .venv/root 2>/dev/null) != "$PWD" ]]; then
+    base=$(find_python)
+    echo "Creating .venv with $("$base" --version) ($base)"
+    "$base" -m venv --clear .venv
+    echo "$PWD" >.venv/root
+    state=$(venv_state)
+  fi
+  local stamp=".venv/installed${extras:+-$extras}"
+  if [[ $(cat "$stamp" 2>/dev/null) == "$state" ]]; then
+    return
+  fi
+  echo "Installing funnel-hil${extras:+[$extras]} into .venv (a minute or two at first)"
+  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
+    --editable ".${extras:+[$extras]}"
+  echo "$state" >"$stamp"
+  echo "$state" >.venv/installed # whatever the extras, the project itself is there
+}
