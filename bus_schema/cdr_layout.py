@@ -13,7 +13,7 @@ Byte order and alignment: OMG Data Distribution Service, RTPS 2.5 clause 10 (enc
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,9 +46,11 @@ class Record:
         # The payload starts 4 bytes off an 8-byte boundary, so that the doubles behind the
         # 4-byte encapsulation header are aligned in memory.
         storage = np.zeros(ENCAPSULATION_BYTES + layout.size, dtype=np.uint8)
-        self._memory = memoryview(storage)[ENCAPSULATION_BYTES:]
+        self._memory = storage.data[ENCAPSULATION_BYTES:]
         self._memory[:] = layout.template
-        payload: NDArray[np.void] = np.ndarray((1,), layout.dtype, storage.data, ENCAPSULATION_BYTES)
+        payload: NDArray[np.void] = np.ndarray(
+            (1,), layout.dtype, storage.data, ENCAPSULATION_BYTES
+        )
         self.fields: dict[str, NDArray[Any]] = {
             name: payload[name][0] if payload[name].ndim == 2 else payload[name]
             for name in layout.dtype.names or ()
@@ -105,9 +107,9 @@ class MessageLayout:
         """Load `payload` into `into`, whoever encoded it.
 
         Raises:
-            InvalidMessageError: the payload is no message of this type with these names and lengths.
+            InvalidMessageError: it is no message of this type with these names and lengths.
         """
-        if len(payload) == self.size and all(payload[a:b] == text for a, b, text in self._constants):
+        if len(payload) == self.size and all(payload[a:b] == c for a, b, c in self._constants):
             into.load(payload)
         else:
             self._decode_foreign(payload, into)
@@ -131,23 +133,23 @@ class MessageLayout:
                 view[:] = value if order is None else value[order]
 
     def _numpy_type(self) -> np.dtype[np.void]:
-        names: list[str] = []
-        formats: list[Any] = []
-        offsets: list[int] = []
         cursor = _Cursor()
-        self._walk(self.type_name, "", cursor, names, formats, offsets)
+        fields = list(self._walk(self.type_name, "", cursor))
         return np.dtype(
-            {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size}
+            {
+                "names": [path for path, _, _ in fields],
+                "formats": [kind for _, kind, _ in fields],
+                "offsets": [offset for _, _, offset in fields],
+                "itemsize": self.size,
+            }
         )
 
-    def _walk(
-        self, type_name: str, prefix: str, cursor: _Cursor,
-        names: list[str], formats: list[Any], offsets: list[int],
-    ) -> None:  # fmt: skip
-        for field, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
+    def _walk(self, type_name: str, prefix: str, cursor: _Cursor) -> Iterator[tuple[str, Any, int]]:
+        """Path, NumPy format and offset of each numeric field, in wire order."""
+        for field, kind, argument in _fields(type_name):
             path = prefix + field
             if kind == Nodetype.NAME:
-                self._walk(argument, path + ".", cursor, names, formats, offsets)
+                yield from self._walk(argument, path + ".", cursor)
                 continue
             is_array = kind in (Nodetype.SEQUENCE, Nodetype.ARRAY)
             base = argument[0][1][0] if is_array else argument[0]
@@ -157,16 +159,15 @@ class MessageLayout:
                 continue
             if kind == Nodetype.SEQUENCE:
                 cursor.take(4, 4)
-            count = self._lengths[path] if kind == Nodetype.SEQUENCE else argument[1]
-            if is_array and count == 0:
-                continue
             scalar = np.dtype(_NUMPY_TYPES[base])
-            names.append(path)
-            formats.append((scalar, (count,)) if is_array else scalar)
-            offsets.append(cursor.take(scalar.itemsize * (count if is_array else 1), scalar.itemsize))
+            if not is_array:
+                yield path, scalar, cursor.take(scalar.itemsize, scalar.itemsize)
+            elif count := self._lengths[path] if kind == Nodetype.SEQUENCE else argument[1]:
+                start = cursor.take(scalar.itemsize * count, scalar.itemsize)
+                yield path, (scalar, (count,)), start
 
     def _constant_segments(self) -> list[tuple[int, int, bytes]]:
-        fields = self.dtype.fields or {}
+        fields: Mapping[str, Any] = self.dtype.fields or {}
         spans = sorted((entry[1], entry[1] + entry[0].itemsize) for entry in fields.values())
         segments, end = [], 0
         for start, stop in [*spans, (self.size, self.size)]:
@@ -211,6 +212,12 @@ def parse(payload: bytes, type_name: str) -> Any:
         raise InvalidMessageError("malformed", f"not a {type_name}: {error}") from error
 
 
+def _fields(type_name: str) -> Iterator[tuple[str, Nodetype, Any]]:
+    """Name, kind and argument of each field of a type, as rosbags' type store has them."""
+    for name, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
+        yield name, kind, argument
+
+
 def _attribute(message: Any, dotted: str) -> Any:
     for part in dotted.split("."):
         message = getattr(message, part)
@@ -227,7 +234,7 @@ def _zero_message(
     type_name: str, lengths: Mapping[str, int], strings: Mapping[str, list[str]], prefix: str = ""
 ) -> Any:
     values: dict[str, Any] = {}
-    for field, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
+    for field, kind, argument in _fields(type_name):
         path = prefix + field
         if kind == Nodetype.NAME:
             values[field] = _zero_message(argument, lengths, strings, path + ".")
@@ -237,5 +244,7 @@ def _zero_message(
             values[field] = strings.get(path, [])
         else:
             base = _NUMPY_TYPES[argument[0][1][0]]
-            values[field] = np.zeros(lengths[path] if kind == Nodetype.SEQUENCE else argument[1], base)
+            values[field] = np.zeros(
+                lengths[path] if kind == Nodetype.SEQUENCE else argument[1], base
+            )
     return TYPESTORE.types[type_name](**values)

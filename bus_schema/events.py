@@ -44,7 +44,9 @@ class RunEvent:
         """CDR bytes."""
         types = TYPESTORE.types
         sec, nanosec = divmod(self.stamp_ns, _NANOSECONDS)
-        header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](sec, nanosec), "")
+        header = types["std_msgs/msg/Header"](
+            types["builtin_interfaces/msg/Time"](sec, nanosec), ""
+        )
         message = types[RUN_EVENT](header, self.source, self.kind, self.detail)
         return bytes(TYPESTORE.serialize_cdr(message, RUN_EVENT))
 

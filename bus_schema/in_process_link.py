@@ -46,7 +46,9 @@ class InProcessPlantLink:
         self.publish = bus.publish
 
     def await_controller(
-        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+        self,
+        timeout_s: float,
+        is_stop_requested: Callable[[], bool] = never,  # noqa: ARG002 (the interface)
     ) -> None:
         if self._bus.on_state is None:
             raise PeerSilentError("controller", timeout_s, "handler of joint states")
@@ -57,7 +59,7 @@ class InProcessPlantLink:
         if self._bus.on_state is not None:
             self._bus.on_state(state, status)
 
-    def await_command(self, timeout_s: float) -> bool:
+    def await_command(self, timeout_s: float) -> bool:  # noqa: ARG002 (the interface)
         return bool(self._bus.commands)
 
     def controller_has_left(self) -> bool:

@@ -72,7 +72,7 @@ class McapLog:
 
     def close(self) -> None:
         """Finish the file."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
 
     def _register(self, topic: Topic) -> int:

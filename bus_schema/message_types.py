@@ -20,7 +20,9 @@ RUN_EVENT = f"{PACKAGE}/msg/RunEvent"
 def _load_typestore() -> Typestore:
     store = get_typestore(Stores.ROS2_JAZZY)
     own: dict[str, Any] = {}
-    for file in sorted(resources.files("bus_schema").joinpath("msg").iterdir(), key=lambda f: f.name):
+    for file in sorted(
+        resources.files("bus_schema").joinpath("msg").iterdir(), key=lambda f: f.name
+    ):
         if file.name.endswith(".msg"):
             name = f"{PACKAGE}/msg/{file.name.removesuffix('.msg')}"
             own.update(get_types_from_msg(file.read_text(), name))

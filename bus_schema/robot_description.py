@@ -1,4 +1,4 @@
-"""What a URDF file says about an arm: its joints, their limits, and a form every simulator reads alike."""
+"""What a URDF file says about an arm, and a form of it that every simulator reads alike."""
 
 from __future__ import annotations
 
@@ -161,4 +161,6 @@ def _add_inertial(link: ET.Element, mass_kg: float) -> None:
     """Give `link` a point mass at its origin."""
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value=str(mass_kg))
-    ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    ET.SubElement(
+        inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0")
+    )

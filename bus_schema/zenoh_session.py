@@ -21,10 +21,10 @@ os.environ.setdefault(
     " tx: (worker_threads: 1))",
 )
 
-import zenoh  # noqa: E402
+import zenoh
 
-from bus_schema.configuration import ConfigurationError  # noqa: E402
-from bus_schema.errors import BusError  # noqa: E402
+from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import BusError
 
 MAX_MESSAGE_BYTES = 1 << 20
 """Larger messages are cut off by the transport itself."""
@@ -78,9 +78,7 @@ class ZenohSession:
         SessionError: an endpoint cannot be served or is malformed.
     """
 
-    def __init__(
-        self, listen: Sequence[str], connect: Sequence[str], *, low_latency: bool
-    ) -> None:
+    def __init__(self, listen: Sequence[str], connect: Sequence[str], *, low_latency: bool) -> None:
         try:
             self._session = zenoh.open(_configuration(listen, connect, low_latency=low_latency))
         except zenoh.ZError as error:
@@ -135,7 +133,7 @@ class ZenohSession:
 
     def close(self) -> None:
         """Close the session; what was put before is sent first."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 def check_endpoint(endpoint: str, key: str) -> None:

@@ -1,0 +1,1 @@
+"""The controller: control laws, references and the loop that runs them."""

@@ -1,7 +1,8 @@
-"""Sections ``controller``, ``funnel`` and ``reference`` of a scenario, and what is built from them."""
+"""Sections ``controller``, ``funnel`` and ``reference`` of a scenario, and what they build."""
 
 from __future__ import annotations
 
+import itertools
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -69,7 +70,9 @@ class FunnelConfiguration(StrictModel):
                 "funnel.final_rad", final.tolist(), "must not exceed the bounds at time zero"
             )
         above = initial_error_rad >= 0.0
-        return Funnel(np.where(above, near, far), np.where(above, far, near), final, self.rate_per_s)
+        return Funnel(
+            np.where(above, near, far), np.where(above, far, near), final, self.rate_per_s
+        )
 
 
 class AxisConfiguration(StrictModel):
@@ -141,7 +144,7 @@ class MinimumJerkConfiguration(StrictModel):
     @classmethod
     def _in_order(cls, waypoints: list[WaypointConfiguration]) -> list[WaypointConfiguration]:
         times = [waypoint.time_s for waypoint in waypoints]
-        if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(times)):
             raise ValueError("waypoints with increasing time_s")
         return waypoints
 
@@ -193,7 +196,9 @@ class ControllerConfiguration(StrictModel):
         """The gains of the configured law, expanded to the robot's joints."""
         gains = getattr(self.gains, self.law)
         if gains is None:
-            inertia = ManipulatorModel(robot, scale=self.model_scale).mass_matrix(start_position_rad)
+            inertia = ManipulatorModel(robot, scale=self.model_scale).mass_matrix(
+                start_position_rad
+            )
             gains = LAWS[self.law].gains.from_inertia(np.diag(inertia).copy())
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 

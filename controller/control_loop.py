@@ -1,7 +1,7 @@
 """The control loop: receive a joint state, update the law, send torques.
 
-The loop has no clock of its own: a joint state drives each cycle, and its stamp is the time. The
-same states therefore give the same torques, bit for bit, in a simulation, over a bus and in a replay.
+The loop has no clock of its own: a joint state drives each cycle, and its stamp is the time. So the
+same states give the same torques, bit for bit, in a simulation, over a bus and in a replay.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class ControlLoop:
             raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
     def _start_of_run(self, plant_status: bytes | None, first_stamp_ns: int) -> int:
-        """When the run began on the plant's clock; a foreign plant's begins with its first state."""
+        """When the run began on the plant's clock; for a foreign plant, with its first state."""
         if plant_status is None:
             return first_stamp_ns
         try:
@@ -158,7 +158,7 @@ class ControlLoop:
         return int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])
 
     def _tracking_in_status(self) -> Tracking:
-        """The tracking situation and the law's diagnostics, laid into the messages that carry them."""
+        """The tracking situation and the law's diagnostics, laid into the messages they go by."""
         tracking, diagnostics = Tracking(self._task.robot.joints), self._task.law.diagnostics
         tracking.position = self._state.fields["position"]
         tracking.velocity = self._state.fields["velocity"]

@@ -50,9 +50,7 @@ class ManipulatorModel:
 
     def gravity(self, position: Vector) -> Vector:
         """G(q), shape (joints,), N m."""
-        full = pinocchio.computeGeneralizedGravity(
-            self._model, self._data, self._scatter(position)
-        )
+        full = pinocchio.computeGeneralizedGravity(self._model, self._data, self._scatter(position))
         return np.ascontiguousarray(full[self._order])
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:

@@ -66,7 +66,7 @@ def transform(error: float, upper: float, lower: float) -> float:
 
 @compiled
 def inverse_transform(transformed: float, upper: float, lower: float) -> float:
-    """e = l u (E − 1) / (u + l E) with E = e^(2ε)."""
+    """E = l u (E − 1) / (u + l E) with E = e^(2ε)."""
     growth = math.exp(2.0 * transformed)
     return lower * upper * (growth - 1.0) / (upper + lower * growth)
 
@@ -75,7 +75,7 @@ def inverse_transform(transformed: float, upper: float, lower: float) -> float:
 def transformation_rates(
     error: float, upper: float, lower: float, d_upper: float, d_lower: float
 ) -> tuple[float, float]:
-    """r = ∂ε/∂e and the error rate v of the moving funnel, so that ε̇ = r (ė − v)."""
+    """R = ∂ε/∂e and the error rate v of the moving funnel, so that ε̇ = r (ė − v)."""
     r = 0.5 * (1.0 / (lower + error) + 1.0 / (upper - error))
     w = 0.5 * (
         error * d_lower / (lower * (lower + error)) + error * d_upper / (upper * (upper - error))
@@ -97,8 +97,12 @@ def transformation_accelerations(
         (d_lower + error_rate) / (below * below) + (d_upper - error_rate) / (above * above)
     )
     d_w = 0.5 * (
-        _rate_of_drift_term(error, error_rate, lower, d_lower, dd_lower, below, d_lower + error_rate)
-        + _rate_of_drift_term(error, error_rate, upper, d_upper, dd_upper, above, d_upper - error_rate)
+        _rate_of_drift_term(
+            error, error_rate, lower, d_lower, dd_lower, below, d_lower + error_rate
+        )
+        + _rate_of_drift_term(
+            error, error_rate, upper, d_upper, dd_upper, above, d_upper - error_rate
+        )
     )
     return d_r, (d_w - v * d_r) / r
 

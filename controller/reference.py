@@ -174,9 +174,7 @@ def _minimum_jerk(
     moving = 0.0 < x < 1.0
     shape = x * x * x * (10.0 + x * (6.0 * x - 15.0))
     d_shape = 30.0 * x * x * (1.0 - x) * (1.0 - x) / duration if moving else 0.0
-    dd_shape = (
-        60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (duration * duration) if moving else 0.0
-    )
+    dd_shape = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (duration * duration) if moving else 0.0
     for i in range(position.size):
         distance = positions[following, i] - positions[segment, i]
         position[i] = positions[segment, i] + distance * shape

@@ -13,7 +13,7 @@ from bus_schema.compiled import compiled
 
 @compiled
 def sig(x: float, power: float) -> float:
-    """sig(x)^p = sign(x) |x|^p."""
+    """The signed power sign(x) |x|^p."""
     return math.copysign(abs(x) ** power, x)
 
 
@@ -48,4 +48,5 @@ def surface_pull_slope(
         linear = (2.0 - phi_2) * eta ** (phi_2 - 1.0)
         quadratic = (phi_2 - 1.0) * eta ** (phi_2 - 2.0)
         d_chi = linear + 2.0 * quadratic * size
-    return alpha_1 * phi_1 * size ** (phi_1 - 1.0) + alpha_2 * d_chi
+    slope: float = alpha_1 * phi_1 * size ** (phi_1 - 1.0) + alpha_2 * d_chi
+    return slope

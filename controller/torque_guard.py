@@ -71,7 +71,5 @@ def _limit(
         limited = min(max(torque[i], -limits[i]), limits[i])
         if step_s > 0.0:
             change = rate_limits[i] * step_s
-            limited = min(
-                max(limited, previous_and_out[i] - change), previous_and_out[i] + change
-            )
+            limited = min(max(limited, previous_and_out[i] - change), previous_and_out[i] + change)
         previous_and_out[i] = limited

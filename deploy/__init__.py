@@ -1,0 +1,1 @@
+"""Brings controller and plant up, watches them, experiments with them and judges them."""

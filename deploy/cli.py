@@ -22,7 +22,7 @@ from deploy.experiments.simulate import simulate as simulate_setup
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
 from deploy.processes import Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import ScenarioError, load_setup
 from deploy.terminal import RunProgress, show_summary
 from plant_emulator.plant_loop import PlantLoop
 

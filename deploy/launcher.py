@@ -207,13 +207,13 @@ class Launcher:
             was_running = child.is_running()
             child.kill()
             if child.role in frozen:
-                self._blame(child, f"the {child.role} was frozen (stopped by a signal)")
+                self._blame(f"the {child.role} was frozen (stopped by a signal)")
             elif was_running:
-                self._blame(child, f"the {child.role} did not end and was killed")
+                self._blame(f"the {child.role} did not end and was killed")
             elif (verdict := child.verdict()) is not None:
-                self._blame(child, verdict)
+                self._blame(verdict)
 
-    def _blame(self, child: Child, verdict: str) -> None:
+    def _blame(self, verdict: str) -> None:
         """Whose fault it was comes first: a dead or frozen process before those who missed it."""
         is_root_cause = "killed by" in verdict or "frozen" in verdict
         self._outcome.failures.insert(0 if is_root_cause else len(self._outcome.failures), verdict)

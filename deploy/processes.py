@@ -45,12 +45,12 @@ class Voice:
         self._console = Console(highlight=False)
 
     def say(self, kind: str, **values: Any) -> None:
-        """Say something: ``note``, ``fault``, ``grants``, ``progress`` or ``result``."""
+        """Say something: ``note``, ``lacks``, ``fault``, ``grants``, ``progress`` or ``result``."""
         if self._to_parent:
             # print would interleave with other threads; one write per line does not.
             with contextlib.suppress(BrokenPipeError):
                 print(json.dumps({"kind": kind, **values}), flush=True)
-        elif kind in ("note", "fault"):
+        elif kind in ("note", "lacks", "fault"):
             self._console.print(f"{self._role}: {values['text']}", markup=False)
         elif kind == "progress":
             shown = ", ".join(f"{name} {value}" for name, value in values.items())
@@ -109,16 +109,12 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     link = None
     loop = None
     try:
-        link = ZenohControllerLink(
-            setup.scenario.link, lossless=setup.scenario.clock == "lockstep"
-        )
+        link = ZenohControllerLink(setup.scenario.link, lossless=setup.scenario.clock == "lockstep")
         loop = ControlLoop(setup.control_task(), link)
         loop.warm_up()
         _go_realtime(setup, voice)
         voice.say("note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}")
-        link.take_command(
-            await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set
-        )
+        link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
         with _progress(voice, lambda: _controller_progress(loop)):
             link.join(is_stop_requested=lambda: stop.is_set)
         voice.say("result", cycles=loop.cycles, late=loop.late, rejected=dict(loop.rejected))
@@ -161,7 +157,7 @@ def _go_realtime(setup: Setup, voice: Voice) -> None:
     voice.say("grants", grants=[vars(grant) for grant in grants])
     for grant in grants:
         if not grant.granted:
-            voice.say("note", text=f"works without {grant.name}: {grant.detail}")
+            voice.say("lacks", text=f"works without {grant.name}: {grant.detail}")
 
 
 @contextlib.contextmanager
@@ -188,6 +184,8 @@ def _plant_progress(loop: PlantLoop, setup: Setup) -> dict[str, Any]:
 
 
 def _controller_progress(loop: ControlLoop) -> dict[str, Any]:
+    if not loop.cycles:
+        return {}
     tracking = loop.tracking
     bounds = np.where(tracking.error >= 0.0, tracking.bounds[UPPER], tracking.bounds[LOWER])
     joint = int(np.argmax(np.abs(tracking.error) / np.maximum(bounds, 1e-12)))

@@ -68,9 +68,7 @@ class Recorder:
 
     def __init__(self, setup: Setup, path: Path) -> None:
         self._setup = setup
-        self._log = open_log(
-            setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind
-        )
+        self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind)
         self._heard: queue.SimpleQueue[tuple[Topic, Delivery]] = queue.SimpleQueue()
         self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
         self._last_stamp_ns = 0
@@ -96,7 +94,9 @@ class Recorder:
             if has_heard and not somebody_is_there and not wrote:
                 return
             if not has_heard and not somebody_is_there and time.monotonic() > give_up_s:
-                raise PeerSilentError("plant", self._setup.scenario.link.connect_timeout_s, "message")
+                raise PeerSilentError(
+                    "plant", self._setup.scenario.link.connect_timeout_s, "message"
+                )
 
     def close(self) -> None:
         """Write what was heard, and finish the file."""

@@ -69,7 +69,7 @@ class RunFolder:
         return folder
 
     def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
-        """Write what was run, with what, and where; `grants` is what real-time setup got, by role."""
+        """Write what was run, with what, and where; `grants`: real-time setup, by role."""
         manifest = {
             "command": sys.argv,
             "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -125,7 +125,10 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
             setup = load_setup(str(scenario), [f"robot.urdf={robot}"])
         except ScenarioError as error:
             raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
-    run, recorder = contents.metadata.get(RUN_METADATA, {}), contents.metadata.get(RECORDER_METADATA)
+    run, recorder = (
+        contents.metadata.get(RUN_METADATA, {}),
+        contents.metadata.get(RECORDER_METADATA),
+    )
     data = build_run_data(
         setup,
         contents.payloads,

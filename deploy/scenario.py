@@ -118,7 +118,7 @@ class Setup:
     @property
     def tick_times_s(self) -> Vector:
         """Time of every tick, shape (ticks,)."""
-        return np.arange(self.ticks) * (self.grid.period_ns * 1e-9)
+        return np.arange(self.ticks, dtype=np.float64) * (self.grid.period_ns * 1e-9)
 
     def control_task(self) -> ControlTask:
         """A fresh task for a controller."""

@@ -1,4 +1,4 @@
-"""Scenarios and gains back to plain text: what was in force, for manifests, recordings and reruns."""
+"""Scenarios and gains back to plain text: what was in force, for records and reruns."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from bus_schema.topics import Role
 from deploy.launcher import Utterance
 
 _PLAIN_LINE_S = 2.0
@@ -49,9 +48,8 @@ class RunProgress:
             self._show()
         elif utterance.kind == "fault":
             self._console.print(f"{utterance.role}: {utterance.values['text']}", markup=False)
-        elif utterance.kind == "note" and utterance.role is not Role.RECORDER:
-            if utterance.values["text"].startswith("works without"):
-                self._console.print(f"{utterance.role} {utterance.values['text']}", markup=False)
+        elif utterance.kind == "lacks":
+            self._console.print(f"{utterance.role} {utterance.values['text']}", markup=False)
 
     def at(self, time_s: float) -> None:
         """The run has come to this time."""
@@ -63,7 +61,9 @@ class RunProgress:
         parts = []
         if "error_mrad" in self._state:
             parts.append(
-                "joint {joint}: error {error_mrad:+.3f} of {bound_mrad:.1f} mrad".format(**self._state)
+                "joint {joint}: error {error_mrad:+.3f} of {bound_mrad:.1f} mrad".format(
+                    **self._state
+                )
             )
         if "deadline_misses" in self._state:
             parts.append(f"deadline misses {self._state['deadline_misses']}")

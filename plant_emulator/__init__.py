@@ -1,0 +1,1 @@
+"""The plant emulator: an arm in pybullet with the hardware around it."""

@@ -97,7 +97,7 @@ class DisturbanceConfiguration(StrictModel):
     """External torques that oppose the actuators: the sum of the terms."""
 
     enabled: bool = True
-    terms: list[DisturbanceTerm] = []
+    terms: tuple[DisturbanceTerm, ...] = ()
 
 
 class EncoderConfiguration(StrictModel):

@@ -39,4 +39,5 @@ def friction_torque(velocity: float, table: Matrix, joint: int) -> float:
     """Torque against the motion of one joint, N m."""
     stribeck = velocity / table[3, joint]
     dry = table[0, joint] + table[2, joint] * math.exp(-stribeck * stribeck)
-    return dry * math.tanh(velocity / table[4, joint]) + table[1, joint] * velocity
+    smooth_sign = math.tanh(velocity / table[4, joint])
+    return float(dry * smooth_sign + table[1, joint] * velocity)

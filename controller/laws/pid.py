@@ -20,7 +20,7 @@ class PidGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> PidGains:
-        """The gains that give every joint the poles `paper_arm`'s hand-tuned gains give its elbow."""
+        """The gains that give every joint the poles that `paper_arm`'s give its elbow."""
         return cls(540.0 * inertia_kg_m2, 280.0 * inertia_kg_m2, 54.0 * inertia_kg_m2)
 
 

@@ -107,7 +107,7 @@ def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[
 def _torque(run: RunData) -> dict[str, Any]:
     commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
-    effort = commands["effort"].reshape(len(commands), -1)
+    effort = commands["effort"]
     if len(effort) < 2:
         return dict.fromkeys(
             ("total_variation_nm_per_s", "rms_nm", "peak_nm", "saturated_fraction")
@@ -150,5 +150,5 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
 def _transport(run: RunData) -> dict[str, Any]:
     event = run.last_event(EventKind.COUNTS)
     counts = event.values() if event is not None else {}
-    unknown = {**dict.fromkeys(_CHANNEL), "rejected": {}}
+    unknown: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
     return {name: counts.get(name, unknown) for name in ("uplink", "downlink")}

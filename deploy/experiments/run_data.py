@@ -21,7 +21,7 @@ from controller.reference import sample_positions
 from deploy.scenario import Setup
 
 Table = NDArray[np.void]
-"""Messages of one topic: one row each, fields by dotted name (``header.stamp.sec``, ``position``)."""
+"""Messages of one topic, one row each; fields by dotted name (``header.stamp.sec``)."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class RunData:
         truth = self.tables[topics.PLANT_TRUTH.name]
         joints = self.setup.robot.joints
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
-        return np.asarray(truth["position"].reshape(-1, joints) - wanted)
+        return np.asarray(truth["position"] - wanted)
 
     def last_event(self, kind: EventKind) -> RunEvent | None:
         """The last event of a kind."""

@@ -1,4 +1,4 @@
-"""A run in one process and in virtual time: the same loops as on the bus, on the in-process link."""
+"""A run in one process and in virtual time: the loops of the bus, on the in-process link."""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, TOPICS, 
 
 FIXED_TOPICS = [topic for topic in TOPICS if topic is not RUN_EVENTS]
 LETTERS = st.characters(codec="utf-8", exclude_categories=["C"])  # no NUL, which ends a string
-JOINT_NAMES = st.lists(st.text(LETTERS, min_size=1, max_size=9), min_size=1, max_size=14, unique=True)
+JOINT_NAMES = st.lists(
+    st.text(LETTERS, min_size=1, max_size=9), min_size=1, max_size=14, unique=True
+)
 THREE = ("yaw", "shoulder", "elbow_pitch")
 STATE = layout(JOINT_STATES, THREE)
 

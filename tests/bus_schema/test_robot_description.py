@@ -159,7 +159,9 @@ def test_continuous_joint_turns_without_end_in_both_simulators(write):
 
 def test_zero_and_missing_effort_and_velocity_limits_are_no_limits(write):
     zero = '<limit effort="0" velocity="0" lower="-1" upper="0"/>'
-    text = two_links(joint("first", "revolute", "a", "b", zero), joint("second", "revolute", "b", "c"))
+    text = two_links(
+        joint("first", "revolute", "a", "b", zero), joint("second", "revolute", "b", "c")
+    )
     robot = load_robot(write(text))
     assert robot.effort_limits_nm.tolist() == [math.inf, math.inf]
     assert robot.velocity_limits_rad_s.tolist() == [math.inf, math.inf]

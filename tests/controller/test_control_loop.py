@@ -273,7 +273,9 @@ def test_each_cycle_sends_command_then_status_then_timing():
     for tick in range(3):
         bench.send(tick * MS)
     bench.send(0)  # late: a command alone
-    sent = [(topic.name, sequence) for topic, sequence, _ in bench.heard if topic.sender == "controller"]
+    sent = [
+        (topic.name, sequence) for topic, sequence, _ in bench.heard if topic.sender == "controller"
+    ]
     cycle = ("joint_commands", "control_status", "controller_timing")
     assert sent == [(name, tick) for tick in (1, 2, 3) for name in cycle] + [("joint_commands", 4)]
     timing = bench.last(topics.CONTROLLER_TIMING)

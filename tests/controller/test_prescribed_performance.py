@@ -171,9 +171,15 @@ def test_funnel_bounds_agree_with_the_performance_function(upper, lower, rate, t
     above, below = funnel.bounds(np.array([0.0, time_s]))
     assert above.shape == below.shape == (2, 2)
     # exp of numpy and of the C library may differ in the last bit.
-    assert above[1, 0] == pytest.approx(performance_function(time_s, upper, 0.01, rate)[0], rel=1e-14)
-    assert -below[1, 0] == pytest.approx(performance_function(time_s, lower, 0.01, rate)[0], rel=1e-14)
-    assert -below[1, 1] == pytest.approx(performance_function(time_s, 0.5, 0.02, rate)[0], rel=1e-14)
+    assert above[1, 0] == pytest.approx(
+        performance_function(time_s, upper, 0.01, rate)[0], rel=1e-14
+    )
+    assert -below[1, 0] == pytest.approx(
+        performance_function(time_s, lower, 0.01, rate)[0], rel=1e-14
+    )
+    assert -below[1, 1] == pytest.approx(
+        performance_function(time_s, 0.5, 0.02, rate)[0], rel=1e-14
+    )
     assert above[0].tolist() == pytest.approx([upper, 0.5], rel=1e-15)
 
 

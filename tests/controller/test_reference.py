@@ -28,9 +28,7 @@ SINUSOIDS = JointSinusoids(
     np.array([0.1, -0.4]),
     np.array([[[0.3, 2.0, 0.5], [0.2, 5.0, 1.0]], [[0.1, 7.0, 0.0], [0.05, 11.0, 2.0]]]),
 )
-WAYPOINTS = MinimumJerk(
-    np.array([1.0, 2.5, 3.0]), np.array([[0.0, 1.0], [1.0, -1.0], [0.5, -1.0]])
-)
+WAYPOINTS = MinimumJerk(np.array([1.0, 2.5, 3.0]), np.array([[0.0, 1.0], [1.0, -1.0], [0.5, -1.0]]))
 REFERENCES = {
     "paper path": (PAPER_PATH, 3, np.linspace(0.1, 19.9, 67)),
     "fast path": (CartesianPath(FAST_AXES, 0.25, 0.70, 0.60), 3, np.linspace(0.1, 3.9, 67)),

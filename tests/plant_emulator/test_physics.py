@@ -46,7 +46,9 @@ def integrated(torque):
 
     def rate(time_s, state):
         position, velocity = state[:3], state[3:]
-        return np.concatenate([velocity, model.forward_dynamics(position, velocity, torque(time_s))])
+        return np.concatenate(
+            [velocity, model.forward_dynamics(position, velocity, torque(time_s))]
+        )
 
     for index in range(round(DURATION_S / step)):
         time_s = index * step
