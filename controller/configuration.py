@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import (
     ConfigurationError,
     NonNegative,
@@ -192,14 +192,18 @@ class ControllerConfiguration(StrictModel):
             raise ValueError(f"one of {', '.join(LAWS)}")
         return law
 
-    def build_gains(self, robot: RobotDescription, start_position_rad: Vector) -> Any:
-        """The gains of the configured law, expanded to the robot's joints."""
+    def build_gains(self, robot: RobotDescription, positions_rad: Matrix) -> Any:
+        """The gains of the configured law, expanded to the robot's joints.
+
+        Args:
+            robot: the arm.
+            positions_rad: joint positions on the planned motion, shape (samples, joints), by whose
+                inertia gains are sized that the scenario does not give.
+        """
         gains = getattr(self.gains, self.law)
         if gains is None:
-            inertia = ManipulatorModel(robot, scale=self.model_scale).mass_matrix(
-                start_position_rad
-            )
-            gains = LAWS[self.law].gains.from_inertia(np.diag(inertia).copy())
+            model = ManipulatorModel(robot, scale=self.model_scale)
+            gains = LAWS[self.law].gains.from_inertia(model.governing_inertia(positions_rad))
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 
     def build_law(self, gains: Any) -> ControlLaw:

@@ -41,6 +41,21 @@ class ManipulatorModel:
         symmetric = upper + np.triu(full, 1).T
         return np.ascontiguousarray(symmetric[np.ix_(self._order, self._order)])
 
+    def governing_inertia(self, positions: Matrix) -> Vector:
+        """Inertia by which joint gains may be sized on a motion, shape (joints,), kg m².
+
+        A joint feels 1 / (M⁻¹)ᵢᵢ while all others are free, far less than Mᵢᵢ where axes are nearly
+        parallel. The least of it over the motion, shrunk until no mode of the coupled arm feels a
+        gain of k per unit inertia as more than k: the eigenvalues of M⁻¹ diag(m) are at most 1.
+
+        Args:
+            positions: joint positions on the motion, shape (samples, joints), rad.
+        """
+        inverses = [np.linalg.inv(self.mass_matrix(position)) for position in positions]
+        felt = np.min([1.0 / np.diag(inverse) for inverse in inverses], axis=0)
+        fastest = max(np.linalg.eigvals(inverse * felt).real.max() for inverse in inverses)
+        return np.asarray(felt / fastest)
+
     def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
         """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
         full = pinocchio.computeCoriolisMatrix(

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from pydantic import Field, ValidationError
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.clock import TickGrid
 from bus_schema.configuration import (
     ConfigurationError,
@@ -45,6 +45,7 @@ from plant_emulator.plant_loop import PlantTask
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
 _CHECKED_PER_SECOND = 100
+_SIZED_BY = 100
 
 
 class RobotConfiguration(StrictModel):
@@ -214,7 +215,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
     key = "robot.initial_offset_rad"
     offset = expand(scenario.robot.initial_offset_rad, robot.joints, key)
-    _require_reachable(reference, robot, scenario)
+    motion = _reachable_motion(reference, robot, scenario)
     start = sample_positions(reference, np.zeros(1), robot.joints)[0] + offset
     if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
@@ -225,7 +226,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         robot=robot,
         reference=reference,
         funnel=scenario.funnel.build(offset),
-        gains=scenario.controller.build_gains(robot, start),
+        gains=scenario.controller.build_gains(robot, motion[:: -(-len(motion) // _SIZED_BY)]),
         start_position_rad=start,
         grid=grid,
     )
@@ -233,7 +234,10 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     return setup
 
 
-def _require_reachable(reference: Reference, robot: RobotDescription, scenario: Scenario) -> None:
+def _reachable_motion(
+    reference: Reference, robot: RobotDescription, scenario: Scenario
+) -> Matrix:
+    """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
     times = np.arange(0.0, scenario.duration_s, 1.0 / _CHECKED_PER_SECOND)
     positions = sample_positions(reference, times, robot.joints)
     outside = ~((positions >= robot.lower_rad) & (positions <= robot.upper_rad)).all(axis=1)
@@ -245,6 +249,7 @@ def _require_reachable(reference: Reference, robot: RobotDescription, scenario: 
             f"{what} at {times[first]:g} s",
             f"must stay within the arm's reach and joint limits {_ranges(robot)}",
         )
+    return positions
 
 
 def _ranges(robot: RobotDescription) -> str:

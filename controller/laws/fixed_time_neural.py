@@ -46,16 +46,21 @@ class FixedTimeNeuralGains(NamedTuple):
     eta: Positive = 0.02
     kappa_1: NonNegative = 1e-6
     kappa_2: NonNegative = 1e-6
-    node_width: Positive = 0.3
+    node_width: Positive = 0.25
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeNeuralGains:
-        """Gains for joints that see these inertias (the diagonal of M), shape (joints,)."""
+        """Gains for joints that see these inertias, shape (joints,).
+
+        Wide nodes: where gravity is large against inertia, narrow ones would make the network's
+        output depend so steeply on the error rate that the loop rings.
+        """
         return cls(
-            k_1=15.0 * inertia_kg_m2,
-            k_2=15.0 * inertia_kg_m2,
-            k_3=20.0 * inertia_kg_m2,
-            adaptation_rate=4000.0 * inertia_kg_m2,
+            k_1=80.0 * inertia_kg_m2,
+            k_2=80.0 * inertia_kg_m2,
+            k_3=200.0 * inertia_kg_m2,
+            adaptation_rate=1000.0 * inertia_kg_m2,
+            node_width=1.5,
         )
 
 

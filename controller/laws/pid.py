@@ -20,8 +20,8 @@ class PidGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> PidGains:
-        """The gains that give every joint the poles that `paper_arm`'s give its elbow."""
-        return cls(540.0 * inertia_kg_m2, 280.0 * inertia_kg_m2, 54.0 * inertia_kg_m2)
+        """Gains for joints that see these inertias: `paper_arm`'s, on average, per kg m²."""
+        return cls(800.0 * inertia_kg_m2, 400.0 * inertia_kg_m2, 90.0 * inertia_kg_m2)
 
 
 class Pid:

@@ -6,7 +6,7 @@ from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, TOPICS
 
 
 def test_joint_state_key_is_the_one_rmw_zenoh_uses():
-    # Seen on the wire of a ROS 2 Jazzy node; a wrong hash would make us invisible to it.
+    # Literal on purpose: with another hash no ROS 2 node would see us, and nothing would tell.
     key = (
         "0/joint_states/sensor_msgs::msg::dds_::JointState_/"
         "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"

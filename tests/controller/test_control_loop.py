@@ -134,6 +134,15 @@ def test_late_states_change_nothing_in_the_law(law):
     assert after[0] == after[1]
 
 
+@pytest.mark.parametrize("law", ["pid", "fixed_time_neural"])
+def test_warming_up_leaves_no_trace(law):
+    warm, cold = Bench(law, rate_limit=1000.0), Bench(law, rate_limit=1000.0)
+    warm.loop.warm_up()
+    assert warm.heard == []
+    for tick in range(5):
+        assert warm.send(tick * MS, 0.1 * OFFSET) == cold.send(tick * MS, 0.1 * OFFSET)
+
+
 def test_unusable_states_are_ignored_and_counted():
     bench, silent = Bench(), []
     bench.send(0)

@@ -33,7 +33,7 @@ def law_of(name, order=(0, 1, 2)):
 
 
 def situation(errors, error_rates, time_s=0.0, step_s=1e-3, order=(0, 1, 2)):
-    """Errors of joints at rest inside a funnel that differs from joint to joint and side to side."""
+    """Errors in a funnel that differs from joint to joint and from side to side."""
     tracking, order = Tracking(JOINTS), list(order)
     tracking.time_s, tracking.step_s = time_s, step_s
     tracking.error[:] = np.asarray(errors)[order]

@@ -42,7 +42,7 @@ def test_mass_matrix_rate_minus_twice_coriolis_is_skew_symmetric(robot):
         ahead = model.mass_matrix(position + step * velocity)
         behind = model.mass_matrix(position - step * velocity)
         skew = (ahead - behind) / (2 * step) - 2 * model.coriolis_matrix(position, velocity)
-        # Central difference of step 1e-5, M of order 10: 1e-8 from its third derivative and rounding.
+        # Central difference, step 1e-5, M of order 10: 1e-8 from third derivative and rounding.
         np.testing.assert_allclose(skew, -skew.T, atol=1e-6)
         assert np.abs(skew).max() > 1e-3
 

@@ -1,0 +1,169 @@
+"""Runs of the command line: starting them, watching them from outside, reading what they leave."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bus_schema import topics
+from bus_schema.mcap_log import LogContents, read_log
+from bus_schema.zenoh_session import Delivery, ZenohSession
+from deploy.experiments.run_data import RunData
+from deploy.recorder import stamp_of
+from deploy.run_folder import load_run
+
+ROOT = Path(__file__).resolve().parents[2]
+HANG_S = 120.0
+"""Longer than anything here takes on a slow machine; only a hang lasts so long."""
+
+_ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400"}
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A command that has ended, and the folder it wrote to."""
+
+    folder: Path
+    code: int
+    output: str
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        summary: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        return summary
+
+    @cached_property
+    def log(self) -> LogContents:
+        return read_log(self.folder / "run.mcap")
+
+    @cached_property
+    def data(self) -> RunData:
+        return load_run(self.folder)[0]
+
+    @property
+    def digest(self) -> str:
+        return str(self.summary["digest"])
+
+
+def settings(**values: Any) -> list[str]:
+    """Overrides for the command line; ``__`` in a name stands for the dot."""
+    return [
+        word
+        for name, value in values.items()
+        for word in ("--set", f"{name.replace('__', '.')}={json.dumps(value)}")
+    ]
+
+
+def funnel_hil(*words: str, out: Path) -> Finished:
+    """Run a command to its end."""
+    ended = subprocess.run(
+        _command(*words, "--out", str(out)),
+        cwd=ROOT, env=_ENVIRONMENT, capture_output=True, text=True, timeout=HANG_S, check=False,
+    )  # fmt: skip
+    return Finished(out, ended.returncode, ended.stdout + ended.stderr)
+
+
+class Running:
+    """A command under way."""
+
+    def __init__(self, folder: Path, process: subprocess.Popen[str]) -> None:
+        self.folder = folder
+        self.process = process
+
+    def endpoint(self, role: str) -> str:
+        """Where a process of this run listens."""
+        await_true(lambda: (self.folder / "scenario.yaml").is_file(), "the scenario is written")
+        scenario = self.folder / "scenario.yaml"
+        await_true(lambda: "metrics" in (yaml.safe_load(scenario.read_text()) or {}), "whole")
+        return str(yaml.safe_load(scenario.read_text())["link"][f"{role}_endpoint"])
+
+    def send(self, number: signal.Signals, role: str | None = None) -> None:
+        """Send a signal to one of the run's processes, or to the run itself."""
+        os.kill(self.process.pid if role is None else processes_of(self.folder)[role], number)
+
+    def end(self) -> Finished:
+        output, _ = self.process.communicate(timeout=HANG_S)
+        return Finished(self.folder, self.process.returncode, output)
+
+
+@contextmanager
+def started(*words: str, out: Path) -> Iterator[Running]:
+    """A command under way; whatever is left of it at the end is killed."""
+    process = subprocess.Popen(
+        _command(*words, "--out", str(out)),
+        cwd=ROOT, env=_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    try:
+        yield Running(out, process)
+    finally:
+        for pid in [process.pid, *processes_of(out).values()]:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        process.wait()
+
+
+class Watcher:
+    """A stranger on the bus who listens to one topic of the plant."""
+
+    def __init__(self, endpoint: str, topic: topics.Topic = topics.PLANT_TRUTH) -> None:
+        self.session = ZenohSession([], [endpoint], low_latency=False)
+        self.last_stamp_ns = -1
+        self.session.subscribe(topic.key_expression(0), self._hear)
+
+    def await_time(self, time_s: float) -> None:
+        """Wait until the run has come to a time on its own clock."""
+        await_true(lambda: self.last_stamp_ns >= time_s * 1e9, f"the run is at {time_s} s")
+
+    def __enter__(self) -> Watcher:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()
+
+    def _hear(self, delivery: Delivery) -> None:
+        stamp_ns = stamp_of(delivery.payload)
+        self.last_stamp_ns = max(self.last_stamp_ns, -1 if stamp_ns is None else stamp_ns)
+
+
+def processes_of(folder: Path) -> dict[str, int]:
+    """Living processes whose command line names a run folder: process ids by role."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with suppress(OSError):
+                words = (entry / "cmdline").read_bytes().decode().split("\0")
+                if any(word.startswith(str(folder)) for word in words) and "deploy.cli" in words:
+                    found[words[words.index("deploy.cli") + 1]] = int(entry.name)
+    return found
+
+
+def await_true(condition: Callable[[], bool], meaning: str) -> None:
+    """Wait for a condition."""
+    give_up_s = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < give_up_s, f"waited in vain: {meaning}"
+        time.sleep(0.01)
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint that nobody uses."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+
+
+def _command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "deploy.cli", *words]

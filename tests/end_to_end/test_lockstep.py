@@ -1,0 +1,223 @@
+"""A run in lockstep is deterministic, equals simulation and replay, and keeps what was promised."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from running import Finished, funnel_hil, settings
+
+from deploy.cli import main
+
+DURATION_S, TICKS = 2.5, 2500
+SHORT = settings(duration_s=DURATION_S)
+LOCKSTEP = [*SHORT, *settings(clock="lockstep")]
+NOISE = settings(plant__encoder__velocity_noise_rad_s=0.001)
+DELAYS = settings(link__uplink__delay_ms=2, link__downlink__delay_ms=3)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    out = tmp_path_factory.mktemp("lockstep") / "run"
+    return funnel_hil("run", "paper_arm", *LOCKSTEP, out=out)
+
+
+@pytest.fixture(scope="module")
+def simulation(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    out = tmp_path_factory.mktemp("lockstep") / "simulation"
+    return funnel_hil("simulate", "paper_arm", *SHORT, out=out)
+
+
+@pytest.fixture(scope="module")
+def delayed_run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    out = tmp_path_factory.mktemp("lockstep") / "delayed"
+    return funnel_hil("run", "paper_arm", *LOCKSTEP, *DELAYS, out=out)
+
+
+def test_run_finishes_and_is_complete(run: Finished) -> None:
+    assert run.code == 0, run.output
+    assert run.summary["completed"]
+    assert run.summary["faults"] == []
+    assert run.summary["ticks"] == TICKS
+    assert run.summary["duration_s"] == pytest.approx(DURATION_S)
+    assert "real-time factor" in run.output
+
+
+def test_run_equals_simulation_bit_for_bit(run: Finished, simulation: Finished) -> None:
+    assert simulation.code == 0
+    assert run.digest == simulation.digest
+    for topic in ("joint_states", "joint_commands", "plant_status", "plant_truth"):
+        assert run.log.payloads[topic] == simulation.log.payloads[topic]
+
+
+def test_run_equals_itself_a_second_time(run: Finished, tmp_path: Path) -> None:
+    again = funnel_hil("run", "paper_arm", *LOCKSTEP, out=tmp_path / "again")
+    assert again.digest == run.digest
+
+
+@pytest.mark.parametrize("kind", ["run", "simulation"])
+def test_replay_gives_the_same_digest(
+    kind: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    recorded: Finished = request.getfixturevalue(kind)
+    monkeypatch.setattr("sys.argv", ["funnel-hil", "replay", str(recorded.folder)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().out.split()
+    assert ended.value.code == 0
+    assert said.count(recorded.digest) == 2  # as recorded, and as replayed
+    assert "identical" in said
+
+
+def test_replay_finds_a_torque_that_another_law_would_not_give(
+    simulation: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    recording = (simulation.folder / "run.mcap").read_bytes()
+    scenario = (simulation.folder / "scenario.yaml").read_text().encode()
+    weaker = scenario.replace(b"- 300.0", b"- 310.0")
+    assert recording.count(scenario) == 1
+    forged = tmp_path / "run.mcap"
+    forged.write_bytes(recording.replace(scenario, weaker))
+    monkeypatch.setattr("sys.argv", ["funnel-hil", "replay", str(forged)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "different from command" in " ".join(capsys.readouterr().out.split())
+
+
+def test_seed_decides_noise_and_nothing_else_does(tmp_path: Path) -> None:
+    def digest(kind: str, seed: int) -> str:
+        words = [*settings(duration_s=0.5, clock="lockstep", seed=seed), *NOISE]
+        return funnel_hil(kind, "paper_arm", *words, out=tmp_path / f"{kind}{seed}").digest
+
+    assert digest("run", 5) == digest("simulate", 5)
+    assert digest("simulate", 5) != digest("simulate", 6)
+
+
+def test_constant_delays_are_exact_to_the_microsecond(
+    delayed_run: Finished, tmp_path: Path
+) -> None:
+    assert delayed_run.code == 0, delayed_run.output
+    timing = delayed_run.summary["timing"]
+    assert set(timing["state_age_us"].values()) == {2000.0}
+    assert set(timing["round_trip_us"].values()) == {5000.0}
+    assert timing["command_age_us"]["max"] == 6000.0  # one period more, at the end of its tick
+    assert (timing["deadline_misses"], timing["success_rate"]) == (0, 1.0)
+    simulated = funnel_hil("simulate", "paper_arm", *SHORT, *DELAYS, out=tmp_path / "simulated")
+    assert simulated.digest == delayed_run.digest
+
+
+def test_delayed_states_and_commands_are_accounted_for(delayed_run: Finished) -> None:
+    uplink, downlink = (delayed_run.summary["transport"][way] for way in ("uplink", "downlink"))
+    # What is measured in the last 2 ms is still on its way up at the end, in the last 3 down.
+    assert (uplink["sent"], uplink["delivered"]) == (TICKS, TICKS - 2)
+    assert (downlink["sent"], downlink["delivered"]) == (TICKS - 2, TICKS - 2 - 3)
+    for channel in (uplink, downlink):
+        assert (channel["lost"], channel["duplicated"], channel["reordered"]) == (0, 0, 0)
+        assert channel["rejected"] == {}
+
+
+def test_recording_is_readable_by_other_peoples_tools(run: Finished) -> None:
+    with (run.folder / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        schemas = {schema.encoding for schema in reader.get_summary().schemas.values()}
+        channels = reader.get_summary().channels.values()
+        assert schemas == {"ros2msg"}
+        assert {channel.message_encoding for channel in channels} == {"cdr"}
+        counts: dict[str, int] = {}
+        for _, channel, _, message in reader.iter_decoded_messages():
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+            if channel.topic == "/joint_commands":
+                assert list(message.name) == ["base_yaw", "shoulder", "elbow"]
+                assert len(message.effort) == 3
+    per_tick = {"/joint_states", "/joint_commands", "/plant_status", "/control_status"}
+    assert {counts[topic] for topic in per_tick} == {TICKS}
+    assert counts["/plant_truth"] == TICKS + 1  # also what is true after the last tick
+    assert sum(counts.values()) == run.summary["recorder"]["messages"]
+    assert run.summary["recorder"]["lost"] == 0
+
+
+def test_summary_has_the_documented_keys(run: Finished) -> None:
+    summary = run.summary
+    percentiles = {"p50", "p99", "p99_9", "max"}
+    assert set(summary) == {
+        "scenario", "law", "clock", "link", "duration_s", "ticks", "completed", "faults",
+        "real_time_factor", "bounds", "tracking", "torque", "timing", "transport", "recorder",
+        "digest",
+    }  # fmt: skip
+    assert set(summary["bounds"]) == {
+        "kept", "violation_fraction", "first_violation_s", "margin_min"
+    }  # fmt: skip
+    assert set(summary["tracking"]) == {
+        "joint_names", "rms_rad", "max_abs_rad", "settling_time_s", "settling_bound_s"
+    }  # fmt: skip
+    assert set(summary["torque"]) == {
+        "total_variation_nm_per_s", "rms_nm", "peak_nm", "saturated_fraction"
+    }  # fmt: skip
+    assert set(summary["timing"]) == {
+        "round_trip_us", "command_age_us", "state_age_us", "control_step_us",
+        "wakeup_lateness_us", "deadline_misses", "deadline_miss_longest_run", "success_rate",
+    }  # fmt: skip
+    assert all(set(value) == percentiles for value in summary["timing"].values()
+               if isinstance(value, dict))  # fmt: skip
+    assert set(summary["transport"]) == {"uplink", "downlink"}
+    assert set(summary["transport"]["uplink"]) == {
+        "sent", "delivered", "lost", "duplicated", "reordered", "rejected"
+    }  # fmt: skip
+    assert (summary["scenario"], summary["law"]) == ("paper_arm", "fixed_time_neural")
+    assert (summary["clock"], summary["link"]) == ("lockstep", "zenoh")
+
+
+def test_manifest_tells_gains_and_versions(run: Finished) -> None:
+    manifest = json.loads((run.folder / "manifest.json").read_text())
+    assert manifest["gains"]["fixed_time_neural"]["k_1"] == [200.0, 300.0, 40.0]
+    assert manifest["scenario"]["clock"] == "lockstep"
+    for library in ("eclipse-zenoh", "pybullet", "numpy", "mcap"):
+        assert manifest["versions"][library][0].isdigit()
+
+
+def test_report_is_one_file_that_fetches_nothing(run: Finished) -> None:
+    report = (run.folder / "report.html").read_text()
+    assert "paper_arm" in report
+    assert 'src="http' not in report
+    assert 'rel="stylesheet" href="http' not in report
+
+
+def test_paper_arm_keeps_its_promise(tmp_path: Path) -> None:
+    run = funnel_hil("simulate", "paper_arm", "--require-bounds", out=tmp_path / "paper_arm")
+    assert run.code == 0, run.output
+    assert run.summary["bounds"]["kept"]
+    assert run.summary["duration_s"] == pytest.approx(20.0)
+    within(run.summary["tracking"]["rms_rad"], [0.02e-3, 0.05e-3, 0.04e-3])
+    # 1 % of what a switching law needs on this arm: 155, 440 and 46 N m per millisecond
+    within(run.summary["torque"]["total_variation_nm_per_s"], [1550, 4400, 460])
+
+
+def test_pid_leaves_the_funnel_and_the_exit_code_says_so(tmp_path: Path) -> None:
+    pid = settings(controller__law="pid")
+    run = funnel_hil("simulate", "paper_arm", *SHORT, *pid, "--require-bounds", out=tmp_path / "a")
+    assert run.code == 3
+    assert run.summary["completed"]
+    assert not run.summary["bounds"]["kept"]
+    assert run.summary["bounds"]["violation_fraction"] > 0
+    assert run.summary["bounds"]["margin_min"] < 0
+    assert "bounds not kept" in run.output
+    without = funnel_hil("simulate", "paper_arm", *SHORT, *pid, out=tmp_path / "b")
+    assert without.code == 0
+
+
+def test_iiwa_keeps_its_promise(tmp_path: Path) -> None:
+    run = funnel_hil("simulate", "iiwa", "--require-bounds", out=tmp_path / "iiwa")
+    assert run.code == 0, run.output
+    assert run.summary["bounds"]["kept"]
+    within(run.summary["tracking"]["rms_rad"], [0.5e-3] * 7)
+
+
+def within(values: list[float], limits: list[float]) -> None:
+    assert all(value <= limit for value, limit in zip(values, limits, strict=True)), values

@@ -1,0 +1,137 @@
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus_schema.cdr_layout import Record
+from bus_schema.link import CommandArrival
+from bus_schema.message_types import JOINT_STATE, TYPESTORE
+from bus_schema.topics import JOINT_COMMANDS, layout
+from plant_emulator.command_gate import CommandGate
+
+NAMES = ("yaw", "shoulder", "elbow")
+NEWEST_NS = 1_000_000
+
+
+def payload(stamp_ns, torque=(1.0, 2.0, 3.0), names=NAMES):
+    record = Record(layout(JOINT_COMMANDS, names))
+    record.stamp_ns = stamp_ns
+    record.fields["effort"][:] = torque
+    return record.payload()
+
+
+class Bench:
+    def __init__(self):
+        self.rejected = Counter()
+        self.gate = CommandGate(NAMES, self.rejected)
+
+    def admit(self, data, newest_state_ns=NEWEST_NS, sequence=7):
+        return self.gate.admit(CommandArrival(data, sequence, b"sender", 0), newest_state_ns)
+
+
+def foreign(names, effort, stamp_ns=5):
+    types = TYPESTORE.types
+    header = types["std_msgs/msg/Header"](
+        types["builtin_interfaces/msg/Time"](0, stamp_ns), "world"
+    )
+    effort = np.array(effort, dtype=np.float64)
+    message = types[JOINT_STATE](header, list(names), np.zeros(0), np.zeros(0), effort)
+    return bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE))
+
+
+def test_valid_command_comes_through():
+    bench = Bench()
+    command = bench.admit(payload(5))
+    assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
+    assert (command.sequence, command.stamp_ns) == (7, 5)
+    assert bench.gate.last_answered_ns == 5
+    assert not bench.rejected
+
+
+def test_command_keeps_its_torque_when_the_next_arrives():
+    bench = Bench()
+    first = bench.admit(payload(5))
+    bench.admit(payload(6, (9.0, 9.0, 9.0)))
+    assert first.torque_nm.tolist() == [1.0, 2.0, 3.0]
+
+
+def test_foreign_command_is_put_into_our_joint_order():
+    command = Bench().admit(foreign(("elbow", "yaw", "shoulder"), (3.0, 1.0, 2.0)))
+    assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
+
+
+REJECTIONS = [
+    (b"", "malformed"),
+    (b"not a message at all", "malformed"),
+    (payload(6)[:-1], "malformed"),
+    (bytes(65 * 1024), "oversized"),
+    (payload(6, names=("yaw", "shoulder", "wrist")), "wrong_names"),
+    (payload(6, (1.0, 2.0), NAMES[:2]), "wrong_names"),
+    (foreign(NAMES, (1.0, 2.0)), "wrong_size"),
+    (foreign(NAMES, ()), "not_finite"),
+    (payload(6, (np.nan, 0.0, 0.0)), "not_finite"),
+    (payload(6, (0.0, 0.0, -np.inf)), "not_finite"),
+    (payload(NEWEST_NS + 1), "from_the_future"),
+    (payload(5), "stale"),  # answers what was answered already
+    (payload(4), "stale"),
+]
+
+
+@pytest.mark.parametrize(("data", "reason"), REJECTIONS)
+def test_rejected_command_is_counted_and_changes_nothing(data, reason):
+    bench = Bench()
+    assert bench.admit(payload(5)) is not None
+    assert bench.admit(data) is None
+    assert bench.rejected == {reason: 1}
+    after = bench.admit(payload(6, (4.0, 5.0, 6.0)))
+    assert (after.torque_nm.tolist(), after.stamp_ns) == ([4.0, 5.0, 6.0], 6)
+
+
+@pytest.mark.parametrize(("data", "reason"), REJECTIONS)
+def test_only_a_repeated_answer_counts_as_an_answer(data, reason):
+    # In lockstep the plant waits for an answer to its state: a late one is one, garbage is none.
+    bench = Bench()
+    bench.admit(payload(5))
+    bench.admit(data)
+    assert bench.gate.last_answered_ns == (4 if data == payload(4) else 5)
+    assert bench.rejected[reason] == 1
+
+
+def test_newest_state_itself_may_be_answered():
+    assert Bench().admit(payload(NEWEST_NS)) is not None
+
+
+@settings(deadline=None)
+@given(stamps=st.lists(st.integers(0, 2 * NEWEST_NS), max_size=30))
+def test_admitted_stamps_only_ever_grow(stamps):
+    bench = Bench()
+    admitted = [command.stamp_ns for stamp in stamps if (command := bench.admit(payload(stamp)))]
+    assert admitted == sorted(set(admitted))
+    assert all(stamp <= NEWEST_NS for stamp in admitted)
+    assert len(admitted) + bench.rejected.total() == len(stamps)
+
+
+@settings(deadline=None, max_examples=300)
+@given(data=st.binary(max_size=200), headed=st.booleans())
+def test_random_bytes_never_come_through_and_change_nothing(data, headed):
+    bench = Bench()
+    bench.admit(payload(5))
+    assert bench.admit(b"\0\1\0\0" + data if headed else data) is None
+    assert bench.rejected.total() == 1
+    assert bench.admit(payload(6)) is not None
+
+
+@settings(deadline=None, max_examples=300)
+@given(flips=st.lists(st.integers(0, 10_000), min_size=1, max_size=8))
+def test_what_comes_through_is_finite_and_in_time_whatever_bits_flip(flips):
+    bench, data = Bench(), bytearray(payload(5))
+    for flip in flips:
+        data[flip // 8 % len(data)] ^= 1 << flip % 8
+    command = bench.admit(bytes(data))
+    if command is not None:
+        assert np.isfinite(command.torque_nm).all()
+        assert 0 <= command.stamp_ns <= NEWEST_NS
+    else:
+        assert bench.rejected.total() == 1
