@@ -9,7 +9,6 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 
 from bus_schema import topics
@@ -18,121 +17,13 @@ from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
 from bus_schema.link import CommandArrival, StateHandler, never
 from bus_schema.link_configuration import LinkConfiguration
-from bus_schema.rmw_wire import (
-    Attachment,
-    Entity,
-    EntityKind,
-    endpoint_gid,
-    endpoint_token,
-    graph_key_expression,
-    node_token,
-)
+from bus_schema.rmw_wire import Attachment
 from bus_schema.topics import Role, Topic
-from bus_schema.zenoh_session import Delivery, ZenohPublisher, ZenohSession
+from bus_schema.zenoh_node import POLL_S, ZenohNode
+from bus_schema.zenoh_session import Delivery
 
-NODE_PREFIX = "funnel_hil_"
 _LARGEST_BACKLOG = 10_000
-_POLL_S = 0.05
 _GRACE_S = 1.0
-
-
-class ZenohNode:
-    """A session that is a node of the ROS graph: it announces itself and knows who is there.
-
-    Args:
-        link: section ``link`` of the scenario.
-        role: what this node is.
-        lossless: rather wait for the network than drop a message.
-    """
-
-    def __init__(self, link: LinkConfiguration, role: Role, *, lossless: bool) -> None:
-        listen, connect = _endpoints(link, role)
-        # A recorder may fall behind, and must not hold up the loop when it does.
-        self._session = ZenohSession(listen, connect, low_latency=role is not Role.RECORDER)
-        self._domain = link.domain
-        self._role = role
-        self._lossless = lossless
-        self._node = f"{NODE_PREFIX}{role}"
-        self._entities: dict[str, Entity] = {}
-        self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
-        self._sequences: defaultdict[str, int] = defaultdict(int)
-        self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
-
-    def announce(self) -> None:
-        """Show the node to the others; to be called once it is ready."""
-        self._session.announce(node_token(self._domain, self._session.identifier, self._node))
-
-    def advertise(self, topic: Topic) -> ZenohPublisher:
-        """Declare a publisher and announce it."""
-        publisher = self._session.publisher(
-            topic.key_expression(self._domain), may_drop=not self._lossless
-        )
-        token = self._announce(EntityKind.PUBLISHER, topic)
-        self._publishers[topic.name] = (publisher, endpoint_gid(token))
-        return publisher
-
-    def subscribe(self, topic: Topic, on_delivery: Callable[[Delivery], None]) -> None:
-        """Subscribe and announce it."""
-        self._session.subscribe(topic.key_expression(self._domain), on_delivery)
-        self._announce(EntityKind.SUBSCRIBER, topic)
-
-    def publish(self, topic: Topic, payload: bytes) -> int:
-        """Send a message; its sequence number."""
-        publisher, gid = self._publishers[topic.name]
-        self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
-        publisher.put(payload, Attachment(sequence, time.time_ns(), gid).encode())
-        return sequence
-
-    def has_publisher(self, topic: Topic) -> bool:
-        """Whether another session has announced that it sends on a topic."""
-        return any(
-            entity.kind == EntityKind.PUBLISHER and entity.topic == topic.name
-            for entity in self._others()
-        )
-
-    def await_role(
-        self, role: Role, timeout_s: float, is_stop_requested: Callable[[], bool] = never
-    ) -> None:
-        """Wait for one of our own processes, or until asked to stop.
-
-        Raises:
-            PeerSilentError: it did not come.
-        """
-        give_up_s = time.monotonic() + timeout_s
-        while not self.sees(role) and not is_stop_requested():
-            if time.monotonic() > give_up_s:
-                raise PeerSilentError(role, timeout_s, "sign of life")
-            time.sleep(_POLL_S)
-
-    def sees(self, role: Role) -> bool:
-        """Whether one of our own processes is on the bus."""
-        name = f"{NODE_PREFIX}{role}"
-        return any(
-            entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
-        )
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._session.close()
-
-    def _others(self) -> list[Entity]:
-        own = self._session.identifier
-        return [entity for entity in list(self._entities.values()) if entity.session != own]
-
-    def _announce(self, kind: EntityKind, topic: Topic) -> str:
-        self._sequences["entities"] = entity_id = self._sequences["entities"] + 1
-        token = endpoint_token(
-            self._domain, self._session.identifier, self._node, entity_id, kind, topic
-        )
-        self._session.announce(token)
-        return token
-
-    def _on_token(self, token: str, alive: bool) -> None:
-        entity = Entity.from_token(token)
-        if entity is not None and alive:
-            self._entities[token] = entity
-        else:
-            self._entities.pop(token, None)
 
 
 class ZenohPlantLink:
@@ -179,7 +70,7 @@ class ZenohPlantLink:
                     return
             if now_s > give_up_s:
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
-            time.sleep(_POLL_S)
+            time.sleep(POLL_S)
         self._commander_was_seen = True
 
     def send_state(self, state: bytes, status: bytes) -> None:
@@ -269,7 +160,7 @@ class ZenohControllerLink:
         """
         seen, last_change_s, allowed_s = 0, time.monotonic(), self._link.connect_timeout_s
         plant_was_there = False
-        while not self._over.wait(_POLL_S) and not is_stop_requested():
+        while not self._over.wait(POLL_S) and not is_stop_requested():
             plant_is_there = self._node.has_publisher(topics.JOINT_STATES)
             if plant_was_there and not plant_is_there:
                 return
@@ -305,15 +196,3 @@ _TELEMETRY: dict[Role, Sequence[Topic]] = {
         topics.CONTROL_STATUS, topics.CONTROLLER_TIMING, topics.RUN_EVENTS
     ),
 }  # fmt: skip
-
-
-def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:
-    """Endpoints to listen on and to connect to."""
-    router = [link.router_endpoint] if link.router_endpoint is not None else []
-    match role:
-        case Role.PLANT:
-            return [link.plant_endpoint], router
-        case Role.CONTROLLER:
-            return [link.controller_endpoint], [link.plant_endpoint, *router]
-        case Role.RECORDER:
-            return [], [link.plant_endpoint, link.controller_endpoint, *router]

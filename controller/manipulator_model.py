@@ -7,6 +7,7 @@ import pinocchio
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
 
 
@@ -22,7 +23,10 @@ class ManipulatorModel:
     def __init__(
         self, robot: RobotDescription, *, scale: float = 1.0, payload_kg: float = 0.0
     ) -> None:
-        self._model = pinocchio.buildModelFromXML(robot.resolved_urdf(payload_kg))
+        try:
+            self._model = pinocchio.buildModelFromXML(robot.resolved_urdf(payload_kg))
+        except (ValueError, RuntimeError) as error:
+            raise RobotDescriptionError(f"{robot.path}: pinocchio: {error}") from error
         for index, inertia in enumerate(self._model.inertias):
             self._model.inertias[index] = pinocchio.Inertia(
                 scale * inertia.mass, inertia.lever, scale * inertia.inertia

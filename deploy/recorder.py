@@ -15,7 +15,7 @@ from bus_schema.errors import PeerSilentError
 from bus_schema.mcap_log import McapLog
 from bus_schema.rmw_wire import Attachment
 from bus_schema.topics import Role, Topic
-from bus_schema.zenoh_link import ZenohNode
+from bus_schema.zenoh_node import ZenohNode
 from bus_schema.zenoh_session import Delivery
 from deploy.scenario import Setup
 from deploy.scenario_text import effective_scenario

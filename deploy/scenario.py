@@ -231,12 +231,11 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         grid=grid,
     )
     setup.control_task()
+    ArmPlant.check(scenario.plant, robot, start, grid.substep_s)
     return setup
 
 
-def _reachable_motion(
-    reference: Reference, robot: RobotDescription, scenario: Scenario
-) -> Matrix:
+def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: Scenario) -> Matrix:
     """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
     times = np.arange(0.0, scenario.duration_s, 1.0 / _CHECKED_PER_SECOND)
     positions = sample_positions(reference, times, robot.joints)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from enum import IntEnum
 
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.configuration import expand
+from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.joint_hardware import Encoders
@@ -76,6 +77,24 @@ class ArmPlant:
         """True joint velocities, rad/s, shape (joints,)."""
         return self._arm.velocity
 
+    @staticmethod
+    def check(
+        configuration: PlantConfiguration,
+        robot: RobotDescription,
+        start_position_rad: Vector,
+        substep_s: float,
+    ) -> None:
+        """Check that such an arm can be made.
+
+        Raises:
+            ConfigurationError: a value does not fit the arm.
+            RobotDescriptionError: pybullet cannot load the arm.
+        """
+        if configuration.gui and not os.environ.get("DISPLAY"):
+            raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
+        without_window = configuration.model_copy(update={"gui": False})
+        ArmPlant(without_window, robot, start_position_rad, substep_s, seed=0).close()
+
     def warm_up(self) -> None:
         """Compile what a step calls, and leave no trace of it."""
         self.torques.act(self._commanded, self.velocity, 0.0)
@@ -101,8 +120,8 @@ class ArmPlant:
             self._arm.set_brakes(engaged=True)
 
     def brake(self) -> None:
-        """Engage the brakes for good."""
-        self.mode = Mode.FAULT
+        """Engage the brakes for good: the run is over."""
+        self.mode = Mode.FAULT if self.mode is Mode.STOPPING else Mode.BRAKED
         self._commanded[:] = 0.0
         self._arm.set_brakes(engaged=True)
 

@@ -17,7 +17,7 @@ from bus_schema import topics
 from bus_schema.cdr_layout import Record
 from bus_schema.clock import Clock, TickGrid
 from bus_schema.errors import PeerSilentError
-from bus_schema.events import EventKind, RunEvent
+from bus_schema.events import EventKind
 from bus_schema.finite import all_finite
 from bus_schema.link import PlantLink
 from bus_schema.link_configuration import LinkConfiguration
@@ -27,6 +27,7 @@ from plant_emulator.arm_plant import ArmPlant, Mode
 from plant_emulator.command_gate import Command, CommandGate
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.impairment import Channel
+from plant_emulator.plant_journal import PlantJournal
 from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)
@@ -80,7 +81,6 @@ class PlantLoop:
 
     Attributes:
         tick: ticks that have passed.
-        deadline_misses: ticks at which the command in force was too old.
     """
 
     def __init__(self, task: PlantTask, arm: ArmPlant, link: PlantLink, clock: Clock) -> None:
@@ -93,23 +93,21 @@ class PlantLoop:
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
         round_trip_ns = task.link.uplink.delay_ns + task.link.downlink.delay_ns
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
-        self._deadline_ns = task.link.deadline_ns(task.grid.period_ns)
+        self._journal = PlantJournal(names, task.link.deadline_ns(task.grid.period_ns))
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
-        self._truth = Record(topics.layout(topics.PLANT_TRUTH, names))
-        self._timing = Record(topics.layout(topics.PLANT_TIMING, names))
-        self._telemetry: list[tuple[topics.Topic, bytes]] = []
         self._in_force: Command | None = None
         self._newest_sent_ns = -1
-        self._round_trip_ns = self._state_age_ns = -1
-        self._lateness_ns = self._skipped = 0
-        self._cycle_started_ns = 0
         self._controller_is_lost = False
         self._end_tick = task.ticks
         self._outcome = PlantOutcome()
         self._stop_requested = False
         self.tick = 0
-        self.deadline_misses = 0
+
+    @property
+    def deadline_misses(self) -> int:
+        """Ticks at which the command in force was too old."""
+        return self._journal.deadline_misses
 
     def warm_up(self) -> None:
         """Compile what the loop calls before time counts, and leave no trace of it."""
@@ -125,7 +123,7 @@ class PlantLoop:
         started_s = time.monotonic()
         self._clock.start()
         self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
-        self._record_truth()
+        self._note_truth()
         self._measure()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
@@ -144,13 +142,15 @@ class PlantLoop:
         self._advance_to(tick)
         if tick < self._end_tick:
             self._measure()
-        self._report_timing(started_ns)
+        self._journal.note_timing(
+            self._grid.tick_ns(tick), tick, started_ns, time.perf_counter_ns()
+        )
 
     def _next_tick(self) -> int:
         """The next tick of the grid, or the one that the clock has reached if that is later."""
         reached = self._grid.tick_at_or_before(self._clock.now_ns())
         tick = min(max(self.tick + 1, reached), self._end_tick)
-        self._skipped += tick - self.tick - 1
+        self._journal.skipped += tick - self.tick - 1
         return tick
 
     def _exchange_until(self, until_ns: int) -> None:
@@ -158,15 +158,15 @@ class PlantLoop:
         while (due_ns := self._uplink.next_due_ns()) is not None and due_ns < until_ns:
             self._clock.wait_until(due_ns)
             self._deliver(self._uplink.receive()[1], due_ns)
-        self._flush_telemetry()
-        self._lateness_ns = self._clock.wait_until(until_ns)
+        self._journal.send(self._link)
+        self._journal.lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
 
     def _deliver(self, measurement: _Measurement, now_ns: int) -> None:
         self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
-        self._state_age_ns = now_ns - measurement.stamp_ns
+        self._journal.state_age_ns = now_ns - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
-        self._flush_telemetry()
+        self._journal.send(self._link)
         if self._task.lockstep and not self._controller_is_lost:
             self._await_reply(measurement.stamp_ns)
 
@@ -204,13 +204,13 @@ class PlantLoop:
                 self._arm.step(now_ns * 1e-9)
             self.tick += 1
             self._put_into_force(self._grid.tick_ns(self.tick))
-            self._record_truth()
+            self._note_truth()
 
     def _put_into_force(self, now_ns: int) -> None:
         while (due_ns := self._downlink.next_due_ns()) is not None and due_ns <= now_ns:
             effective_ns, command = self._downlink.receive()
             self._watchdog.feed(effective_ns)
-            self._round_trip_ns = effective_ns - command.stamp_ns
+            self._journal.round_trip_ns = effective_ns - command.stamp_ns
             if self._arm.mode is Mode.BRAKED:
                 self._announce(EventKind.TRACKING, "first valid command: brakes released")
             if self._arm.mode in _COMMANDABLE:
@@ -238,39 +238,11 @@ class PlantLoop:
         measurement = _Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns)
 
-    def _record_truth(self) -> None:
-        """Note what is true at this tick, also at one that was skipped."""
-        fields, torques, age_ns = self._truth.fields, self._arm.torques, self._command_age_ns()
-        stamp_ns = self._grid.tick_ns(self.tick)
-        # Before the first command nothing in force can be older than the run itself.
-        is_in_time = (age_ns if age_ns >= 0 else stamp_ns) <= self._deadline_ns
-        self.deadline_misses += not is_in_time
-        self._truth.stamp_ns = stamp_ns
-        fields["mode"][0] = self._arm.mode
-        fields["command_sequence"][0] = self._in_force.sequence if self._in_force else 0
-        fields["command_age_ns"][0] = age_ns
-        fields["round_trip_ns"][0] = self._round_trip_ns
-        fields["state_age_ns"][0] = self._state_age_ns
-        fields["deadline_met"][0] = is_in_time
-        fields["saturated"][0] = torques.saturated
-        fields["position"][:] = self._arm.position
-        fields["velocity"][:] = self._arm.velocity
-        fields["torque"][:] = torques.actuator
-        fields["friction"][:] = torques.friction
-        fields["disturbance"][:] = torques.disturbance
-        self._telemetry.append((topics.PLANT_TRUTH, self._truth.payload()))
-        self._round_trip_ns = self._state_age_ns = -1
-
-    def _report_timing(self, started_ns: int) -> None:
-        fields = self._timing.fields
-        self._timing.stamp_ns = self._grid.tick_ns(self.tick)
-        fields["cycle"][0] = self.tick
-        fields["period_ns"][0] = started_ns - self._cycle_started_ns if self.tick > 1 else 0
-        fields["lateness_ns"][0] = self._lateness_ns
-        fields["step_ns"][0] = time.perf_counter_ns() - started_ns
-        fields["skipped"][0] = self._skipped
-        self._telemetry.append((topics.PLANT_TIMING, self._timing.payload()))
-        self._cycle_started_ns = started_ns
+    def _note_truth(self) -> None:
+        sequence = self._in_force.sequence if self._in_force else 0
+        self._journal.note_truth(
+            self._grid.tick_ns(self.tick), self._arm, sequence, self._command_age_ns()
+        )
 
     def _command_age_ns(self) -> int:
         if self._in_force is None:
@@ -283,13 +255,7 @@ class PlantLoop:
         self._announce(EventKind.FAULT, reason)
 
     def _announce(self, kind: EventKind, detail: str) -> None:
-        event = RunEvent(self._grid.tick_ns(self.tick), Role.PLANT, kind, detail)
-        self._telemetry.append((topics.RUN_EVENTS, event.encode()))
-
-    def _flush_telemetry(self) -> None:
-        for topic, payload in self._telemetry:
-            self._link.publish(topic, payload)
-        self._telemetry.clear()
+        self._journal.note_event(self._grid.tick_ns(self.tick), kind, detail)
 
     def _say_goodbye(self) -> None:
         outcome = self._outcome
@@ -301,7 +267,7 @@ class PlantLoop:
         self._announce(EventKind.COUNTS, json.dumps(counts))
         ended = {"completed": outcome.completed, "ticks": outcome.ticks, "wall_s": outcome.wall_s}
         self._announce(EventKind.ENDED, json.dumps(ended))
-        self._flush_telemetry()
+        self._journal.send(self._link)
 
 
 _PATIENCE_S = 0.1

@@ -2,15 +2,44 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import os
+import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what pybullet's C code prints out of a program's output."""
+    flush = ctypes.CDLL(None).fflush
+    sys.stdout.flush()
+    kept = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        flush(None)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        flush(None)
+        for descriptor, copy in enumerate(kept, start=1):
+            os.dup2(copy, descriptor)
+            os.close(copy)
+        os.close(nowhere)
+
+
+with _quiet():
+    import pybullet
 
 GRAVITY_M_S2 = 9.81
 _BRAKE_TO_EFFORT = 10.0
@@ -164,10 +193,14 @@ class PybulletArm:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / robot.path.name
             file.write_text(robot.resolved_urdf(payload_kg))
-            body: int = pybullet.loadURDF(
-                str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                physicsClientId=self._client,
-            )  # fmt: skip
+            try:
+                with _quiet():
+                    body: int = pybullet.loadURDF(
+                        str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                        physicsClientId=self._client,
+                    )  # fmt: skip
+            except pybullet.error as error:
+                raise RobotDescriptionError(f"{robot.path}: pybullet: {error}") from error
         return body
 
     def _find_joints(self, names: tuple[str, ...]) -> list[int]:

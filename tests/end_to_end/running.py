@@ -146,7 +146,8 @@ def processes_of(folder: Path) -> dict[str, int]:
             with suppress(OSError):
                 words = (entry / "cmdline").read_bytes().decode().split("\0")
                 if any(word.startswith(str(folder)) for word in words) and "deploy.cli" in words:
-                    found[words[words.index("deploy.cli") + 1]] = int(entry.name)
+                    verb = words[words.index("deploy.cli") + 1]
+                    found["recorder" if verb == "record" else verb] = int(entry.name)
     return found
 
 

@@ -6,16 +6,20 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from running import Finished, funnel_hil, settings
 
 from deploy.cli import main
+from deploy.experiments.metrics import summarise
+from deploy.experiments.run_data import RunData
+from deploy.experiments.simulate import simulate
+from deploy.scenario import SHIPPED, load_setup
 
 DURATION_S, TICKS = 2.5, 2500
 SHORT = settings(duration_s=DURATION_S)
 LOCKSTEP = [*SHORT, *settings(clock="lockstep")]
-NOISE = settings(plant__encoder__velocity_noise_rad_s=0.001)
 DELAYS = settings(link__uplink__delay_ms=2, link__downlink__delay_ms=3)
 
 
@@ -90,33 +94,30 @@ def test_replay_finds_a_torque_that_another_law_would_not_give(
     assert "different from command" in " ".join(capsys.readouterr().out.split())
 
 
-def test_seed_decides_noise_and_nothing_else_does(tmp_path: Path) -> None:
-    def digest(kind: str, seed: int) -> str:
-        words = [*settings(duration_s=0.5, clock="lockstep", seed=seed), *NOISE]
-        return funnel_hil(kind, "paper_arm", *words, out=tmp_path / f"{kind}{seed}").digest
+def test_seed_decides_the_noise(tmp_path: Path) -> None:
+    words = settings(
+        duration_s=0.5, clock="lockstep", seed=5, plant__encoder__velocity_noise_rad_s=0.001
+    )
+    run = funnel_hil("run", "paper_arm", *words, out=tmp_path / "run")
+    assert run.digest == simulated(run.folder).digest
+    assert run.digest != simulated(run.folder, "seed=6").digest
 
-    assert digest("run", 5) == digest("simulate", 5)
-    assert digest("simulate", 5) != digest("simulate", 6)
 
-
-def test_constant_delays_are_exact_to_the_microsecond(
-    delayed_run: Finished, tmp_path: Path
-) -> None:
+def test_constant_delays_are_exact_to_the_microsecond(delayed_run: Finished) -> None:
     assert delayed_run.code == 0, delayed_run.output
     timing = delayed_run.summary["timing"]
     assert set(timing["state_age_us"].values()) == {2000.0}
     assert set(timing["round_trip_us"].values()) == {5000.0}
-    assert timing["command_age_us"]["max"] == 6000.0  # one period more, at the end of its tick
+    assert timing["command_age_us"]["max"] == 5000.0  # it takes effect at a tick, and before it
     assert (timing["deadline_misses"], timing["success_rate"]) == (0, 1.0)
-    simulated = funnel_hil("simulate", "paper_arm", *SHORT, *DELAYS, out=tmp_path / "simulated")
-    assert simulated.digest == delayed_run.digest
+    assert delayed_run.digest == simulated(delayed_run.folder).digest
 
 
 def test_delayed_states_and_commands_are_accounted_for(delayed_run: Finished) -> None:
     uplink, downlink = (delayed_run.summary["transport"][way] for way in ("uplink", "downlink"))
-    # What is measured in the last 2 ms is still on its way up at the end, in the last 3 down.
+    # The state of tick k is delivered at k + 2 < TICKS, its answer in force at k + 5 <= TICKS.
     assert (uplink["sent"], uplink["delivered"]) == (TICKS, TICKS - 2)
-    assert (downlink["sent"], downlink["delivered"]) == (TICKS - 2, TICKS - 2 - 3)
+    assert (downlink["sent"], downlink["delivered"]) == (TICKS - 2, TICKS - 4)
     for channel in (uplink, downlink):
         assert (channel["lost"], channel["duplicated"], channel["reordered"]) == (0, 0, 0)
         assert channel["rejected"] == {}
@@ -176,7 +177,9 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
 
 def test_manifest_tells_gains_and_versions(run: Finished) -> None:
     manifest = json.loads((run.folder / "manifest.json").read_text())
-    assert manifest["gains"]["fixed_time_neural"]["k_1"] == [200.0, 300.0, 40.0]
+    shipped = yaml.safe_load((SHIPPED / "paper_arm.yaml").read_text())
+    k_1 = shipped["controller"]["gains"]["fixed_time_neural"]["k_1"]
+    assert manifest["gains"]["fixed_time_neural"]["k_1"] == k_1
     assert manifest["scenario"]["clock"] == "lockstep"
     for library in ("eclipse-zenoh", "pybullet", "numpy", "mcap"):
         assert manifest["versions"][library][0].isdigit()
@@ -200,23 +203,27 @@ def test_paper_arm_keeps_its_promise(tmp_path: Path) -> None:
 
 
 def test_pid_leaves_the_funnel_and_the_exit_code_says_so(tmp_path: Path) -> None:
-    pid = settings(controller__law="pid")
-    run = funnel_hil("simulate", "paper_arm", *SHORT, *pid, "--require-bounds", out=tmp_path / "a")
+    words = ["simulate", "paper_arm", *settings(duration_s=1, controller__law="pid")]
+    run = funnel_hil(*words, "--require-bounds", out=tmp_path / "a")
     assert run.code == 3
     assert run.summary["completed"]
     assert not run.summary["bounds"]["kept"]
     assert run.summary["bounds"]["violation_fraction"] > 0
     assert run.summary["bounds"]["margin_min"] < 0
     assert "bounds not kept" in run.output
-    without = funnel_hil("simulate", "paper_arm", *SHORT, *pid, out=tmp_path / "b")
-    assert without.code == 0
+    assert funnel_hil(*words, out=tmp_path / "b").code == 0  # nobody asked for bounds
 
 
-def test_iiwa_keeps_its_promise(tmp_path: Path) -> None:
-    run = funnel_hil("simulate", "iiwa", "--require-bounds", out=tmp_path / "iiwa")
-    assert run.code == 0, run.output
-    assert run.summary["bounds"]["kept"]
-    within(run.summary["tracking"]["rms_rad"], [0.5e-3] * 7)
+def test_iiwa_keeps_its_promise() -> None:
+    summary = summarise(simulate(load_setup("iiwa")).data())
+    assert summary["duration_s"] == pytest.approx(20.0)
+    assert summary["bounds"]["kept"]
+    within(summary["tracking"]["rms_rad"], [0.5e-3] * 7)
+
+
+def simulated(folder: Path, *overrides: str) -> RunData:
+    """The scenario of a run, simulated."""
+    return simulate(load_setup(str(folder / "scenario.yaml"), overrides)).data()
 
 
 def within(values: list[float], limits: list[float]) -> None:
