@@ -33,6 +33,13 @@ _NUMPY_TYPES = {
     "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
 _NANOSECONDS = 1_000_000_000
+_WORD, _SIGN = 0xFFFF_FFFF, 0x8000_0000
+
+
+def stamp_word(stamp_ns: int) -> int:
+    """A stamp as builtin_interfaces/Time lies in memory: seconds in the lower half."""
+    seconds, nanoseconds = divmod(stamp_ns, _NANOSECONDS)
+    return (seconds & _WORD) | nanoseconds << 32
 
 
 class Record:
@@ -55,16 +62,29 @@ class Record:
             name: payload[name][0] if payload[name].ndim == 2 else payload[name]
             for name in layout.dtype.names or ()
         }
-        self._sec = self.fields["header.stamp.sec"]
-        self._nanosec = self.fields["header.stamp.nanosec"]
+        # Seconds and nanoseconds of the stamp as one little-endian word: one access for both.
+        self._stamp: NDArray[np.uint64] = np.ndarray(
+            (1,), "<u8", storage.data, 2 * ENCAPSULATION_BYTES
+        )
 
     @property
     def stamp_ns(self) -> int:
-        return int(self._sec[0]) * _NANOSECONDS + int(self._nanosec[0])
+        """Stamp of the header, which all our messages begin with."""
+        word = int(self._stamp[0])
+        seconds = (word & _WORD) - ((word & _SIGN) << 1)
+        return seconds * _NANOSECONDS + (word >> 32)
 
     @stamp_ns.setter
     def stamp_ns(self, stamp_ns: int) -> None:
-        self._sec[0], self._nanosec[0] = divmod(stamp_ns, _NANOSECONDS)
+        self._stamp[0] = stamp_word(stamp_ns)
+
+    def put_stamp(self, word: int) -> None:
+        """Set the stamp from a `stamp_word`, which several messages of one instant can share."""
+        self._stamp[0] = word
+
+    def has_valid_stamp(self) -> bool:
+        """Whether the nanoseconds are what builtin_interfaces/Time allows."""
+        return int(self._stamp[0]) >> 32 < _NANOSECONDS
 
     def payload(self) -> bytes:
         """The message as wire bytes."""
@@ -101,7 +121,9 @@ class MessageLayout:
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         self.size = len(self.template)
         self.dtype = self._numpy_type()
-        self._constants = self._constant_segments()
+        mask = self._mask_of_fixed_bytes()
+        self._fixed_mask = int.from_bytes(mask, "little")
+        self._fixed_bits = int.from_bytes(self.template, "little") & self._fixed_mask
 
     def decode(self, payload: bytes, into: Record) -> None:
         """Load `payload` into `into`, whoever encoded it.
@@ -109,10 +131,19 @@ class MessageLayout:
         Raises:
             InvalidMessageError: it is no message of this type with these names and lengths.
         """
-        if len(payload) == self.size and all(payload[a:b] == c for a, b, c in self._constants):
+        if self._is_ours(payload):
             into.load(payload)
         else:
             self._decode_foreign(payload, into)
+        if not into.has_valid_stamp():
+            raise InvalidMessageError("malformed", "its stamp is no time")
+
+    def _is_ours(self, payload: bytes) -> bool:
+        """Whether all that is fixed in this layout stands in `payload` as it should."""
+        return (
+            len(payload) == self.size
+            and int.from_bytes(payload, "little") & self._fixed_mask == self._fixed_bits
+        )
 
     def _decode_foreign(self, payload: bytes, into: Record) -> None:
         message = parse(payload, self.type_name)
@@ -166,15 +197,12 @@ class MessageLayout:
                 start = cursor.take(scalar.itemsize * count, scalar.itemsize)
                 yield path, (scalar, (count,)), start
 
-    def _constant_segments(self) -> list[tuple[int, int, bytes]]:
+    def _mask_of_fixed_bytes(self) -> bytes:
+        mask = bytearray(b"\xff" * self.size)
         fields: Mapping[str, Any] = self.dtype.fields or {}
-        spans = sorted((entry[1], entry[1] + entry[0].itemsize) for entry in fields.values())
-        segments, end = [], 0
-        for start, stop in [*spans, (self.size, self.size)]:
-            if start > end:
-                segments.append((end, start, self.template[end:start]))
-            end = stop
-        return segments
+        for kind, offset, *_ in fields.values():
+            mask[offset : offset + kind.itemsize] = bytes(kind.itemsize)
+        return bytes(mask)
 
 
 class _Cursor:

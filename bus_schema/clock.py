@@ -66,19 +66,23 @@ class TickGrid:
     Args:
         rate_hz: ticks per second.
         substeps: physics steps per tick.
+
+    Attributes:
+        period_ns: length of a tick.
+        substep_s: length of a physics step.
+        substep_offsets_ns: start of each substep within its tick.
     """
 
     def __init__(self, rate_hz: float, substeps: int) -> None:
         self.period_ns = round(1e9 / rate_hz)
         self.substeps = substeps
         self.substep_s = self.period_ns * 1e-9 / substeps
+        self.substep_offsets_ns = tuple(
+            substep * self.period_ns // substeps for substep in range(substeps)
+        )
 
     def tick_ns(self, tick: int) -> int:
         return tick * self.period_ns
-
-    def substep_ns(self, tick: int, substep: int) -> int:
-        """Start of a substep; `substep` counts from 0 within its tick."""
-        return tick * self.period_ns + substep * self.period_ns // self.substeps
 
     def tick_at_or_before(self, instant_ns: int) -> int:
         return instant_ns // self.period_ns

@@ -6,7 +6,6 @@ It models no transport: nothing is delayed, lost or reordered here. A state is a
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 
 from bus_schema.clock import Clock
@@ -14,27 +13,34 @@ from bus_schema.errors import PeerSilentError
 from bus_schema.link import CommandArrival, StateHandler, never
 from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Topic
 
-Tap = Callable[[Topic, int, bytes], None]
-"""Called with every message on the bus: topic, sequence number, payload."""
-
 
 class InProcessBus:
-    """A bus with one plant, one controller and an optional listener to everything."""
+    """A bus with one plant and one controller, which remembers everything.
 
-    def __init__(self, plant_clock: Clock, tap: Tap | None = None) -> None:
+    Attributes:
+        topics: topic of each message that was on the bus, in order.
+        payloads: its payload. Two flat lists: with no container per message, Python's garbage
+            collector finds nothing to do while a loop runs.
+        on_state: the controller.
+        commands: commands that the plant has not taken yet.
+    """
+
+    def __init__(self, plant_clock: Clock) -> None:
         self._clock = plant_clock
-        self._tap = tap
-        self._counts: Counter[str] = Counter()
+        self._commands_sent = 0
+        self.topics: list[Topic] = []
+        self.payloads: list[bytes] = []
         self.on_state: StateHandler | None = None
         self.commands: list[CommandArrival] = []
 
     def publish(self, topic: Topic, payload: bytes) -> int:
-        name = topic.name
-        self._counts[name] = sequence = self._counts[name] + 1
-        if self._tap is not None:
-            self._tap(topic, sequence, payload)
-        if topic is JOINT_COMMANDS:
-            self.commands.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))
+        """Put a message on the bus; its number if it is a command, which alone are counted here."""
+        self.topics.append(topic)
+        self.payloads.append(payload)
+        if topic is not JOINT_COMMANDS:
+            return 0
+        self._commands_sent = sequence = self._commands_sent + 1
+        self.commands.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))
         return sequence
 
 

@@ -6,14 +6,12 @@ Messages cross it as CDR payloads, so that what a loop sends is what a recorder 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from bus_schema.topics import Topic
 
 
-@dataclass(frozen=True, slots=True)
-class CommandArrival:
+class CommandArrival(NamedTuple):
     """A command as it came off the bus, not yet looked at.
 
     Attributes:
@@ -38,7 +36,7 @@ class Publisher(Protocol):
     """What both sides have in common."""
 
     def publish(self, topic: Topic, payload: bytes) -> int:
-        """Send a message; its sequence number on that topic, from 1."""
+        """Send a message; for a command, its number, from 1."""
         ...
 
     def close(self) -> None:

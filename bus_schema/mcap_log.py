@@ -6,6 +6,7 @@ that reached the disk.
 
 from __future__ import annotations
 
+import struct
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +15,14 @@ from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Footer, Message, Metadata
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
+from zstandard import ZstdError
 
 from bus_schema.message_types import schema_text
 from bus_schema.topics import Topic
 
 _LARGEST_CHUNK_BYTES = 256 * 1024
+_TORN = (McapError, EOFError, ValueError, LookupError, struct.error, ZstdError)
+"""What reading a torn file ends in, depending on where it was torn."""
 
 
 class McapLog:
@@ -126,6 +130,6 @@ def read_log(path: Path) -> LogContents:
                         contents.metadata[record.name] = record.metadata
                     case Footer():
                         contents.complete = True
-        except (McapError, EOFError, ValueError):
+        except _TORN:
             contents.complete = False
     return contents

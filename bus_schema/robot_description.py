@@ -13,7 +13,8 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 
 ACTUATED_TYPES = ("revolute", "continuous")
-_UNLIMITED_RAD = 1e6
+_UNLIMITED = 1e6
+_INERTIA_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -51,20 +52,13 @@ class RobotDescription:
             payload_kg: point mass fixed to the origin of the tip link.
         """
         root = ET.fromstring(self.text)
-        for joint in root.iter("joint"):
-            kind = joint.get("type")
-            if kind == "continuous":
-                joint.set("type", "revolute")
-                limit = joint.find("limit")
-                limit = ET.SubElement(joint, "limit") if limit is None else limit
-                limit.set("lower", str(-_UNLIMITED_RAD))
-                limit.set("upper", str(_UNLIMITED_RAD))
-            elif kind is not None and kind not in ACTUATED_TYPES:
+        for joint in root.findall("joint"):
+            if joint.get("type") in ACTUATED_TYPES:
+                _complete_limits(joint)
+            else:
                 joint.set("type", "fixed")
         for mesh in root.iter("mesh"):
-            name = mesh.get("filename", "")
-            if "://" not in name and not Path(name).is_absolute():
-                mesh.set("filename", str(self.path.parent / name))
+            mesh.set("filename", _absolute(mesh.get("filename", ""), self.path.parent))
         for link in root.findall("link"):
             if link.find("inertial") is None:  # pybullet would take it for a mass of 1 kg
                 _add_inertial(link, 0.0)
@@ -83,6 +77,7 @@ def load_robot(path: Path) -> RobotDescription:
     joints = [j for j in root.findall("joint") if j.get("type") in ACTUATED_TYPES]
     if not joints:
         raise RobotDescriptionError(f"{path} has no revolute or continuous joint")
+    _require_physical(path, root)
     names = tuple(joint.get("name", "") for joint in joints)
     if len(set(names)) != len(names) or "" in names:
         raise RobotDescriptionError(f"{path}: joint names must be unique and not empty: {names}")
@@ -96,6 +91,55 @@ def load_robot(path: Path) -> RobotDescription:
         upper_rad=_limits(path, joints, "upper", math.inf),
         tip_link=_tip_link(path, root),
     )
+
+
+def _complete_limits(joint: ET.Element) -> None:
+    """Make an actuated joint revolute, with all four limits that simulators ask for."""
+    limit = joint.find("limit")
+    limit = ET.SubElement(joint, "limit") if limit is None else limit
+    endless = joint.get("type") == "continuous"
+    for name, unlimited in (
+        ("lower", -_UNLIMITED), ("upper", _UNLIMITED), ("effort", _UNLIMITED),
+        ("velocity", _UNLIMITED),
+    ):  # fmt: skip
+        if limit.get(name) is None or (endless and name in ("lower", "upper")):
+            limit.set(name, str(unlimited))
+    joint.set("type", "revolute")
+
+
+def _absolute(name: str, base: Path) -> str:
+    """Absolute path of a mesh file; a package's folder is looked for at and above the URDF's."""
+    if not name.startswith("package://"):
+        return name if "://" in name or Path(name).is_absolute() else str(base / name)
+    inside = Path(name.removeprefix("package://"))
+    for folder in (base, *base.parents):
+        for candidate in (folder / inside, folder / Path(*inside.parts[1:])):
+            if candidate.is_file():
+                return str(candidate)
+    return str(base / inside)
+
+
+def _require_physical(path: Path, root: ET.Element) -> None:
+    """Refuse inertias that no body has: pybullet would silently set them to zero."""
+    for link in root.findall("link"):
+        inertia = link.find("inertial/inertia")
+        if inertia is None:
+            continue
+        try:
+            xx, xy, xz, yy, yz, zz = (
+                float(inertia.get(name, "0")) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+            )
+        except ValueError as error:
+            raise RobotDescriptionError(
+                f"{path}: inertia of link {link.get('name')}: {error}"
+            ) from error
+        principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        slack = _INERTIA_TOLERANCE * max(abs(principal[-1]), 1e-12)
+        if principal[0] < -slack or principal[-1] > principal[0] + principal[1] + slack:
+            raise RobotDescriptionError(
+                f"{path}: link {link.get('name')} has principal moments of inertia"
+                f" {principal.tolist()}; none may be negative or exceed the sum of the others"
+            )
 
 
 def _parse(path: Path) -> tuple[str, ET.Element]:
@@ -127,6 +171,11 @@ def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float
             raise RobotDescriptionError(
                 f"{path}: limit {attribute}={text!r} of joint {name} is no number"
             ) from error
+        if not math.isfinite(value):
+            name = joint.get("name")
+            raise RobotDescriptionError(
+                f"{path}: limit {attribute}={text!r} of joint {name} must be finite"
+            )
         # A zero effort or velocity limit is how many exporters write "unknown".
         values.append(missing if value <= 0.0 and not is_range else value)
     return np.array(values)

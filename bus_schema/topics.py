@@ -87,5 +87,5 @@ def layout(topic: Topic, joint_names: tuple[str, ...]) -> MessageLayout:
         topic.type_name,
         len(joint_names),
         lengths={"position": 0, "velocity": 0} if topic is JOINT_COMMANDS else None,
-        strings={"name": joint_names},
+        strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
     )

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
 from bus_schema import topics
 from bus_schema.arrays import Vector
-from bus_schema.cdr_layout import Record
+from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.errors import InvalidMessageError
 from bus_schema.finite import all_finite
 from bus_schema.link import ControllerLink
+from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
 from controller.prescribed_performance import Funnel
@@ -45,7 +45,7 @@ class ControlLoop:
     Attributes:
         cycles: states answered with a torque of their own.
         late: states older than the newest seen, answered with the torque in force.
-        rejected: unusable states by reason; they are not answered.
+        rejections: unusable states, which are not answered.
         tracking: the situation at the newest state.
         stamp_ns: stamp of the newest state; -1 before the first.
     """
@@ -67,7 +67,7 @@ class ControlLoop:
         self._cycle_started_ns = 0
         self.cycles = 0
         self.late = 0
-        self.rejected: Counter[str] = Counter()
+        self.rejections = Rejections("joint state", logger)
         link.serve(self.cycle)
 
     def warm_up(self) -> None:
@@ -96,8 +96,7 @@ class ControlLoop:
             self._state_layout.decode(state, self._state)
             self._require_finite()
         except InvalidMessageError as error:
-            self.rejected[error.reason] += 1
-            logger.warning("joint state ignored: %s", error)
+            self.rejections.note(error)
             return False
         stamp_ns = self._state.stamp_ns
         if self._start_ns is None:
@@ -129,7 +128,9 @@ class ControlLoop:
         """Publish what the law thought and how long it took; the torque is already on its way."""
         done_ns = time.perf_counter_ns()
         status, timing, bounds = self._status, self._timing, self.tracking.bounds
-        status.stamp_ns = timing.stamp_ns = self.stamp_ns
+        word = stamp_word(self.stamp_ns)
+        status.put_stamp(word)
+        timing.put_stamp(word)
         status.fields["upper_bound"][:] = bounds[UPPER]
         np.negative(bounds[LOWER], out=status.fields["lower_bound"])
         timing.fields["cycle"][0] = self.cycles
@@ -152,7 +153,7 @@ class ControlLoop:
         try:
             self._plant_status_layout.decode(plant_status, self._plant_status)
         except InvalidMessageError as error:
-            self.rejected[error.reason] += 1
+            self.rejections.note(error)
             return first_stamp_ns
         fields = self._plant_status.fields
         return int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])

@@ -14,7 +14,6 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.compiled import compiled
-from controller.sliding_surface import sig
 
 NODES_PER_AXIS = 5
 NODES = NODES_PER_AXIS**2
@@ -41,5 +40,10 @@ def adapt(
 ) -> None:  # fmt: skip
     """One explicit step of dŴ/dt = Γ (Φ s − κ₁ sig(Ŵ)^γ₁ − κ₂ sig(Ŵ)^γ₂), in place."""
     for k in range(weights.shape[0]):
-        leakage = kappa_1 * sig(weights[k], gamma_1) + kappa_2 * sig(weights[k], gamma_2)
-        weights[k] += step_s * rate * (activation[k] * s - leakage)
+        w = weights[k]
+        leakage = 0.0
+        if w != 0.0:  # both powers from one logarithm
+            log_w = math.log(abs(w))
+            powers = kappa_1 * math.exp(gamma_1 * log_w) + kappa_2 * math.exp(gamma_2 * log_w)
+            leakage = math.copysign(powers, w)
+        weights[k] = w + step_s * rate * (activation[k] * s - leakage)

@@ -40,7 +40,7 @@ class CartesianPath:
         upper_arm_m: shoulder to elbow.
         forearm_m: elbow to tool.
 
-    Where the path is out of reach the reference is NaN.
+    Where the path is out of reach, the angles of shoulder and elbow are NaN.
     """
 
     def __init__(

@@ -117,7 +117,7 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
         with _progress(voice, lambda: _controller_progress(loop)):
             link.join(is_stop_requested=lambda: stop.is_set)
-        voice.say("result", cycles=loop.cycles, late=loop.late, rejected=dict(loop.rejected))
+        voice.say("result", cycles=loop.cycles, late=loop.late, rejected=loop.rejections.counts)
         return FINISHED
     except (BusError, ControllerError) as error:
         voice.say("fault", text=str(error))

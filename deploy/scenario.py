@@ -76,7 +76,7 @@ class Scenario(StrictModel):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     duration_s: Positive
-    rate_hz: Annotated[float, Field(ge=1, le=10_000)] = 1000.0
+    rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
     clock: Literal["realtime", "lockstep"] = "realtime"
     seed: Annotated[int, Field(ge=0)] = 0
     robot: RobotConfiguration

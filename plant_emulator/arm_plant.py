@@ -64,7 +64,7 @@ class ArmPlant:
             robot, substep_s, payload_kg=configuration.payload_kg, gui=configuration.gui
         )
         self._arm.place(start_position_rad)
-        self._arm.set_brakes(engaged=True)
+        self._set_brakes(engaged=True)
         self.mode = Mode.BRAKED
 
     @property
@@ -107,7 +107,7 @@ class ArmPlant:
     def command(self, torque_nm: Vector) -> None:
         """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
         if self.mode is Mode.BRAKED:
-            self._arm.set_brakes(engaged=False)
+            self._set_brakes(engaged=False)
             self.mode = Mode.TRACKING
         if self.mode is Mode.TRACKING:
             self._commanded[:] = torque_nm
@@ -117,27 +117,29 @@ class ArmPlant:
         self.mode = Mode.STOPPING
         self._commanded[:] = 0.0
         if self._safe_stop == "brake":
-            self._arm.set_brakes(engaged=True)
+            self._set_brakes(engaged=True)
 
     def brake(self) -> None:
         """Engage the brakes for good: the run is over."""
         self.mode = Mode.FAULT if self.mode is Mode.STOPPING else Mode.BRAKED
         self._commanded[:] = 0.0
-        self._arm.set_brakes(engaged=True)
+        self._set_brakes(engaged=True)
 
     def step(self, time_s: float) -> None:
         """Advance by one substep that starts at `time_s`."""
-        if self.mode is Mode.TRACKING:
-            self._arm.step(self.torques.act(self._commanded, self.velocity, time_s))
-        elif self.mode is Mode.STOPPING and self._safe_stop != "brake":
-            if self._safe_stop == "damping":
-                np.multiply(self._stop_damping, self.velocity, out=self._commanded)
-                np.negative(self._commanded, out=self._commanded)
-            self._arm.step(self.torques.act(self._commanded, self.velocity, time_s))
-        else:
+        if self._is_braked:
             self.torques.rest()
             self._arm.step_braked()
+            return
+        if self.mode is Mode.STOPPING and self._safe_stop == "damping":
+            np.multiply(self._stop_damping, self.velocity, out=self._commanded)
+            np.negative(self._commanded, out=self._commanded)
+        self._arm.step(self.torques.act(self._commanded, self.velocity, time_s))
 
     def close(self) -> None:
         """Free the physics server."""
         self._arm.close()
+
+    def _set_brakes(self, *, engaged: bool) -> None:
+        self._arm.set_brakes(engaged=engaged)
+        self._is_braked = engaged

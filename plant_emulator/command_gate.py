@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from bus_schema import topics
 from bus_schema.arrays import Vector
@@ -12,14 +11,12 @@ from bus_schema.cdr_layout import Record
 from bus_schema.errors import InvalidMessageError
 from bus_schema.finite import all_finite
 from bus_schema.link import CommandArrival
+from bus_schema.rejections import Rejections
 
 logger = logging.getLogger(__name__)
 
-_LOGGED_PER_REASON = 5
 
-
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """A valid command.
 
     Attributes:
@@ -37,13 +34,14 @@ class CommandGate:
     """Decodes commands and keeps out what is not valid, finite, right-sized and newer.
 
     Attributes:
+        rejections: what was kept out.
         last_answered_ns: stamp of the state that the last well-formed command answered.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], rejected: Counter[str]) -> None:
+    def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
         self._record = Record(self._layout)
-        self._rejected = rejected
+        self.rejections = Rejections("command", logger)
         self._newest_ns = -1
         self.last_answered_ns = -1
 
@@ -57,9 +55,7 @@ class CommandGate:
         try:
             return self._admit(arrival, newest_state_ns)
         except InvalidMessageError as error:
-            self._rejected[error.reason] += 1
-            if self._rejected[error.reason] <= _LOGGED_PER_REASON:
-                logger.warning("command ignored: %s", error)
+            self.rejections.note(error)
             return None
 
     def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from collections import deque
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from bus_schema.link_configuration import ChannelConfiguration
 
 Item = TypeVar("Item")
+
+NEVER_NS = 1 << 62
+"""Later than any run ends."""
 
 
 @dataclass
@@ -21,7 +24,6 @@ class TransportCounts:
         lost: will never come out.
         duplicated: came out more than once.
         reordered: came out behind a younger one.
-        rejected: not let into the channel because they were invalid, by reason.
     """
 
     sent: int = 0
@@ -29,28 +31,27 @@ class TransportCounts:
     lost: int = 0
     duplicated: int = 0
     reordered: int = 0
-    rejected: Counter[str] = field(default_factory=Counter)
-
-    def as_dict(self) -> dict[str, Any]:
-        return {**vars(self), "rejected": dict(self.rejected)}
 
 
 class Channel(Generic[Item]):
-    """One direction of the link: what goes in at one instant comes out at another."""
+    """One direction of the link: what goes in at one instant comes out at another.
+
+    Attributes:
+        next_due_ns: when the next item comes out; `NEVER_NS` if nothing is on its way.
+        counts: what became of the items.
+    """
 
     def __init__(self, configuration: ChannelConfiguration) -> None:
         self._delay_ns = configuration.delay_ns
         self._in_flight: deque[tuple[int, Item]] = deque()
+        self.next_due_ns = NEVER_NS
         self.counts = TransportCounts()
 
     def send(self, item: Item, now_ns: int) -> None:
         """Put `item` on its way at `now_ns`."""
         self.counts.sent += 1
         self._in_flight.append((now_ns + self._delay_ns, item))
-
-    def next_due_ns(self) -> int | None:
-        """When the next item comes out; None if nothing is on its way."""
-        return self._in_flight[0][0] if self._in_flight else None
+        self.next_due_ns = self._in_flight[0][0]
 
     def receive(self) -> tuple[int, Item]:
         """The next item to come out and when it does so.
@@ -58,5 +59,7 @@ class Channel(Generic[Item]):
         Raises:
             IndexError: nothing is on its way.
         """
+        arrival = self._in_flight.popleft()
         self.counts.delivered += 1
-        return self._in_flight.popleft()
+        self.next_due_ns = self._in_flight[0][0] if self._in_flight else NEVER_NS
+        return arrival

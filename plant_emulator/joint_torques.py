@@ -38,10 +38,11 @@ class JointTorques:
         self._disturbance_table = disturbance_table(
             configuration.disturbance, robot.joint_names, random
         )
-        self.actuator: Vector = np.zeros(robot.joints)
-        self.friction: Vector = np.zeros(robot.joints)
-        self.disturbance: Vector = np.zeros(robot.joints)
-        self.total: Vector = np.zeros(robot.joints)
+        self._torques: Matrix = np.zeros((4, robot.joints))
+        self.actuator: Vector = self._torques[0]
+        self.friction: Vector = self._torques[1]
+        self.disturbance: Vector = self._torques[2]
+        self.total: Vector = self._torques[3]
         self.saturated = False
 
     def act(self, commanded_nm: Vector, velocity: Vector, time_s: float) -> Vector:
@@ -54,18 +55,13 @@ class JointTorques:
             self._lag_factor,
             self._friction_table,
             self._disturbance_table,
-            self.actuator,
-            self.friction,
-            self.disturbance,
-            self.total,
+            self._torques,
         )
         return self.total
 
     def rest(self) -> None:
         """The brakes hold the joints: nothing else is felt."""
-        self.actuator[:] = 0.0
-        self.friction[:] = 0.0
-        self.disturbance[:] = 0.0
+        self._torques[:] = 0.0
         self.saturated = False
 
 
@@ -73,8 +69,9 @@ class JointTorques:
 def _act(
     commanded: Vector, velocity: Vector, time_s: float,
     saturation: Vector, lag_factor: float, friction_parameters: Matrix, disturbances: Matrix,
-    actuator: Vector, friction: Vector, disturbance: Vector, total: Vector,
+    torques: Matrix,
 ) -> bool:  # fmt: skip
+    actuator, friction, disturbance, total = torques[0], torques[1], torques[2], torques[3]
     add_disturbance(time_s, disturbances, disturbance)
     saturated = False
     for i in range(velocity.size):

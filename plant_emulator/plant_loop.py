@@ -11,10 +11,11 @@ from __future__ import annotations
 import json
 import logging
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import NamedTuple
 
 from bus_schema import topics
-from bus_schema.cdr_layout import Record
+from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.clock import Clock, TickGrid
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind
@@ -50,8 +51,7 @@ class PlantTask:
     lockstep: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Measurement:
+class _Measurement(NamedTuple):
     """A joint state with the plant status that belongs to it, on its way to the controller."""
 
     stamp_ns: int
@@ -89,7 +89,7 @@ class PlantLoop:
         self._grid = task.grid
         self._uplink: Channel[_Measurement] = Channel(task.link.uplink)
         self._downlink: Channel[Command] = Channel(task.link.downlink)
-        self._gate = CommandGate(names, self._downlink.counts.rejected)
+        self._gate = CommandGate(names)
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
         round_trip_ns = task.link.uplink.delay_ns + task.link.downlink.delay_ns
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
@@ -148,16 +148,20 @@ class PlantLoop:
 
     def _next_tick(self) -> int:
         """The next tick of the grid, or the one that the clock has reached if that is later."""
+        tick = self.tick + 1
         reached = self._grid.tick_at_or_before(self._clock.now_ns())
-        tick = min(max(self.tick + 1, reached), self._end_tick)
-        self._journal.skipped += tick - self.tick - 1
+        if reached > tick:
+            reached = min(reached, self._end_tick)
+            self._journal.skipped += reached - tick
+            tick = reached
         return tick
 
     def _exchange_until(self, until_ns: int) -> None:
         """Deliver the states that fall due, and take in the commands that arrive, until then."""
-        while (due_ns := self._uplink.next_due_ns()) is not None and due_ns < until_ns:
+        while self._uplink.next_due_ns < until_ns:
+            due_ns, measurement = self._uplink.receive()
             self._clock.wait_until(due_ns)
-            self._deliver(self._uplink.receive()[1], due_ns)
+            self._deliver(measurement, due_ns)
         self._journal.send(self._link)
         self._journal.lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
@@ -195,19 +199,22 @@ class PlantLoop:
 
     def _advance_to(self, tick: int) -> None:
         """Let the physics catch up with the clock, substep by substep."""
+        arm, downlink, watchdog = self._arm, self._downlink, self._watchdog
         while self.tick < tick:
-            for substep in range(self._grid.substeps):
-                now_ns = self._grid.substep_ns(self.tick, substep)
-                self._put_into_force(now_ns)
-                if self._watchdog.has_expired(now_ns) and self._arm.mode in _COMMANDABLE:
+            tick_ns = self._grid.tick_ns(self.tick)
+            for offset_ns in self._grid.substep_offsets_ns:
+                now_ns = tick_ns + offset_ns
+                if downlink.next_due_ns <= now_ns:
+                    self._put_into_force(now_ns)
+                if watchdog.expires_ns < now_ns and arm.mode in _COMMANDABLE:
                     self._stop_safely()
-                self._arm.step(now_ns * 1e-9)
+                arm.step(now_ns * 1e-9)
             self.tick += 1
             self._put_into_force(self._grid.tick_ns(self.tick))
             self._note_truth()
 
     def _put_into_force(self, now_ns: int) -> None:
-        while (due_ns := self._downlink.next_due_ns()) is not None and due_ns <= now_ns:
+        while self._downlink.next_due_ns <= now_ns:
             effective_ns, command = self._downlink.receive()
             self._watchdog.feed(effective_ns)
             self._journal.round_trip_ns = effective_ns - command.stamp_ns
@@ -229,7 +236,9 @@ class PlantLoop:
         """Measure the joints and send the state on its way."""
         state, status = self._state, self._status
         stamp_ns = self._grid.tick_ns(self.tick)
-        state.stamp_ns = status.stamp_ns = stamp_ns
+        word = stamp_word(stamp_ns)
+        state.put_stamp(word)
+        status.put_stamp(word)
         self._arm.read_encoders(state.fields["position"], state.fields["velocity"])
         state.fields["effort"][:] = self._arm.torques.actuator
         status.fields["mode"][0] = self._arm.mode
@@ -259,9 +268,11 @@ class PlantLoop:
 
     def _say_goodbye(self) -> None:
         outcome = self._outcome
+        rejected = dict(self._gate.rejections.counts)
         counts = {
-            "uplink": self._uplink.counts.as_dict(), "downlink": self._downlink.counts.as_dict()
-        }  # fmt: skip
+            "uplink": asdict(self._uplink.counts) | {"rejected": {}},
+            "downlink": asdict(self._downlink.counts) | {"rejected": rejected},
+        }
         if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")
         self._announce(EventKind.COUNTS, json.dumps(counts))

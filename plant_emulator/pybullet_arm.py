@@ -7,7 +7,7 @@ import ctypes
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -103,25 +103,42 @@ class PybulletArm:
 
     def step(self, torque_nm: Vector) -> None:
         """Apply joint torques (shape (joints,)) for one substep and read the joints."""
+        position, velocity = self.position, self.velocity
+        for index, state in enumerate(self.step_bare(torque_nm.tolist())):
+            position[index] = state[0]
+            velocity[index] = state[1]
+
+    def step_bare(self, torque_nm: list[float]) -> Sequence[Sequence[float]]:
+        """The calls to pybullet that a substep cannot do without, and nothing else.
+
+        Returns:
+            pybullet's joint states, one for each joint: position (rad), velocity (rad/s), …
+        """
+        client, body, joints = self._client, self._body, self._joints
         pybullet.setJointMotorControlArray(
-            self._body, self._joints, pybullet.TORQUE_CONTROL, forces=torque_nm.tolist(),
-            physicsClientId=self._client,
-        )  # fmt: skip
-        pybullet.stepSimulation(physicsClientId=self._client)
-        self._read()
+            body, joints, pybullet.TORQUE_CONTROL, forces=torque_nm, physicsClientId=client
+        )
+        pybullet.stepSimulation(physicsClientId=client)
+        states: Sequence[Sequence[float]] = pybullet.getJointStates(
+            body, joints, physicsClientId=client
+        )
+        return states
 
     def step_braked(self) -> None:
         """One substep with the brakes engaged and no torque."""
         pybullet.stepSimulation(physicsClientId=self._client)
         self._read()
 
-    def mass_matrix(self, position: Vector) -> Vector:
+    def mass_matrix(self, position: Vector) -> Matrix:
         """Joint-space inertia at `position`, shape (joints, joints), kg m²."""
-        return np.array(
+        order = np.argsort(self._joints)  # pybullet's own, which may differ from the URDF file's
+        full = np.array(
             pybullet.calculateMassMatrix(
-                self._body, position.tolist(), physicsClientId=self._client
+                self._body, position[order].tolist(), physicsClientId=self._client
             )
         )
+        inverse = np.argsort(order)
+        return np.ascontiguousarray(full[np.ix_(inverse, inverse)])
 
     def extent(self, positions: Matrix) -> tuple[Vector, Vector]:
         """Corners of the box around all joints and links at all `positions`, m, shape (3,) each.

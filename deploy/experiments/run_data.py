@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,8 +136,3 @@ def build_run_data(
         lost=lost,
         complete=complete,
     )
-
-
-def empty_log() -> dict[str, list[Any]]:
-    """A place to collect payloads by topic name."""
-    return defaultdict(list)

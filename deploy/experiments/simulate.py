@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, In
 from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
-from deploy.experiments.run_data import RunData, build_run_data, empty_log
+from deploy.experiments.run_data import RunData, build_run_data
 from deploy.recorder import RECORDER_METADATA, open_log, stamp_of
 from deploy.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
@@ -20,36 +21,37 @@ from plant_emulator.plant_loop import PlantLoop
 CLOCK = "virtual"
 LINK = "in_process"
 
-Message = tuple[Topic, int, bytes]
-"""A message on the bus: topic, sequence number, payload."""
-
 
 @dataclass(frozen=True)
 class Simulation:
     """A finished simulation.
 
     Attributes:
-        messages: all that was on the bus, in order.
+        topics: topic of each message that was on the bus, in order.
+        payloads: its payload.
         failure: what stopped the controller, if anything did.
     """
 
     setup: Setup
-    messages: list[Message]
+    topics: list[Topic]
+    payloads: list[bytes]
     failure: ControllerError | None
 
     def data(self) -> RunData:
         """The data of the run."""
-        payloads = empty_log()
-        for topic, _, payload in self.messages:
-            payloads[topic.name].append(payload)
-        return build_run_data(self.setup, payloads, clock=CLOCK, link=LINK)
+        by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
+        for topic, payload in zip(self.topics, self.payloads, strict=True):
+            by_topic[topic.name].append(payload)
+        return build_run_data(self.setup, by_topic, clock=CLOCK, link=LINK)
 
     def write_log(self, path: Path) -> None:
         """Write the recording that a recorder would have made."""
         log = open_log(self.setup, path, clock=CLOCK, link=LINK)
-        for topic, sequence, payload in self.messages:
+        sequences: Counter[str] = Counter()
+        for topic, payload in zip(self.topics, self.payloads, strict=True):
+            sequences[topic.name] += 1
             stamp_ns = stamp_of(payload) or 0
-            log.write(topic, sequence, stamp_ns, stamp_ns, payload)
+            log.write(topic, sequences[topic.name], stamp_ns, stamp_ns, payload)
         log.add_metadata(RECORDER_METADATA, {"messages": str(log.messages), "lost": "0"})
         log.close()
 
@@ -61,9 +63,8 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
         setup: the scenario.
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
     """
-    messages: list[Message] = []
     clock = VirtualClock()
-    bus = InProcessBus(clock, lambda *message: messages.append(message))
+    bus = InProcessBus(clock)
     ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
     arm = setup.arm()
     plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)
@@ -79,4 +80,4 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
         bus.publish(RUN_EVENTS, event.encode())
     finally:
         arm.close()
-    return Simulation(setup, messages, failure)
+    return Simulation(setup, bus.topics, bus.payloads, failure)

@@ -67,13 +67,13 @@ def settings(**values: Any) -> list[str]:
     ]
 
 
-def funnel_hil(*words: str, out: Path) -> Finished:
+def funnel_hil(*words: str, out: Path | None) -> Finished:
     """Run a command to its end."""
     ended = subprocess.run(
-        _command(*words, "--out", str(out)),
+        _command(*words, out=out),
         cwd=ROOT, env=_ENVIRONMENT, capture_output=True, text=True, timeout=HANG_S, check=False,
     )  # fmt: skip
-    return Finished(out, ended.returncode, ended.stdout + ended.stderr)
+    return Finished(out or Path(), ended.returncode, ended.stdout + ended.stderr)
 
 
 class Running:
@@ -83,12 +83,11 @@ class Running:
         self.folder = folder
         self.process = process
 
-    def endpoint(self, role: str) -> str:
-        """Where a process of this run listens."""
-        await_true(lambda: (self.folder / "scenario.yaml").is_file(), "the scenario is written")
-        scenario = self.folder / "scenario.yaml"
-        await_true(lambda: "metrics" in (yaml.safe_load(scenario.read_text()) or {}), "whole")
-        return str(yaml.safe_load(scenario.read_text())["link"][f"{role}_endpoint"])
+    def plant_endpoint(self) -> str:
+        """Where the plant of this run listens."""
+        await_true(lambda: bool(processes_of(self.folder).keys() - {"run"}), "it has children")
+        scenario = yaml.safe_load((self.folder / "scenario.yaml").read_text())
+        return str(scenario["link"]["plant_endpoint"])
 
     def send(self, number: signal.Signals, role: str | None = None) -> None:
         """Send a signal to one of the run's processes, or to the run itself."""
@@ -103,7 +102,7 @@ class Running:
 def started(*words: str, out: Path) -> Iterator[Running]:
     """A command under way; whatever is left of it at the end is killed."""
     process = subprocess.Popen(
-        _command(*words, "--out", str(out)),
+        _command(*words, out=out),
         cwd=ROOT, env=_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
     try:
@@ -116,16 +115,21 @@ def started(*words: str, out: Path) -> Iterator[Running]:
 
 
 class Watcher:
-    """A stranger on the bus who listens to one topic of the plant."""
+    """A stranger on the bus who listens to what the plant says of every tick."""
 
-    def __init__(self, endpoint: str, topic: topics.Topic = topics.PLANT_TRUTH) -> None:
+    def __init__(self, endpoint: str) -> None:
         self.session = ZenohSession([], [endpoint], low_latency=False)
         self.last_stamp_ns = -1
-        self.session.subscribe(topic.key_expression(0), self._hear)
+        self.session.subscribe(topics.PLANT_TRUTH.key_expression(0), self._hear)
 
-    def await_time(self, time_s: float) -> None:
-        """Wait until the run has come to a time on its own clock."""
-        await_true(lambda: self.last_stamp_ns >= time_s * 1e9, f"the run is at {time_s} s")
+    def await_time(self, time_s: float, run: Running) -> None:
+        """Wait until `run` has come to a time on its own clock."""
+
+        def has_come() -> bool:
+            assert run.process.poll() is None, run.end().output
+            return self.last_stamp_ns >= time_s * 1e9
+
+        await_true(has_come, f"the run is at {time_s} s")
 
     def __enter__(self) -> Watcher:
         return self
@@ -166,5 +170,6 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
 
 
-def _command(*words: str) -> list[str]:
-    return [sys.executable, "-m", "deploy.cli", *words]
+def _command(*words: str, out: Path | None) -> list[str]:
+    command = [sys.executable, "-m", "deploy.cli", *words]
+    return command if out is None else [*command, "--out", str(out)]

@@ -6,18 +6,18 @@ from plant_emulator.watchdog import Watchdog
 
 def test_first_command_has_until_its_own_instant():
     watchdog = Watchdog(timeout_ns=100, first_command_ns=250)
-    assert not watchdog.has_expired(250)
-    assert watchdog.has_expired(251)
+    assert watchdog.expires_ns >= 250
+    assert watchdog.expires_ns < 251
 
 
 def test_each_command_buys_one_timeout():
     watchdog = Watchdog(timeout_ns=100, first_command_ns=250)
     watchdog.feed(200)
-    assert not watchdog.has_expired(300)
-    assert watchdog.has_expired(301)
+    assert watchdog.expires_ns >= 300
+    assert watchdog.expires_ns < 301
     watchdog.feed(290)
-    assert not watchdog.has_expired(390)
-    assert watchdog.has_expired(391)
+    assert watchdog.expires_ns >= 390
+    assert watchdog.expires_ns < 391
 
 
 @settings(deadline=None)
@@ -26,5 +26,5 @@ def test_expires_exactly_when_the_silence_is_longer_than_the_timeout(timeout_ns,
     watchdog, now_ns = Watchdog(timeout_ns, timeout_ns), 0
     for gap in gaps:
         now_ns += gap
-        assert watchdog.has_expired(now_ns) == (gap > timeout_ns)
+        assert (watchdog.expires_ns < now_ns) == (gap > timeout_ns)
         watchdog.feed(now_ns)

@@ -1,0 +1,1 @@
+"""What things cost, as ratios of medians that are measured side by side in one run."""

@@ -1,0 +1,193 @@
+"""Whoever dies or freezes in the middle of a run: the arm stops, the file is there, nobody stays.
+
+Every run is watched by a stranger on the bus, so that the strike comes at a known time of the run
+and the end of the plant is known from outside the recording.
+"""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running import (
+    Finished,
+    Running,
+    Watcher,
+    await_true,
+    free_endpoint,
+    funnel_hil,
+    processes_of,
+    settings,
+    started,
+)
+
+from bus_schema.topics import PLANT_TRUTH
+from plant_emulator.arm_plant import Mode
+
+STRUCK_AT_S = 1.0
+PERIOD_S, COMMAND_TIMEOUT_S = 0.001, 0.1
+LONG = settings(duration_s=40, link__reply_timeout_s=1, link__connect_timeout_s=60)
+ROLES = {"controller", "plant", "recorder"}
+
+both_clocks = pytest.mark.parametrize(
+    "clock", ["lockstep", pytest.param("realtime", marks=pytest.mark.serial)]
+)
+
+
+@dataclass(frozen=True)
+class Struck:
+    """A run that was struck, and the time to which its plant came."""
+
+    run: Finished
+    plant_end_s: float
+
+    @property
+    def blamed(self) -> list[str]:
+        """The lines that say who was killed or frozen."""
+        return [
+            line.partition("fault")[2].strip()
+            for line in self.run.output.splitlines()
+            if "killed" in line or "frozen" in line
+        ]
+
+    @property
+    def recorded_s(self) -> float:
+        return float(self.run.data.times_s(PLANT_TRUTH)[-1])
+
+
+def strike(tmp_path: Path, clock: str, number: signal.Signals, role: str | None) -> Struck:
+    """Send a signal to a process of a run, or to the run itself, in the middle of it."""
+    words = ["run", "paper_arm", *LONG, *settings(clock=clock)]
+    with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
+        watcher.await_time(STRUCK_AT_S, run)
+        run.send(number, role)
+        ended = run.end()
+        left_over = processes_of(run.folder)
+    assert left_over == {}
+    return Struck(ended, watcher.last_stamp_ns * 1e-9)
+
+
+@both_clocks
+@pytest.mark.parametrize(
+    ("number", "fate"),
+    [
+        (signal.SIGKILL, "the controller was killed by SIGKILL"),
+        (signal.SIGSTOP, "the controller was frozen (stopped by a signal)"),
+    ],
+    ids=["killed", "frozen"],
+)
+def test_arm_is_stopped_when_the_controller_falls_silent(
+    tmp_path: Path, clock: str, number: signal.Signals, fate: str
+) -> None:
+    struck = strike(tmp_path, clock, number, "controller")
+    assert struck.run.code == 1
+    assert struck.blamed == [fate]
+    assert fate in struck.run.summary["faults"]
+    assert not struck.run.summary["completed"]
+    assert struck.run.data.complete
+    assert struck.recorded_s == pytest.approx(struck.plant_end_s, abs=1e-9)
+    assert_stopped_in_time(struck.run)
+
+
+def assert_stopped_in_time(run: Finished) -> None:
+    """From the last command to the stop: the timeout, and a tick to see it at either end."""
+    truth, times_s = run.data.tables[PLANT_TRUTH.name], run.data.times_s(PLANT_TRUTH)
+    stopped = np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))
+    commanded = truth["round_trip_ns"] >= 0
+    assert stopped[-1]
+    assert (np.diff(stopped.astype(int)) >= 0).all()  # there is no way back
+    silence_s = times_s[stopped][0] - times_s[commanded][-1]
+    assert 0.0 < silence_s <= COMMAND_TIMEOUT_S + 2.0 * PERIOD_S + 1e-9
+    assert "safe stop" in " ".join(run.summary["faults"])
+
+
+@both_clocks
+def test_run_ends_when_the_plant_is_killed(tmp_path: Path, clock: str) -> None:
+    struck = strike(tmp_path, clock, signal.SIGKILL, "plant")
+    assert struck.run.code == 1
+    assert struck.blamed == ["the plant was killed by SIGKILL"]
+    assert not struck.run.summary["completed"]
+    assert struck.run.data.complete  # the recorder finished its file
+    assert struck.recorded_s >= struck.plant_end_s - 1.0
+
+
+@both_clocks
+def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> None:
+    struck = strike(tmp_path, clock, signal.SIGKILL, "recorder")
+    assert struck.run.code == 1
+    assert struck.blamed == ["the recorder was killed by SIGKILL"]
+    assert not struck.run.summary["completed"]
+    assert not struck.run.data.complete
+    assert struck.recorded_s > STRUCK_AT_S - 1.0
+    assert struck.recorded_s >= struck.plant_end_s - 1.0
+
+
+@pytest.mark.parametrize(
+    ("clock", "number"),
+    [
+        ("lockstep", signal.SIGINT),
+        ("lockstep", signal.SIGTERM),
+        pytest.param("realtime", signal.SIGINT, marks=pytest.mark.serial),
+    ],
+)
+def test_interrupted_run_leaves_complete_files(
+    tmp_path: Path, clock: str, number: signal.Signals
+) -> None:
+    struck = strike(tmp_path, clock, number, None)
+    assert struck.run.code == 130
+    assert struck.run.summary["completed"] is False
+    assert struck.run.summary["faults"] == []
+    assert struck.run.data.complete
+    assert struck.recorded_s == pytest.approx(struck.plant_end_s, abs=1e-9)
+    assert (struck.run.folder / "report.html").is_file()
+
+
+@pytest.mark.parametrize("moment", ["processes have started", "recording has begun"])
+def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) -> None:
+    def has_come(run: Running) -> bool:
+        if moment == "recording has begun":
+            return (run.folder / "run.mcap").is_file()
+        return processes_of(run.folder).keys() >= ROLES
+
+    words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]
+    with started(*words, out=tmp_path / "run") as run:
+        await_true(lambda: has_come(run), moment)
+        run.send(signal.SIGINT)
+        ended = run.end()
+        left_over = processes_of(run.folder)
+    assert left_over == {}
+    assert ended.code == 130, ended.output
+    assert ended.summary["completed"] is False
+    assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
+
+
+def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path) -> None:
+    words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]
+    with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
+        watcher.await_time(0.1, run)
+        run.send(signal.SIGKILL)
+        await_true(lambda: not processes_of(run.folder), "the others follow")
+        run.end()
+    assert run.folder.joinpath("run.mcap").is_file()
+
+
+@pytest.mark.parametrize(
+    ("alone", "missed"), [("plant", "controller"), ("controller", "plant"), ("record", "plant")]
+)
+def test_process_whose_peer_never_comes_says_so(tmp_path: Path, alone: str, missed: str) -> None:
+    nowhere = settings(
+        clock="lockstep",
+        link__plant_endpoint=free_endpoint(),
+        link__controller_endpoint=free_endpoint(),
+        link__connect_timeout_s=0.5,
+    )
+    out = tmp_path / "out" if alone == "record" else None
+    ended = funnel_hil(alone, "paper_arm", *nowhere, out=out)
+    assert ended.code == 1
+    said = [line for line in ended.output.splitlines() if "is silent" in line]
+    assert len(said) == 1
+    assert f"the {missed} is silent" in said[0]
+    assert "within 0.5 s" in said[0]

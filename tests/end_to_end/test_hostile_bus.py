@@ -1,0 +1,127 @@
+"""A stranger on the command key: what is no valid command is counted, and changes nothing."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from running import Finished, Watcher, settings, started
+
+from bus_schema.cdr_layout import Record
+from bus_schema.clock import VirtualClock
+from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, InProcessPlantLink
+from bus_schema.link import CommandArrival
+from bus_schema.message_types import JOINT_STATE, TYPESTORE
+from bus_schema.rmw_wire import Attachment
+from bus_schema.topics import JOINT_COMMANDS, layout
+from controller.control_loop import ControlLoop
+from deploy.experiments.simulate import simulate
+from deploy.scenario import load_setup
+from plant_emulator.plant_loop import PlantLoop
+
+JOINTS = ("base_yaw", "shoulder", "elbow")
+DURATION_S, SHOTS_FROM_S = 12, 0.2
+ROUNDS = 20
+HUGE_NM = 1e5
+
+
+def command(torque: list[float], stamp_s: int = 0, names: tuple[str, ...] = JOINTS) -> bytes:
+    """A well-formed command. Stamp 0 is the first state, which was answered long ago."""
+    types = TYPESTORE.types
+    stamp = types["builtin_interfaces/msg/Time"](stamp_s, 0)
+    header = types["std_msgs/msg/Header"](stamp, "")
+    empty = np.zeros(0)
+    message = types[JOINT_STATE](header, list(names), empty, empty, np.array(torque))
+    return bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE))
+
+
+def ammunition() -> list[tuple[str, bytes]]:
+    """What is shot, with the reason for which it has to be rejected."""
+    noise = random.Random(7)
+    valid = command([HUGE_NM] * 3, stamp_s=1_000_000)
+    announced = bytearray(valid)
+    announced[-32:-28] = (2**31).to_bytes(4, "little")  # the number of efforts that follow
+    return [
+        ("malformed", b""),
+        ("malformed", noise.randbytes(7)),
+        ("malformed", noise.randbytes(len(valid))),
+        ("malformed", valid[: len(valid) // 2]),
+        ("malformed", valid[:-1]),
+        ("malformed", bytes(announced)),
+        ("malformed", noise.randbytes(60_000)),
+        ("oversized", noise.randbytes(500_000)),
+        ("oversized", command([HUGE_NM] * 60_000)),
+        ("wrong_size", command([HUGE_NM] * 7_500)),  # 60 kB, and well-formed
+        ("wrong_size", command([HUGE_NM] * 2)),
+        ("wrong_names", command([HUGE_NM] * 2, names=JOINTS[:2])),
+        ("wrong_names", command([HUGE_NM] * 4, names=(*JOINTS, "wrist"))),
+        ("not_finite", command([np.nan, 0.0, 0.0])),
+        ("not_finite", command([0.0, 0.0, -np.inf])),
+        ("stale", command([HUGE_NM] * 3)),
+        ("stale", command([HUGE_NM] * 3, stamp_s=-1)),
+        ("from_the_future", valid),
+    ]
+
+
+def run_under_fire(out: Path) -> tuple[Finished, Counter[str], float]:
+    """A run with a stranger who shoots; what he shot, and when he was done on the run's clock."""
+    words = ["run", "paper_arm", *settings(clock="lockstep", duration_s=DURATION_S)]
+    sent: Counter[str] = Counter()
+    with started(*words, out=out) as run, Watcher(run.plant_endpoint()) as stranger:
+        publisher = stranger.session.publisher(JOINT_COMMANDS.key_expression(0), may_drop=False)
+        stranger.await_time(SHOTS_FROM_S, run)
+        for shot in range(ROUNDS):
+            for reason, payload in ammunition():
+                publisher.put(payload, Attachment(shot + 1, 0, bytes(16)).encode())
+                sent[reason] += 1
+        done_s = stranger.last_stamp_ns * 1e-9
+        return run.end(), sent, done_s
+
+
+def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Path) -> None:
+    run, sent, done_s = run_under_fire(tmp_path / "run")
+    assert run.code == 0, run.output
+    assert done_s < DURATION_S - 1.0  # all of it came while the run was on
+    assert run.summary["completed"]
+    assert run.summary["transport"]["downlink"]["rejected"] == dict(sent)
+    assert run.summary["transport"]["downlink"]["delivered"] == run.summary["ticks"]
+    clean = simulate(load_setup(str(run.folder / "scenario.yaml")))
+    for name in ("joint_states", "plant_status", "plant_truth"):
+        undisturbed = [payload for topic, _, payload in clean.messages if topic.name == name]
+        assert run.log.payloads[name] == undisturbed
+
+
+class HauntedPlantLink(InProcessPlantLink):
+    """Right behind every reply comes a command that answers the first state again."""
+
+    def __init__(self, bus: InProcessBus) -> None:
+        super().__init__(bus)
+        self._haunted = bus
+
+    def send_state(self, state: bytes, status: bytes) -> None:
+        super().send_state(state, status)
+        self._haunted.commands.append(CommandArrival(command([HUGE_NM] * 3), 1, b"", 0))
+
+
+def test_stale_command_right_behind_the_reply_does_not_hide_it() -> None:
+    setup = load_setup("paper_arm", ["duration_s=0.05"])
+    clock = VirtualClock()
+    bus = InProcessBus(clock)
+    ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
+    arm = setup.arm()
+    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, HauntedPlantLink(bus), clock).run()
+    arm.close()
+    assert outcome.faults == []
+    assert outcome.completed
+
+
+def test_ammunition_is_what_it_claims_to_be() -> None:
+    commands = layout(JOINT_COMMANDS, JOINTS)
+    live = Record(commands)
+    commands.decode(command([1.0, 2.0, 3.0], stamp_s=4), live)
+    assert live.fields["effort"].tolist() == [1.0, 2.0, 3.0]
+    assert live.stamp_ns == 4_000_000_000
+    sizes = {len(payload) // 1000 for _, payload in ammunition()}
+    assert {60, 500} <= sizes
