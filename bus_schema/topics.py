@@ -33,6 +33,7 @@ class Topic:
         type_name: ROS 2 interface name.
         sender: the only role that may send it; None where every role may.
         rate: when it is sent.
+        urgent: whether the loop waits for it; what only recorders want may be sent in batches.
         qos: QoS as rmw_zenoh writes it into liveliness tokens (the ROS 2 default profile:
             reliable, volatile, keep last 10).
     """
@@ -41,6 +42,7 @@ class Topic:
     type_name: str
     sender: Role | None
     rate: Rate
+    urgent: bool = False
     qos: str = "::,10:,:,:,,"
 
     @property
@@ -53,9 +55,13 @@ class Topic:
         return f"{domain}/{self.name}/{self.dds_type}/{message_types.type_hash(self.type_name)}"
 
 
-JOINT_STATES = Topic("joint_states", message_types.JOINT_STATE, Role.PLANT, Rate.TICK)
-JOINT_COMMANDS = Topic("joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK)
-PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK)
+JOINT_STATES = Topic("joint_states", message_types.JOINT_STATE, Role.PLANT, Rate.TICK, urgent=True)
+JOINT_COMMANDS = Topic(
+    "joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
+)
+    "joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
+)
+PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK, urgent=True)
 PLANT_TRUTH = Topic("plant_truth", message_types.PLANT_TRUTH, Role.PLANT, Rate.TICK)
 CONTROL_STATUS = Topic("control_status", message_types.CONTROL_STATUS, Role.CONTROLLER, Rate.TICK)
 PLANT_TIMING = Topic("plant_timing", message_types.LOOP_TIMING, Role.PLANT, Rate.TICK)

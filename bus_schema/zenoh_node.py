@@ -54,7 +54,7 @@ class ZenohNode:
     def advertise(self, topic: Topic) -> ZenohPublisher:
         """Declare a publisher and announce it."""
         publisher = self._session.publisher(
-            topic.key_expression(self._domain), may_drop=not self._lossless
+            topic.key_expression(self._domain), may_drop=not self._lossless, urgent=topic.urgent
         )
         token = self._announce(EntityKind.PUBLISHER, topic)
         self._publishers[topic.name] = (publisher, endpoint_gid(token))

@@ -10,7 +10,7 @@ import contextlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 # Read by zenoh when it is imported: what receives shares one thread, so that a message reaches its
 # callback without a hand-over. What sends from queues has another: a callback that fills a queue
@@ -34,17 +34,14 @@ class SessionError(BusError, ConnectionError):
     """A session cannot be opened; the message names the endpoints."""
 
 
-@dataclass(frozen=True, slots=True)
-class Delivery:
+class Delivery(NamedTuple):
     """A message as it came off the wire.
 
     Attributes:
-        key: its key.
         payload: its bytes.
         attachment: the bytes beside it; empty if there were none.
     """
 
-    key: str
     payload: bytes
     attachment: bytes
 
@@ -89,16 +86,17 @@ class ZenohSession:
         self.identifier = str(self._session.zid())
         self._kept: list[object] = []
 
-    def publisher(self, key: str, *, may_drop: bool) -> ZenohPublisher:
+    def publisher(self, key: str, *, may_drop: bool, urgent: bool) -> ZenohPublisher:
         """Declare a publisher.
 
         Args:
             key: where it sends.
             may_drop: rather drop a message than wait for a slow network.
+            urgent: leave at once; otherwise messages may wait for others to leave with.
         """
         control = zenoh.CongestionControl.DROP if may_drop else zenoh.CongestionControl.BLOCK
         return ZenohPublisher(
-            self._session.declare_publisher(key, congestion_control=control, express=True)
+            self._session.declare_publisher(key, congestion_control=control, express=urgent)
         )
 
     def subscribe(self, key: str, on_delivery: Callable[[Delivery], None]) -> None:
@@ -108,7 +106,6 @@ class ZenohSession:
             attachment = sample.attachment
             on_delivery(
                 Delivery(
-                    str(sample.key_expr),
                     sample.payload.to_bytes(),
                     b"" if attachment is None else attachment.to_bytes(),
                 )

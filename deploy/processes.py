@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -29,6 +30,8 @@ from plant_emulator.plant_loop import PlantLoop
 
 FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2
+_RECORDER_NICENESS = 10
+"""A recorder may fall behind for a while; a loop may not."""
 
 
 class Voice:
@@ -52,7 +55,7 @@ class Voice:
                 print(json.dumps({"kind": kind, **values}), flush=True)
         elif kind in ("note", "lacks", "fault"):
             self._console.print(f"{self._role}: {values['text']}", markup=False)
-        elif kind == "progress":
+        elif kind in ("progress", "result"):
             shown = ", ".join(f"{name} {value}" for name, value in values.items())
             self._console.print(f"{self._role}: {shown}", markup=False)
 
@@ -92,7 +95,7 @@ def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
             outcome = loop.run()
         for fault in outcome.faults:
             voice.say("fault", text=fault)
-        voice.say("result", completed=outcome.completed, ticks=outcome.ticks)
+        voice.say("result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s)
         return FAULT if outcome.faults else FINISHED
     except BusError as error:
         voice.say("fault", text=str(error))
@@ -106,13 +109,13 @@ def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
 def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
+    _go_realtime(setup, voice)
     link = None
     loop = None
     try:
         link = ZenohControllerLink(setup.scenario.link, lossless=setup.scenario.clock == "lockstep")
         loop = ControlLoop(setup.control_task(), link)
         loop.warm_up()
-        _go_realtime(setup, voice)
         voice.say("note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}")
         link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
         with _progress(voice, lambda: _controller_progress(loop)):
@@ -133,6 +136,7 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
 def run_recorder(setup: Setup, path: Path, voice: Voice) -> int:
     """Be the recorder for one run; the exit code."""
     stop = StopRequest()
+    os.nice(_RECORDER_NICENESS)
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
