@@ -59,8 +59,6 @@ JOINT_STATES = Topic("joint_states", message_types.JOINT_STATE, Role.PLANT, Rate
 JOINT_COMMANDS = Topic(
     "joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
 )
-    "joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
-)
 PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK, urgent=True)
 PLANT_TRUTH = Topic("plant_truth", message_types.PLANT_TRUTH, Role.PLANT, Rate.TICK)
 CONTROL_STATUS = Topic("control_status", message_types.CONTROL_STATUS, Role.CONTROLLER, Rate.TICK)
