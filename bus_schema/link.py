@@ -40,7 +40,7 @@ class Publisher(Protocol):
         ...
 
     def close(self) -> None:
-        """Leave the bus. What was published before has been handed to the transport."""
+        """Leave the bus."""
         ...
 
 

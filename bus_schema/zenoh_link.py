@@ -39,6 +39,7 @@ class ZenohPlantLink:
     def __init__(
         self, link: LinkConfiguration, clock: Clock, *, lossless: bool, await_recorder: bool
     ) -> None:
+        self._link = link
         self._clock = clock
         self._await_recorder = await_recorder
         self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
@@ -49,6 +50,7 @@ class ZenohPlantLink:
         for topic in _TELEMETRY[Role.PLANT]:
             self._node.advertise(topic)
         self._node.subscribe(topics.JOINT_COMMANDS, self._on_command)
+        self._node.expect_acknowledgement()
         self._node.announce()
         self.publish = self._node.publish
         self.close = self._node.close
@@ -87,6 +89,10 @@ class ZenohPlantLink:
 
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self._node.has_publisher(topics.JOINT_COMMANDS)
+
+    def await_recorded(self) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        self._node.await_acknowledgement(self._link.reply_timeout_s)
 
     def take_commands(self) -> list[CommandArrival]:
         taken, self._pending = self._pending, []
@@ -131,6 +137,7 @@ class ZenohControllerLink:
             self._node.advertise(topic)
         self._node.subscribe(topics.PLANT_STATUS, self._on_status_delivery)
         self._node.subscribe(topics.JOINT_STATES, self._on_state_delivery)
+        self._node.expect_acknowledgement()
         self._node.announce()
         self.publish = self._node.publish
         self.close = self._node.close
@@ -172,6 +179,10 @@ class ZenohControllerLink:
                 raise PeerSilentError(Role.PLANT, allowed_s, "joint state")
         if self.failure is not None:
             raise self.failure
+
+    def await_recorded(self) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        self._node.await_acknowledgement(self._link.reply_timeout_s)
 
     def _on_status_delivery(self, delivery: Delivery) -> None:
         self._status = delivery.payload

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable
 
-from bus_schema.errors import PeerSilentError
+from bus_schema import topics
+from bus_schema.errors import InvalidMessageError, PeerSilentError
+from bus_schema.events import EventKind, RunEvent
 from bus_schema.link import never
 from bus_schema.link_configuration import LinkConfiguration
 from bus_schema.rmw_wire import (
@@ -43,6 +46,7 @@ class ZenohNode:
         self._lossless = lossless
         self._node = f"{NODE_PREFIX}{role}"
         self._entities: dict[str, Entity] = {}
+        self._acknowledged = threading.Event()
         self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
         self._sequences: defaultdict[str, int] = defaultdict(int)
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
@@ -100,8 +104,19 @@ class ZenohNode:
             entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
         )
 
+    def expect_acknowledgement(self) -> None:
+        """Listen for the recorder's word that it has everything."""
+        self.subscribe(topics.RUN_EVENTS, self._on_event)
+
+    def await_acknowledgement(self, timeout_s: float) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        give_up_s = time.monotonic() + timeout_s
+        while self.sees(Role.RECORDER) and time.monotonic() < give_up_s:
+            if self._acknowledged.wait(POLL_S):
+                return
+
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus. What is still on its way to a slow peer is lost."""
         self._session.close()
 
     def _others(self) -> list[Entity]:
@@ -115,6 +130,15 @@ class ZenohNode:
         )
         self._session.announce(token)
         return token
+
+    def _on_event(self, delivery: Delivery) -> None:
+        try:
+            event = RunEvent.decode(delivery.payload)
+        except InvalidMessageError:
+            return
+        _, gid = self._publishers[topics.RUN_EVENTS.name]
+        if event.kind == EventKind.RECORDED and event.detail == gid.hex():
+            self._acknowledged.set()
 
     def _on_token(self, token: str, alive: bool) -> None:
         entity = Entity.from_token(token)

@@ -23,7 +23,6 @@ from bus_schema.topics import RUN_EVENTS, Role
 from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
-from controller.torque_guard import ControllerError
 from deploy.recorder import Recorder
 from deploy.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
@@ -93,6 +92,7 @@ def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         link.await_controller(setup.scenario.link.connect_timeout_s, lambda: stop.is_set)
         with _progress(voice, lambda: _plant_progress(loop, setup)):
             outcome = loop.run()
+        link.await_recorded()
         for fault in outcome.faults:
             voice.say("fault", text=fault)
         voice.say("result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s)
@@ -110,27 +110,44 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
     _go_realtime(setup, voice)
-    link = None
-    loop = None
     try:
         link = ZenohControllerLink(setup.scenario.link, lossless=setup.scenario.clock == "lockstep")
+    except BusError as error:
+        voice.say("fault", text=str(error))
+        return FAULT
+    try:
         loop = ControlLoop(setup.control_task(), link)
         loop.warm_up()
         voice.say("note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}")
         link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
         with _progress(voice, lambda: _controller_progress(loop)):
-            link.join(is_stop_requested=lambda: stop.is_set)
-        voice.say("result", cycles=loop.cycles, late=loop.late, rejected=loop.rejections.counts)
-        return FINISHED
-    except (BusError, ControllerError) as error:
+            return _control(loop, link, stop, voice)
+    except BusError as error:
         voice.say("fault", text=str(error))
-        if link is not None and loop is not None:
-            event = RunEvent(loop.stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
-            link.publish(RUN_EVENTS, event.encode())
         return FAULT
     finally:
-        if link is not None:
-            link.close()
+        link.close()
+
+
+def _control(loop: ControlLoop, link: ZenohControllerLink, stop: StopRequest, voice: Voice) -> int:
+    """Answer states to the end, and say goodbye; the exit code."""
+
+    def publish(kind: EventKind, detail: str) -> None:
+        event = RunEvent(max(loop.stamp_ns, 0), Role.CONTROLLER, kind, detail)
+        link.publish(RUN_EVENTS, event.encode())
+
+    code = FINISHED
+    try:
+        link.join(is_stop_requested=lambda: stop.is_set)
+    except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
+        voice.say("fault", text=str(error))
+        publish(EventKind.FAULT, str(error))
+        code = FAULT
+    counts = {"cycles": loop.cycles, "late": loop.late, "rejected": loop.rejections.counts}
+    voice.say("result", **counts)
+    publish(EventKind.ENDED, json.dumps(counts))
+    link.await_recorded()
+    return code
 
 
 def run_recorder(setup: Setup, path: Path, voice: Voice) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import struct
 import time
@@ -11,7 +12,8 @@ from functools import partial
 from pathlib import Path
 
 from bus_schema import topics
-from bus_schema.errors import PeerSilentError
+from bus_schema.errors import InvalidMessageError, PeerSilentError
+from bus_schema.events import EventKind, RunEvent
 from bus_schema.mcap_log import McapLog
 from bus_schema.rmw_wire import Attachment
 from bus_schema.topics import Role, Topic
@@ -75,6 +77,7 @@ class Recorder:
         self.messages = 0
         self.lost = 0
         self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=True)
+        self._node.advertise(topics.RUN_EVENTS)
         for topic in topics.TOPICS:
             self._node.subscribe(topic, partial(self._on_delivery, topic))
         self._node.announce()
@@ -140,3 +143,13 @@ class Recorder:
             delivery.payload,
         )  # fmt: skip
         self.messages += 1
+        if topic is topics.RUN_EVENTS:
+            self._acknowledge(delivery.payload, attachment.gid)
+
+    def _acknowledge(self, payload: bytes, gid: bytes) -> None:
+        """Tell a process that said its last word that all of it is recorded."""
+        with contextlib.suppress(InvalidMessageError):
+            event = RunEvent.decode(payload)
+            if event.kind == EventKind.ENDED:
+                answer = RunEvent(event.stamp_ns, Role.RECORDER, EventKind.RECORDED, gid.hex())
+                self._node.publish(topics.RUN_EVENTS, answer.encode())

@@ -92,7 +92,7 @@ def bare_physics_us(setup: Setup) -> float:
 
 def simulate_us(setup: Setup) -> float:
     """Cost of one tick of a simulation, all messages kept."""
-    return _wall_us(simulate(setup).data().last_event(EventKind.ENDED), setup)
+    return _wall_us(simulate(setup).data().plant_event(EventKind.ENDED), setup)
 
 
 def lockstep_us(setup: Setup) -> float:
@@ -103,7 +103,7 @@ def lockstep_us(setup: Setup) -> float:
         failures = Launcher(setup, folder).run(lambda _: None).failures
         if failures:
             raise RuntimeError("; ".join(failures))
-        return _wall_us(load_run(folder.path)[0].last_event(EventKind.ENDED), setup)
+        return _wall_us(load_run(folder.path)[0].plant_event(EventKind.ENDED), setup)
 
 
 def _wall_us(ended: Any, setup: Setup) -> float:

@@ -20,7 +20,7 @@ def summarise(run: RunData) -> dict[str, Any]:
     """The summary of a run, ready for JSON."""
     setup = run.setup
     truth = run.tables[topics.PLANT_TRUTH.name]
-    ended = run.last_event(EventKind.ENDED)
+    ended = run.plant_event(EventKind.ENDED)
     outcome = ended.values() if ended is not None else {}
     ticks = int(outcome.get("ticks", max(len(truth) - 1, 0)))
     duration_s = ticks * setup.grid.period_ns * 1e-9
@@ -148,7 +148,7 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
 
 
 def _transport(run: RunData) -> dict[str, Any]:
-    event = run.last_event(EventKind.COUNTS)
+    event = run.plant_event(EventKind.COUNTS)
     counts = event.values() if event is not None else {}
     unknown: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
     return {name: counts.get(name, unknown) for name in ("uplink", "downlink")}

@@ -14,7 +14,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.cdr_layout import Record
 from bus_schema.errors import InvalidMessageError
 from bus_schema.events import EventKind, RunEvent
-from bus_schema.topics import Topic
+from bus_schema.topics import Role, Topic
 from controller.reference import sample_positions
 from deploy.scenario import Setup
 
@@ -59,9 +59,9 @@ class RunData:
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
         return np.asarray(truth["position"] - wanted)
 
-    def last_event(self, kind: EventKind) -> RunEvent | None:
-        """The last event of a kind."""
-        found = [event for event in self.events if event.kind == kind]
+    def plant_event(self, kind: EventKind) -> RunEvent | None:
+        """The last event of a kind that the plant told of."""
+        found = [e for e in self.events if e.kind == kind and e.source == Role.PLANT]
         return found[-1] if found else None
 
     def faults(self) -> list[str]:

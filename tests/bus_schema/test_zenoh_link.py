@@ -1,7 +1,7 @@
 """The link over Zenoh: between its own two sides, and with a client that others wrote.
 
-The client is ``zenoh-ros2-sdk``, which speaks rmw_zenoh's format on its own: it computes keys, type
-hashes, tokens and CDR itself. It runs in a process of its own, for it keeps one session per process.
+The client is ``zenoh-ros2-sdk``, which speaks rmw_zenoh's format on its own: it computes keys,
+type hashes, tokens and CDR itself. It keeps one session per process, so it has a process to itself.
 """
 
 from __future__ import annotations

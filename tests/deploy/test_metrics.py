@@ -2,7 +2,7 @@
 
 The arm is the three-joint one, held at zero: the recorded position is the error. It starts 0.1 rad
 above, so the funnel opens to 1.2 · 0.1 + 0.05 = 0.17 rad above and to 0.4 · 0.1 + 0.03 = 0.07 rad
-below; it closes to 0.01 rad at 1000 per second, so it is there (to 1e-4 of its opening) after 10 ms.
+below; it closes to 0.01 rad at 1000 per second, so after 10 ms it is there to 1e-4 of its opening.
 """
 
 from __future__ import annotations
