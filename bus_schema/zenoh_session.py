@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import threading
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -28,6 +29,7 @@ from bus_schema.errors import BusError
 
 MAX_MESSAGE_BYTES = 1 << 20
 """Larger messages are cut off by the transport itself."""
+_CLOSE_TIMEOUT_S = 2.0
 
 
 class SessionError(BusError, ConnectionError):
@@ -129,8 +131,17 @@ class ZenohSession:
         self._kept.append(watch)
 
     def close(self) -> None:
-        """Close the session; what was put before is sent first."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        """Close the session. What is still queued for a slow peer is lost.
+
+        A peer that is frozen would hold the closing up for long; it is not waited for.
+        """
+        closing = threading.Thread(target=self._close, daemon=True)
+        closing.start()
+        closing.join(_CLOSE_TIMEOUT_S)
+
+    def _close(self) -> None:
+        with contextlib.suppress(zenoh.ZError):
+            self._session.close()  # type: ignore[no-untyped-call]
 
 
 def check_endpoint(endpoint: str, key: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -29,8 +28,6 @@ from plant_emulator.plant_loop import PlantLoop
 
 FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2
-_RECORDER_NICENESS = 10
-"""A recorder may fall behind for a while; a loop may not."""
 
 
 class Voice:
@@ -153,7 +150,6 @@ def _control(loop: ControlLoop, link: ZenohControllerLink, stop: StopRequest, vo
 def run_recorder(setup: Setup, path: Path, voice: Voice) -> int:
     """Be the recorder for one run; the exit code."""
     stop = StopRequest()
-    os.nice(_RECORDER_NICENESS)
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:

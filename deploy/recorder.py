@@ -103,11 +103,11 @@ class Recorder:
 
     def close(self) -> None:
         """Write what was heard, and finish the file."""
-        self._node.close()
         self._write_for(0.0)
         counts = {"messages": str(self.messages), "lost": str(self.lost)}
         self._log.add_metadata(RECORDER_METADATA, counts)
         self._log.close()
+        self._node.close()
 
     def _on_delivery(self, topic: Topic, delivery: Delivery) -> None:
         if self._heard.qsize() < _LARGEST_BACKLOG:  # beyond it, the gap in numbers tells the loss
