@@ -34,13 +34,22 @@ class StrictModel(BaseModel):
 
 
 def _to_vector(value: Any) -> Vector:
-    values = value if isinstance(value, list | tuple | np.ndarray) else [value]
+    given = value if isinstance(value, list | tuple | np.ndarray) else [value]
+    values = [_number_in(v) if isinstance(v, str) else v for v in given]
     if any(isinstance(v, bool) or not isinstance(v, int | float | np.number) for v in values):
         raise ValueError("a number, or a list of numbers with one per joint")
     vector = np.array(values, dtype=np.float64)
     if vector.size == 0 or not np.all(np.isfinite(vector)):
         raise ValueError("finite numbers, one for all joints or one per joint")
     return vector
+
+
+def _number_in(text: str) -> float | str:
+    """YAML 1.1 takes 1e3 for a string; pydantic's own numbers are as forgiving."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _to_positive(value: Any) -> Vector:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from bus_schema.configuration import NonNegative, Positive, StrictModel
+
+
+def _check_endpoint(text: str) -> str:
+    if not re.fullmatch(r"(tcp|udp|tls|quic|ws)/\S+:\d{1,5}|unixsock-stream/\S+", text):
+        raise ValueError("a Zenoh endpoint such as tcp/127.0.0.1:7451")
+    return text
+
+
+Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 
 
 class ChannelConfiguration(StrictModel):
@@ -42,9 +52,9 @@ class LinkConfiguration(StrictModel):
 
     kind: Literal["zenoh", "in_process"] = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
-    plant_endpoint: str = "tcp/127.0.0.1:7451"
-    controller_endpoint: str = "tcp/127.0.0.1:7452"
-    router_endpoint: str | None = None
+    plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
+    controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
+    router_endpoint: Endpoint | None = None
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
     deadline_ms: Positive | None = None

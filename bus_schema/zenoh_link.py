@@ -32,7 +32,7 @@ class ZenohPlantLink:
     Args:
         link: section ``link`` of the scenario.
         clock: the plant's clock, which stamps arrivals.
-        lossless: rather wait for the network than drop a message.
+        lossless: rather wait for a slow recorder than go on without it.
         await_recorder: do not start without a recorder.
     """
 
@@ -119,7 +119,7 @@ class ZenohControllerLink:
 
     Args:
         link: section ``link`` of the scenario.
-        lossless: rather wait for the network than drop a message.
+        lossless: rather wait for a slow recorder than go on without it.
 
     Attributes:
         failure: the exception that ended the service of states, if any.

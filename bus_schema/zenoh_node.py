@@ -27,6 +27,9 @@ from bus_schema.zenoh_session import Delivery, ZenohPublisher, ZenohSession
 NODE_PREFIX = "funnel_hil_"
 POLL_S = 0.05
 _BATCH = 32
+_PATIENCE_S = 60.0
+_REALTIME_PATIENCE_S = 0.02
+"""A loop in real time is held up at most once and for so long by a recorder that stops reading."""
 
 
 class ZenohNode:
@@ -35,16 +38,20 @@ class ZenohNode:
     Args:
         link: section ``link`` of the scenario.
         role: what this node is.
-        lossless: rather wait for the network than drop a message.
+        lossless: rather wait for a slow recorder than go on without it.
     """
 
     def __init__(self, link: LinkConfiguration, role: Role, *, lossless: bool) -> None:
         listen, connect = _endpoints(link, role)
         # A recorder may fall behind, and must not hold up the loop when it does.
-        self._session = ZenohSession(listen, connect, low_latency=role is not Role.RECORDER)
+        self._session = ZenohSession(
+            listen,
+            connect,
+            low_latency=role is not Role.RECORDER,
+            patience_s=_PATIENCE_S if lossless else _REALTIME_PATIENCE_S,
+        )
         self._domain = link.domain
         self._role = role
-        self._lossless = lossless
         self._node = f"{NODE_PREFIX}{role}"
         self._entities: dict[str, Entity] = {}
         self._acknowledged = threading.Event()
@@ -60,9 +67,7 @@ class ZenohNode:
 
     def advertise(self, topic: Topic) -> ZenohPublisher:
         """Declare a publisher and announce it."""
-        publisher = self._session.publisher(
-            topic.key_expression(self._domain), may_drop=not self._lossless, urgent=topic.urgent
-        )
+        publisher = self._session.publisher(topic.key_expression(self._domain))
         token = self._announce(EntityKind.PUBLISHER, topic)
         self._publishers[topic.name] = (publisher, endpoint_gid(token))
         return publisher

@@ -24,8 +24,9 @@ os.environ.setdefault(
 
 import zenoh
 
-from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
+
+zenoh.init_log_from_env_or("error")
 
 MAX_MESSAGE_BYTES = 1 << 20
 """Larger messages are cut off by the transport itself."""
@@ -70,6 +71,8 @@ class ZenohSession:
     Args:
         listen: endpoints to serve.
         connect: endpoints to connect to; retried in the background until they answer.
+        patience_s: how long a full queue to a slow peer may hold up a sender, before the connection
+            to that peer is closed (it may come back).
         low_latency: use the transport without queues: least delay, but a peer that stops reading
             holds up the sender. Both ends must want it.
 
@@ -77,9 +80,16 @@ class ZenohSession:
         SessionError: an endpoint cannot be served or is malformed.
     """
 
-    def __init__(self, listen: Sequence[str], connect: Sequence[str], *, low_latency: bool) -> None:
+    def __init__(
+        self,
+        listen: Sequence[str],
+        connect: Sequence[str],
+        *,
+        low_latency: bool,
+        patience_s: float = 10.0,
+    ) -> None:
         try:
-            self._session = zenoh.open(_configuration(listen, connect, low_latency=low_latency))
+            self._session = zenoh.open(_configuration(listen, connect, low_latency, patience_s))
         except zenoh.ZError as error:
             raise SessionError(
                 f"no Zenoh session (listening on {list(listen)}, connecting to {list(connect)}):"
@@ -88,17 +98,15 @@ class ZenohSession:
         self.identifier = str(self._session.zid())
         self._kept: list[object] = []
 
-    def publisher(self, key: str, *, may_drop: bool, urgent: bool) -> ZenohPublisher:
+    def publisher(self, key: str) -> ZenohPublisher:
         """Declare a publisher.
 
-        Args:
-            key: where it sends.
-            may_drop: rather drop a message than wait for a slow network.
-            urgent: leave at once; otherwise messages may wait for others to leave with.
+        Messages are never dropped for congestion: with zenoh 1.10, a queue that has once dropped
+        one may never send again. Nor are they marked express: the low-latency transport sends each
+        at once anyway, and in the queue to a recorder each would take a whole batch for itself.
         """
-        control = zenoh.CongestionControl.DROP if may_drop else zenoh.CongestionControl.BLOCK
         return ZenohPublisher(
-            self._session.declare_publisher(key, congestion_control=control, express=urgent)
+            self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         )
 
     def subscribe(self, key: str, on_delivery: Callable[[Delivery], None]) -> None:
@@ -144,23 +152,8 @@ class ZenohSession:
             self._session.close()  # type: ignore[no-untyped-call]
 
 
-def check_endpoint(endpoint: str, key: str) -> None:
-    """Check that an endpoint is well formed.
-
-    Raises:
-        ConfigurationError: it is not.
-    """
-    configuration = zenoh.Config()
-    try:
-        configuration.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    except zenoh.ZError as error:
-        raise ConfigurationError(
-            key, endpoint, "must be a Zenoh endpoint such as tcp/127.0.0.1:7451"
-        ) from error
-
-
 def _configuration(
-    listen: Sequence[str], connect: Sequence[str], *, low_latency: bool
+    listen: Sequence[str], connect: Sequence[str], low_latency: bool, patience_s: float
 ) -> zenoh.Config:
     settings = {
         "mode": "peer",
@@ -176,8 +169,9 @@ def _configuration(
         "scouting/delay": 0,
         "transport/unicast/lowlatency": low_latency,
         "transport/unicast/qos/enabled": False,
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": 2_000_000,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": round(
+            patience_s * 1e6
+        ),
         "transport/link/tx/queue/size/data": 16,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     }  # fmt: skip

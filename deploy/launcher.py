@@ -22,7 +22,8 @@ from deploy.scenario import Setup
 
 _POLL_S = 0.05
 _PR_SET_PDEATHSIG = 1
-_KILL_AFTER_S = 5.0
+_KILL_AFTER_S = 3.0
+_FAREWELL_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class Child:
         self, role: Role, arguments: list[str], heard: queue.SimpleQueue[Utterance]
     ) -> None:
         self.role = role
+        self._asked_to_stop = False
         self.faults: list[str] = []
         self.errors: list[str] = []
         self.process = subprocess.Popen(
@@ -89,7 +91,9 @@ class Child:
         return stat.rpartition(")")[2].split()[0] in ("T", "t")
 
     def ask_to_stop(self) -> None:
-        if self.is_running():
+        """Ask once; a second signal could meet an interpreter that is already shutting down."""
+        if self.is_running() and not self._asked_to_stop:
+            self._asked_to_stop = True
             self.process.terminate()
 
     def kill(self) -> None:
@@ -102,6 +106,8 @@ class Child:
         code = self.process.returncode
         for reader in self._readers:
             reader.join(timeout=1.0)
+        if code == -signal.SIGTERM and self._asked_to_stop:
+            return None  # it had not got as far as to leave in order, or was past it
         if code < 0:
             return f"the {self.role} was killed by {signal.Signals(-code).name}"
         if self.faults:
@@ -181,12 +187,13 @@ class Launcher:
             if self._stop_requested and not self._outcome.interrupted:
                 self._outcome.interrupted = True
                 plant.ask_to_stop()
-                leave_by_s = leave_by_s or time.monotonic() + _KILL_AFTER_S
             if not recorder.is_running() and plant.is_running():
                 plant.ask_to_stop()
             if not plant.is_running() or not controller.is_running():
                 # The plant has its command timeout and its stop to get through, in wall time.
                 allowed_s = _KILL_AFTER_S + self._setup.scenario.link.reply_timeout_s
+                if self._outcome.interrupted:
+                    allowed_s = _FAREWELL_S
                 leave_by_s = leave_by_s or time.monotonic() + allowed_s
             if leave_by_s is not None and time.monotonic() > leave_by_s:
                 return

@@ -95,10 +95,11 @@ class RunFolder:
 
         Args:
             run: its data.
-            extra_faults: what the recording cannot know, such as a process that was killed.
+            extra_faults: what the recording cannot know, such as a process that was killed; causes
+                come before what followed from them.
         """
         summary = summarise(run)
-        summary["faults"] = [*summary["faults"], *extra_faults]
+        summary["faults"] = [*extra_faults, *summary["faults"]]
         summary["completed"] = summary["completed"] and not extra_faults
         self.summary.write_text(json.dumps(summary, indent=2) + "\n")
         write_report(run, summary, self.report)

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -113,10 +114,14 @@ def _timing_table(summary: dict[str, Any]) -> Table:
 
 def _show_verdict(console: Console, summary: dict[str, Any]) -> None:
     bounds, timing = summary["bounds"], summary["timing"]
-    for fault in summary["faults"]:
-        console.print(f"[bold red]fault[/]  {fault}")
+    if summary["faults"]:
+        first, *others = summary["faults"]
+        more = f" [dim](and {len(others)} that followed, see the report)[/]" if others else ""
+        console.print(f"[bold red]fault[/]  {escape(first)}{more}")
     if bounds["kept"]:
-        console.print(f"[bold green]bounds kept[/]  smallest margin {bounds['margin_min']:.1%}")
+        colour, when = ("green", "") if summary["completed"] else ("yellow", " as far as it went")
+        margin = f"smallest margin {bounds['margin_min']:.1%}"
+        console.print(f"[bold {colour}]bounds kept{when}[/]  {margin}")
     elif bounds["violation_fraction"] is None:
         console.print("[bold red]nothing to judge[/]  no tick was recorded")
     else:

@@ -35,7 +35,8 @@ class CommandGate:
 
     Attributes:
         rejections: what was kept out.
-        last_answered_ns: stamp of the state that the last well-formed command answered.
+        awaited_ns: stamp of the state whose answer is waited for; None once it has come, be it
+            new or a repetition.
     """
 
     def __init__(self, joint_names: tuple[str, ...]) -> None:
@@ -43,7 +44,7 @@ class CommandGate:
         self._record = Record(self._layout)
         self.rejections = Rejections("command", logger)
         self._newest_ns = -1
-        self.last_answered_ns = -1
+        self.awaited_ns: int | None = None
 
     def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
         """The command in `arrival`, or None if it must change nothing.
@@ -66,7 +67,8 @@ class CommandGate:
             raise InvalidMessageError("not_finite", "a torque is not finite")
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
-        self.last_answered_ns = stamp_ns
+        if stamp_ns == self.awaited_ns:
+            self.awaited_ns = None
         if stamp_ns <= self._newest_ns:
             raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
         self._newest_ns = stamp_ns

@@ -178,8 +178,9 @@ class PlantLoop:
         """Wait for the reply to one state; if it stays out, go on alone until the watchdog acts."""
         timeout_s = self._task.link.reply_timeout_s
         give_up_s = time.monotonic() + timeout_s
+        self._gate.awaited_ns = stamp_ns
         self._collect_commands()
-        while self._gate.last_answered_ns != stamp_ns and not self._stop_requested:
+        while self._gate.awaited_ns is not None and not self._stop_requested:
             if self._link.await_command(_PATIENCE_S):
                 self._collect_commands()
             elif self._link.controller_has_left():
@@ -192,7 +193,10 @@ class PlantLoop:
                 return
 
     def _collect_commands(self) -> None:
-        for arrival in self._link.take_commands():
+        arrivals = self._link.take_commands()
+        if self._controller_is_lost:
+            return  # whatever comes now answers a world that has moved on without it
+        for arrival in arrivals:
             command = self._gate.admit(arrival, self._newest_sent_ns)
             if command is not None:
                 self._downlink.send(command, arrival.arrival_ns)

@@ -37,7 +37,7 @@ class PingPong:
         self._replies: queue.SimpleQueue[Delivery] = queue.SimpleQueue()
         self._session = ZenohSession([link.plant_endpoint], [], low_latency=True)
         self._publishers = [
-            self._session.publisher(topic.key_expression(link.domain), may_drop=False, urgent=True)
+            self._session.publisher(topic.key_expression(link.domain))
             for topic in (topics.PLANT_STATUS, topics.JOINT_STATES)
         ]
         self._session.subscribe(
@@ -80,9 +80,7 @@ def answer(endpoint: str, domain: int, joint_names: tuple[str, ...]) -> None:
     """Be the far end until standard input closes."""
     session = ZenohSession([], [endpoint], low_latency=True)
     payload = topics.layout(topics.JOINT_COMMANDS, joint_names).template
-    publisher = session.publisher(
-        topics.JOINT_COMMANDS.key_expression(domain), may_drop=False, urgent=True
-    )
+    publisher = session.publisher(topics.JOINT_COMMANDS.key_expression(domain))
     session.subscribe(topics.PLANT_STATUS.key_expression(domain), lambda _: None)
     session.subscribe(
         topics.JOINT_STATES.key_expression(domain), lambda _: publisher.put(payload, _ATTACHMENT)

@@ -33,7 +33,7 @@ class Bench:
         self.session.announce(node_token(0, self.session.identifier, "funnel_hil_plant"))
         self.recorder = Recorder(setup, path)
         self._publishers = {
-            topic.name: self.session.publisher(topic.key_expression(0), may_drop=False, urgent=True)
+            topic.name: self.session.publisher(topic.key_expression(0))
             for topic in (JOINT_STATES, JOINT_COMMANDS, RUN_EVENTS)
         }
         self._stop = threading.Event()

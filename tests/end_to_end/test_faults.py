@@ -54,13 +54,16 @@ class Struck:
         ]
 
     @property
-    def recorded_s(self) -> float:
-        return float(self.run.data.times_s(PLANT_TRUTH)[-1])
+    def unrecorded_s(self) -> float:
+        """How much of the plant's time is missing at the end of the recording."""
+        return self.plant_end_s - float(self.run.data.times_s(PLANT_TRUTH)[-1])
 
 
-def strike(tmp_path: Path, clock: str, number: signal.Signals, role: str | None) -> Struck:
+def strike(
+    tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str
+) -> Struck:
     """Send a signal to a process of a run, or to the run itself, in the middle of it."""
-    words = ["run", "paper_arm", *LONG, *settings(clock=clock)]
+    words = ["run", "paper_arm", *LONG, *settings(clock=clock), *more]
     with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
         watcher.await_time(STRUCK_AT_S, run)
         run.send(number, role)
@@ -88,8 +91,13 @@ def test_arm_is_stopped_when_the_controller_falls_silent(
     assert fate in struck.run.summary["faults"]
     assert not struck.run.summary["completed"]
     assert struck.run.data.complete
-    assert struck.recorded_s == pytest.approx(struck.plant_end_s, abs=1e-9)
+    assert struck.unrecorded_s <= allowed_gap_s(clock)
     assert_stopped_in_time(struck.run)
+
+
+def allowed_gap_s(clock: str) -> float:
+    """In lockstep nothing may be missing; in real time a loop rather drops a message than waits."""
+    return 1e-9 if clock == "lockstep" else 1.0
 
 
 def assert_stopped_in_time(run: Finished) -> None:
@@ -111,7 +119,7 @@ def test_run_ends_when_the_plant_is_killed(tmp_path: Path, clock: str) -> None:
     assert struck.blamed == ["the plant was killed by SIGKILL"]
     assert not struck.run.summary["completed"]
     assert struck.run.data.complete  # the recorder finished its file
-    assert struck.recorded_s >= struck.plant_end_s - 1.0
+    assert struck.unrecorded_s <= 1.0
 
 
 @both_clocks
@@ -121,8 +129,7 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
     assert struck.blamed == ["the recorder was killed by SIGKILL"]
     assert not struck.run.summary["completed"]
     assert not struck.run.data.complete
-    assert struck.recorded_s > STRUCK_AT_S - 1.0
-    assert struck.recorded_s >= struck.plant_end_s - 1.0
+    assert struck.unrecorded_s <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -136,12 +143,13 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
 def test_interrupted_run_leaves_complete_files(
     tmp_path: Path, clock: str, number: signal.Signals
 ) -> None:
-    struck = strike(tmp_path, clock, number, None)
+    patient = settings(plant__command_timeout_ms=5000)  # a busy machine is another matter
+    struck = strike(tmp_path, clock, number, None, *patient)
     assert struck.run.code == 130
     assert struck.run.summary["completed"] is False
     assert struck.run.summary["faults"] == []
     assert struck.run.data.complete
-    assert struck.recorded_s == pytest.approx(struck.plant_end_s, abs=1e-9)
+    assert struck.unrecorded_s <= allowed_gap_s(clock)
     assert (struck.run.folder / "report.html").is_file()
 
 

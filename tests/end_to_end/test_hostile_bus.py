@@ -71,9 +71,7 @@ def run_under_fire(out: Path) -> tuple[Finished, Counter[str], float]:
     words = ["run", "paper_arm", *settings(clock="lockstep", duration_s=DURATION_S)]
     sent: Counter[str] = Counter()
     with started(*words, out=out) as run, Watcher(run.plant_endpoint()) as stranger:
-        publisher = stranger.session.publisher(
-            JOINT_COMMANDS.key_expression(0), may_drop=False, urgent=True
-        )
+        publisher = stranger.session.publisher(JOINT_COMMANDS.key_expression(0))
         stranger.await_time(SHOTS_FROM_S, run)
         for shot in range(ROUNDS):
             for reason, payload in ammunition():
