@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from bus_schema.topics import Role
 from deploy import doctor as doctor_module
@@ -214,12 +215,11 @@ def _finish(
     try:
         data, _ = load_run(folder.path)
     except RunFolderError as error:
-        for failure in [*outcome.failures, str(error)]:
-            console.print(f"[bold red]fault[/]  {failure}")
-        folder.summary.write_text(
-            json.dumps({"completed": False, "faults": [*outcome.failures, str(error)]}) + "\n"
-        )
-        raise typer.Exit(FAULT) from error
+        faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
+        for fault in faults or ["stopped before the run began"]:
+            console.print(escape(fault))
+        folder.summary.write_text(json.dumps({"completed": False, "faults": faults}) + "\n")
+        raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
     summary = folder.conclude(data, outcome.failures)
     show_summary(console, summary)
     console.print(f"results: {folder.path}", soft_wrap=True)

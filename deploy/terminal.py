@@ -116,8 +116,9 @@ def _show_verdict(console: Console, summary: dict[str, Any]) -> None:
     bounds, timing = summary["bounds"], summary["timing"]
     if summary["faults"]:
         first, *others = summary["faults"]
-        more = f" [dim](and {len(others)} that followed, see the report)[/]" if others else ""
-        console.print(f"[bold red]fault[/]  {escape(first)}{more}")
+        console.print(f"[bold red]fault[/]  {escape(first)}")
+        if others:
+            console.print(f"[dim]{len(others)} more that followed are in the report[/]")
     if bounds["kept"]:
         colour, when = ("green", "") if summary["completed"] else ("yellow", " as far as it went")
         margin = f"smallest margin {bounds['margin_min']:.1%}"

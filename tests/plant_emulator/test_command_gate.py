@@ -41,10 +41,11 @@ def foreign(names, effort, stamp_ns=5):
 
 def test_valid_command_comes_through():
     bench = Bench()
+    bench.gate.awaited_ns = 5
     command = bench.admit(payload(5))
     assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
     assert (command.sequence, command.stamp_ns) == (7, 5)
-    assert bench.gate.last_answered_ns == 5
+    assert bench.gate.awaited_ns is None
     assert not bench.rejected
 
 
@@ -92,8 +93,9 @@ def test_only_a_repeated_answer_counts_as_an_answer(data, reason):
     # In lockstep the plant waits for an answer to its state: a late one is one, garbage is none.
     bench = Bench()
     bench.admit(payload(5))
+    bench.gate.awaited_ns = 4
     bench.admit(data)
-    assert bench.gate.last_answered_ns == (4 if data == payload(4) else 5)
+    assert bench.gate.awaited_ns == (None if data == payload(4) else 4)
     assert bench.rejected[reason] == 1
 
 
