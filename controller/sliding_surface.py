@@ -50,3 +50,13 @@ def surface_pull_slope(
         d_chi = linear + 2.0 * quadratic * size
     slope: float = alpha_1 * phi_1 * size ** (phi_1 - 1.0) + alpha_2 * d_chi
     return slope
+
+
+@compiled
+def switch(s: float, boundary_layer: float) -> float:
+    """sign(s), or s / boundary_layer where |s| is less than that."""
+    if s == 0.0:
+        return 0.0
+    if abs(s) < boundary_layer:
+        return s / boundary_layer
+    return math.copysign(1.0, s)
