@@ -42,7 +42,8 @@ def power_spectrum(torques_nm: Matrix, rate_hz: float) -> tuple[Vector, Matrix]:
     if length % 2 == 0:
         both_sides[-1] = 1.0
     scale = both_sides[:, None] / (length * np.sum(window**2))
-    return np.fft.rfftfreq(length, 1.0 / rate_hz), scale * power
+    frequencies = np.arange(len(power)) * (rate_hz / length)
+    return np.asarray(frequencies, dtype=np.float64), np.asarray(scale * power)
 
 
 def chatter_shares(torques_nm: Matrix, rate_hz: float) -> list[float] | None:
