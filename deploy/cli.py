@@ -161,7 +161,12 @@ def record(
     raise typer.Exit(code)
 
 
-for _command in (cli_experiments.compare, cli_experiments.report, cli_experiments.replay):
+for _command in (
+    cli_experiments.compare,
+    cli_experiments.report,
+    cli_experiments.replay,
+    cli_experiments.bench,
+):
     app.command()(_command)
 
 

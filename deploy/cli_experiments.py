@@ -90,6 +90,20 @@ def report(
     console.print(f"report: {folder.report}", soft_wrap=True)
 
 
+def bench(
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the numbers to a file.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer and shorter repetitions: a first impression.")
+    ] = False,
+) -> None:
+    """Measure what things cost on this machine, as ratios of medians side by side."""
+    from deploy.benchmarks.bench import run_bench  # imports what nothing else needs
+
+    run_bench(Console(), json_file, quick=quick)
+
+
 def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> bool:
     """Simulate one law after another; whether the user put an end to it."""
     stop = threading.Event()
