@@ -24,7 +24,7 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from controller.control_law import Diagnostics, Dynamics, Tracking
-from controller.sliding_surface import surface_pull, surface_pull_slope, switch
+from controller.sliding_surface import default_switching, surface_pull, surface_pull_slope, switch
 
 
 class FtsmcGains(NamedTuple):
@@ -44,9 +44,14 @@ class FtsmcGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FtsmcGains:
-        """The same for all joints: M̂ in the law already scales them by inertia."""
+        """The same for all joints but for the switching, as M̂ already scales by inertia."""
         one = np.ones_like(inertia_kg_m2)
-        return cls(alpha=3.0 * one, beta=2.0 * one, switching=15.0 * one, linear=5.0 * one)
+        return cls(
+            alpha=3.0 * one,
+            beta=2.0 * one,
+            switching=default_switching(inertia_kg_m2),
+            linear=10.0 * one,
+        )
 
 
 class Ftsmc:

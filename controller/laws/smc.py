@@ -13,7 +13,7 @@ from bus_schema.arrays import Vector
 from bus_schema.compiled import compiled
 from bus_schema.configuration import NonNegative, PerJointNonNegative, PerJointPositive
 from controller.control_law import Diagnostics, Dynamics, Tracking
-from controller.sliding_surface import switch
+from controller.sliding_surface import default_switching, switch
 
 
 class SmcGains(NamedTuple):
@@ -29,9 +29,9 @@ class SmcGains(NamedTuple):
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> SmcGains:
-        """The same for all joints: M̂ in the law already scales them by inertia."""
+        """The same for all joints but for the switching, as M̂ already scales by inertia."""
         one = np.ones_like(inertia_kg_m2)
-        return cls(slope=8.0 * one, switching=15.0 * one, linear=5.0 * one)
+        return cls(slope=8.0 * one, switching=default_switching(inertia_kg_m2), linear=10.0 * one)
 
 
 class Smc:

@@ -12,6 +12,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.events import EventKind
 from deploy.experiments.chattering import chatter_shares
 from deploy.experiments.run_data import RunData, stamps_s
+from deploy.experiments.settling_bound import settling_bound_s
 
 PERCENTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
@@ -87,7 +88,7 @@ def _tracking(run: RunData) -> dict[str, Any]:
         "rms_rad": np.sqrt((judged**2).mean(axis=0)).tolist() if len(judged) else None,
         "max_abs_rad": np.abs(judged).max(axis=0).tolist() if len(judged) else None,
         "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
-        "settling_bound_s": None,
+        "settling_bound_s": settling_bound_s(run.setup),
     }
 
 
