@@ -101,7 +101,8 @@ def bench(
     """Measure what things cost on this machine, as ratios of medians side by side."""
     from deploy.benchmarks.bench import run_bench  # imports what nothing else needs
 
-    run_bench(Console(), json_file, quick=quick)
+    sections = run_bench(Console(), json_file, quick=quick)
+    raise typer.Exit(FINISHED if all(section.ratios for section in sections) else FAULT)
 
 
 def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from deploy.benchmarks.recorder_throughput import measure_recorder
 from deploy.benchmarks.round_trip import measure_round_trips
 from deploy.scenario import ScenarioError
 
+FAILED = "could not be measured:"
 _SCENARIO = "paper_arm"
 
 
@@ -42,7 +44,7 @@ def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[
     sections = []
     for title, measure in _plan(quick=quick).items():
         with console.status(f"measuring: {title}"):
-            sections.append(measure())
+            sections.append(_measured(title, measure))
         show_section(console, sections[-1])
     if json_file is not None:
         json_file.write_text(json.dumps(as_dict(sections, quick=quick), indent=2) + "\n")
@@ -72,14 +74,22 @@ def show_section(console: Console, section: Section) -> None:
             ratio.name, *(f"{one:.2f}" for one in (value.median, value.lowest, value.highest)),
             _sum(section.costs_us, ratio.over), _sum(section.costs_us, ratio.under),
         )  # fmt: skip
-    console.print(table)
+    console.print(table if section.ratios else section.title)
     for note in section.notes:
         console.print(note, markup=False, highlight=False)
     console.print()
 
 
+def _measured(title: str, measure: Callable[[], Section]) -> Section:
+    """A section, or a section without numbers that says why it has none."""
+    try:
+        return measure()
+    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+        return Section(title.capitalize(), {}, [], [f"{FAILED} {error}"])
+
+
 def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
-    repetitions, seconds = (2, 0.5) if quick else (5, 2.0)
+    repetitions, seconds = (2, 0.5) if quick else (4, 1.5)
     return {
         "control step": lambda: measure_control_steps(round(2000 * seconds), repetitions),
         "ticks": lambda: measure_loop_costs(_SCENARIO, seconds, repetitions),

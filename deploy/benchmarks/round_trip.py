@@ -22,6 +22,9 @@ WAKE_UP_P50, WAKE_UP_P99 = (
     "wake-up lateness of the plant, p99",
 )
 KERNEL_P50, KERNEL_P99 = "cyclictest, p50", "cyclictest, p99"
+_PATIENCE_MS = 2000
+"""A busy machine may hold up a run for a while; that ends no measurement of medians."""
+
 _TRANSPORTS = {
     "bare Zenoh": ("zenoh", "zenoh"),
     "raw UDP": ("udp", "socket"),
@@ -40,7 +43,10 @@ def measure_round_trips(scenario: str, seconds: float, repetitions: int) -> Sect
         seconds: length of each run; bare round trips are made at its rate, half as long.
         repetitions: how often everything is measured.
     """
-    overrides = [f"duration_s={seconds}", "clock=realtime", "plant.gui=false"]
+    overrides = [
+        f"duration_s={seconds}", "clock=realtime", "plant.gui=false",
+        f"plant.command_timeout_ms={_PATIENCE_MS}",
+    ]  # fmt: skip
     setup = load_setup(scenario, with_free_endpoints(overrides))
     loop, notes = _RealLoop(setup), [_NOTE]
     candidates: dict[str, Callable[[], float]] = {

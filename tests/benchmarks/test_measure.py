@@ -156,6 +156,17 @@ def test_bench_writes_all_sections_as_a_table_and_json(monkeypatch, tmp_path):
     assert "b is missing" in shown.getvalue()
 
 
+def test_a_section_that_fails_leaves_the_others(monkeypatch, tmp_path):
+    def fail():
+        raise RuntimeError("the plant was killed")
+
+    section = Section("Things", {}, [], [])
+    monkeypatch.setattr(bench, "_plan", lambda *, quick: {"ticks": fail, "things": lambda: section})
+    broken, whole = bench.run_bench(Console(file=io.StringIO()), None, quick=True)
+    assert broken.notes == [f"{bench.FAILED} the plant was killed"]
+    assert whole is section
+
+
 def test_a_file_that_cannot_be_written_is_refused_before_measuring(monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "_plan", lambda *, quick: pytest.fail("measured"))
     (tmp_path / "file").touch()
