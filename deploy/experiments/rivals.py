@@ -2,10 +2,13 @@
 
 The search is a (1+1) random search from the law's present gains: all gains, per joint, are
 multiplied by log-normal factors, and the result is kept if it lowers the geometric mean of the
-joints' RMS errors. A candidate is admitted only if its torque never reaches the actuators' limits,
-and a switching gain only if it outweighs all that the nominal model does not know, which is the
-condition under which sliding exists; without it the least chattering, and so the best RMS, would
-come from a sliding mode law that no longer slides.
+joints' RMS errors. Three rules keep the comparison one of laws, not of bandwidths:
+
+- the torque never reaches the actuators' limits;
+- a switching gain outweighs all that the nominal model does not know, which is the condition under
+  which sliding exists: else the best RMS would be that of a sliding mode law that does not slide;
+- at zero error no surface is steeper than the proposed law's: with neither noise nor delay in the
+  scenario, any law gains precision from a steeper surface, and a real arm limits all alike.
 
 Run as ``python -m deploy.experiments.rivals paper_arm smc --trials 100``.
 """
@@ -21,7 +24,12 @@ import numpy as np
 import yaml
 
 from bus_schema.arrays import Vector
+from controller.laws.fixed_time_neural import FixedTimeNeuralGains
+from controller.laws.ftsmc import FtsmcGains
+from controller.laws.smc import SmcGains
+from controller.laws.tsmc import TsmcGains
 from controller.manipulator_model import ManipulatorModel
+from controller.sliding_surface import surface_pull_slope
 from deploy.experiments.metrics import summarise
 from deploy.experiments.simulate import simulate
 from deploy.scenario import Setup, load_setup
@@ -77,6 +85,27 @@ def required_switching(setup: Setup) -> Vector:
     return largest
 
 
+def surface_slope(gains: Any) -> Vector | None:
+    """How fast a surface pulls at zero error, (joints,), 1/s; None for a law without a surface."""
+    match gains:
+        case SmcGains():
+            return gains.slope
+        case TsmcGains() | FtsmcGains():
+            power = gains.power if isinstance(gains, TsmcGains) else gains.psi
+            steepness = surface_pull_slope(0.0, 0.0, 1.0, 1.0, power, gains.eta)
+            linear = isinstance(gains, FtsmcGains) and gains.phi == 1.0
+            slope: Vector = steepness * gains.beta + (gains.alpha if linear else 0.0)
+            return slope
+        case _:
+            return None
+
+
+def proposed_slope(gains: FixedTimeNeuralGains) -> float:
+    """ψ′(0) of the proposed law, 1/s: the slope of its surface in the error too, as v = 0 there."""
+    g = gains
+    return surface_pull_slope(0.0, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
+
+
 def rms_rad(setup: Setup) -> Vector | None:
     """RMS error per joint, (joints,), rad; None where the run failed or reached torque limits."""
     simulation = simulate(setup)
@@ -86,15 +115,31 @@ def rms_rad(setup: Setup) -> Vector | None:
     return np.array(summary["tracking"]["rms_rad"])
 
 
-def search(setup: Setup, trials: int, seed: int) -> tuple[Any, Vector | None]:
-    """Gains after so many trials, and their RMS errors; None if none was admitted."""
+def search(
+    setup: Setup, trials: int, seed: int, steepest_per_s: float
+) -> tuple[Any, Vector | None]:
+    """Gains after so many trials, and their RMS errors; None if none was admitted.
+
+    Args:
+        setup: the scenario under the law to be tuned, with gains to start from.
+        trials: number of candidates.
+        seed: of the candidates.
+        steepest_per_s: largest slope of the surface at zero error.
+    """
     random = np.random.default_rng(seed)
     required = SWITCHING_RESERVE * required_switching(setup)
 
     def admitted(gains: Any) -> Any:
-        if not hasattr(gains, "switching"):
+        slope = surface_slope(gains)
+        if slope is None:
             return gains
-        return gains._replace(switching=np.maximum(gains.switching, required))
+        too_steep = np.maximum(slope / steepest_per_s, 1.0)
+        surface = {
+            name: getattr(gains, name) / too_steep
+            for name in ("slope", "alpha", "beta")
+            if hasattr(gains, name)
+        }
+        return gains._replace(switching=np.maximum(gains.switching, required), **surface)
 
     best = admitted(setup.gains)
     best_rms = rms_rad(with_gains(setup, best))
@@ -121,7 +166,9 @@ def main() -> None:
     parser.add_argument("--duration-s", type=float, default=8.0)
     options = parser.parse_args()
     overrides = [f"controller.law={options.law}", f"duration_s={options.duration_s}"]
-    gains, rms = search(load_setup(options.scenario, overrides), options.trials, options.seed)
+    setup = load_setup(options.scenario, overrides)
+    proposed = load_setup(options.scenario, ["controller.law=fixed_time_neural"]).gains
+    gains, rms = search(setup, options.trials, options.seed, proposed_slope(proposed))
     print(f"# RMS error, mrad: {None if rms is None else np.round(1e3 * rms, 4).tolist()}")
     rounded = plain(varied(gains, lambda _joints: 1.0))
     print(yaml.safe_dump({options.law: rounded}, sort_keys=False))
