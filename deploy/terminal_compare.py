@@ -108,7 +108,7 @@ def _rms_table(comparison: Comparison) -> Table:
     from_s = comparison.runs[0].data.setup.scenario.metrics.from_s
     table = _table(f"RMS error from {from_s:g} s on, mrad")
     for name in tracking["joint_names"]:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", overflow="fold")
     for run in comparison.runs:
         values = [
             of_joint(run.summary["tracking"]["rms_rad"], joint)

@@ -200,6 +200,6 @@ def _put_legend_on_top(figure: go.Figure) -> None:
         showlegend=True,
         legend={
             "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "yref": "container",
-            "traceorder": "normal",
+            "traceorder": "normal", "font": {"size": 11},
         },
     )  # fmt: skip

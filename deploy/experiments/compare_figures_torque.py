@@ -45,11 +45,13 @@ def torques(comparison: Comparison) -> go.Figure | None:
                 go.Scatter(x=x, y=y, mode="lines", line={"color": colour, "width": 1}),
                 row=joint, col=column,
             )  # fmt: skip
-    style(figure, len(names) * _ROW_PX + 90)
+    style(figure, len(names) * _ROW_PX + 120)
+    figure.update_layout(margin={"t": 64, "l": 84})
     figure.update_annotations(font={"size": 13, "color": INK})
     figure.update_xaxes(title_text="time (s)", row=len(names))
     for joint, name in enumerate(names, start=1):
-        figure.update_yaxes(title_text=f"{html.escape(name)} (N m)", row=joint, col=1)
+        title = {"text": f"{html.escape(name)}<br>(N m)", "font": {"size": 11}}
+        figure.update_yaxes(title=title, row=joint, col=1)
     return figure
 
 

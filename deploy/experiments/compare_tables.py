@@ -9,6 +9,7 @@ from deploy.experiments.report_tables import number, of_joint, percent, table
 from deploy.experiments.report_verdict import Verdict
 
 _SHOWN_FAULTS = 2
+_NAMED_JOINTS = 2
 
 
 def judge(comparison: Comparison) -> Verdict:
@@ -126,11 +127,23 @@ def _ranking(comparison: Comparison) -> list[str]:
 
 
 def _winners(competing: dict[str, list[float]], whole: list[LawRun]) -> str:
-    """Who has the smallest number on which joint, and how much less than the next best."""
+    """Who has the smallest number on which joints, and how much less than the next best."""
     names = whole[0].summary["tracking"]["joint_names"]
-    won: dict[str, list[str]] = {}
+    won: dict[str, dict[str, float]] = {}
     for joint, name in enumerate(names):
         first, second = sorted(competing, key=lambda law: competing[law][joint])[:2]
         ratio = competing[first][joint] / max(competing[second][joint], 1e-300)
-        won.setdefault(first, []).append(f"{name} {number(ratio)} × {second}'s")
-    return "; ".join(f"{law} ({', '.join(joints)})" for law, joints in won.items())
+        won.setdefault(first, {})[name] = ratio
+    return "; ".join(
+        f"{law} on {_joints(list(ratios), len(names))},"
+        f" at most {number(max(ratios.values()))} × the next best"
+        for law, ratios in won.items()
+    )
+
+
+def _joints(some: list[str], joints: int) -> str:
+    if len(some) == joints:
+        return "every joint"
+    if len(some) <= _NAMED_JOINTS:
+        return " and ".join(some)
+    return f"{len(some)} of {joints} joints"

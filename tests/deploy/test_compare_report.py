@@ -122,8 +122,8 @@ def test_the_most_precise_law_is_named_joint_by_joint(comparison):
         runs.append(replace(run, summary={**run.summary, "tracking": tracking}))
     sentences = [reason for reason in judge(Comparison(runs)).reasons if "RMS" in reason]
     assert sentences == [
-        "Smallest RMS error: fixed_time_neural (base_yaw 0.5 × pid's, elbow 0.25 × pid's);"
-        " pid (shoulder 0.5 × fixed_time_neural's)."
+        "Smallest RMS error: fixed_time_neural on base_yaw and elbow, at most 0.5 × the next best;"
+        " pid on shoulder, at most 0.5 × the next best."
     ]
 
 
