@@ -200,6 +200,7 @@ def _put_legend_on_top(figure: go.Figure) -> None:
         showlegend=True,
         legend={
             "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "yref": "container",
-            "traceorder": "normal", "font": {"size": 11},
+            "traceorder": "normal", "entrywidthmode": "fraction",
+            "entrywidth": 0.37,
         },
     )  # fmt: skip

@@ -103,6 +103,7 @@ def settling(comparison: Comparison) -> go.Figure | None:
                 go.Scatter(
                     x=[html.escape(name) for name in tracking["joint_names"]], y=bounds,
                     name=f"bound of {html.escape(run.law)}", mode="lines+markers",
+                    showlegend=False,
                     line={"color": colour, "width": 1.5, "dash": "dash"},
                     marker={"symbol": "line-ew-open", "size": 18, "color": colour},
                 )
