@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -22,11 +23,17 @@ from bus_schema.configuration import (
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ControlLaw
 from controller.laws import LAWS
+from controller.laws.custom import build_custom, is_custom
+from controller.laws.fixed_time_model_based import FixedTimeModelBasedGains
 from controller.laws.fixed_time_neural import FixedTimeNeuralGains
+from controller.laws.ftsmc import FtsmcGains
 from controller.laws.pid import PidGains
+from controller.laws.smc import SmcGains
+from controller.laws.tsmc import TsmcGains
 from controller.manipulator_model import ManipulatorModel
 from controller.prescribed_performance import Funnel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference
+from controller.settling import LargestInertia
 
 
 class FunnelConfiguration(StrictModel):
@@ -164,17 +171,26 @@ ReferenceConfiguration = Annotated[
 
 
 class GainsConfiguration(StrictModel):
-    """Gains by law. A law without an entry derives its gains from the arm's nominal inertia."""
+    """Gains by law. A law without an entry derives its gains from the arm's nominal inertia.
+
+    Attributes:
+        custom: keyword arguments for a law of the user's own.
+    """
 
     fixed_time_neural: FixedTimeNeuralGains | None = None
+    fixed_time_model_based: FixedTimeModelBasedGains | None = None
     pid: PidGains | None = None
+    smc: SmcGains | None = None
+    tsmc: TsmcGains | None = None
+    ftsmc: FtsmcGains | None = None
+    custom: dict[str, Any] = Field(default_factory=dict)
 
 
 class ControllerConfiguration(StrictModel):
     """The controller.
 
     Attributes:
-        law: name of the control law.
+        law: name of the control law, or ``module:Class`` for one of the user's own.
         gains: gains by law.
         model_scale: factor on the masses and inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
@@ -188,8 +204,8 @@ class ControllerConfiguration(StrictModel):
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS:
-            raise ValueError(f"one of {', '.join(LAWS)}")
+        if law not in LAWS and not is_custom(law):
+            raise ValueError(f"one of {', '.join(LAWS)}, or module:Class for a law of your own")
         return law
 
     def build_gains(self, robot: RobotDescription, positions_rad: Matrix) -> Any:
@@ -200,15 +216,34 @@ class ControllerConfiguration(StrictModel):
             positions_rad: joint positions on the planned motion, shape (samples, joints), by whose
                 inertia gains are sized that the scenario does not give.
         """
+        if self.law not in LAWS:
+            return self.gains.custom
         gains = getattr(self.gains, self.law)
         if gains is None:
-            model = ManipulatorModel(robot, scale=self.model_scale)
+            model = self.nominal_model(robot)
             gains = LAWS[self.law].gains.from_inertia(model.governing_inertia(positions_rad))
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 
-    def build_law(self, gains: Any) -> ControlLaw:
-        """The configured law with gains from `build_gains`."""
-        return LAWS[self.law].law(gains)
+    def build_law(self, gains: Any, robot: RobotDescription) -> ControlLaw:
+        """The configured law with gains from `build_gains`.
+
+        Raises:
+            ConfigurationError: a law of the user's own cannot be made.
+        """
+        model = self.nominal_model(robot)
+        if self.law not in LAWS:
+            return build_custom(self.law, gains, model)
+        return LAWS[self.law].build(gains, model)
+
+    def nominal_model(self, robot: RobotDescription) -> ManipulatorModel:
+        """What the controller believes about the arm."""
+        return ManipulatorModel(robot, scale=self.model_scale)
+
+    def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
+        """Bound on the law's settling time, s; None for a law that has none."""
+        bound = LAWS[self.law].settling_bound_s if self.law in LAWS else None
+        value = bound(gains, largest_inertia) if bound is not None else math.inf
+        return value if math.isfinite(value) else None
 
     def torque_rate_limits(self, joints: int) -> Vector:
         """Torque rate limit per joint, N m/s; inf for none."""

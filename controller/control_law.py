@@ -90,6 +90,25 @@ class Diagnostics:
         self.network_norm: Vector = np.full(1, np.nan)
 
 
+class Dynamics(Protocol):
+    """What a model-based law may ask of a nominal model M(q) q̈ + C(q, q̇) q̇ + G(q) = τ.
+
+    All vectors have shape (joints,); `ManipulatorModel` says more.
+    """
+
+    joints: int
+
+    def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
+        """M(q) a + C(q, q̇) q̇ + G(q), N m, in a fresh array."""
+        ...
+
+    def torque_along(
+        self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
+    ) -> Vector:
+        """M(q) a + C(q, q̇) v + G(q) for a velocity v that need not be q̇, N m, in a fresh array."""
+        ...
+
+
 class ControlLaw(Protocol):
     """A control law; all of its memory is its own, and all of its time comes from `Tracking`.
 

@@ -18,6 +18,9 @@ class ManipulatorModel:
         robot: description of the arm.
         scale: factor on all masses and inertias (1 for the arm as described).
         payload_kg: point mass at the tip, not scaled.
+
+    Attributes:
+        joints: number of joints.
     """
 
     def __init__(
@@ -33,14 +36,18 @@ class ManipulatorModel:
             )
         self._data = self._model.createData()
         self._tip = self._model.getFrameId(robot.tip_link)
+        self.joints = robot.joints
         # pinocchio may order the joints otherwise than the URDF file.
-        self._order = [
-            self._model.joints[self._model.getJointId(name)].idx_v for name in robot.joint_names
-        ]
+        self._order = np.array(
+            [self._model.joints[self._model.getJointId(name)].idx_v for name in robot.joint_names]
+        )
+        self._position: Vector = np.zeros(self._model.nv)
+        self._velocity: Vector = np.zeros(self._model.nv)
+        self._other: Vector = np.zeros(self._model.nv)
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """M(q), shape (joints, joints), kg m²."""
-        full = pinocchio.crba(self._model, self._data, self._scatter(position))
+        full = pinocchio.crba(self._model, self._data, self._at(position))
         upper = np.triu(full)
         symmetric = upper + np.triu(full, 1).T
         return np.ascontiguousarray(symmetric[np.ix_(self._order, self._order)])
@@ -60,31 +67,57 @@ class ManipulatorModel:
         fastest = max(np.linalg.eigvals(inverse * felt).real.max() for inverse in inverses)
         return np.asarray(felt / fastest)
 
+    def largest_inertia(self, positions: Matrix, weights: Vector) -> float:
+        """Largest eigenvalue of W M(q) W, W = diag(weights), over positions, kg m² × weight².
+
+        Args:
+            positions: shape (samples, joints), rad.
+            weights: shape (joints,).
+        """
+        weighted = [
+            weights[:, None] * self.mass_matrix(position) * weights for position in positions
+        ]
+        return float(np.linalg.eigvalsh(weighted).max())
+
     def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
         """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
         full = pinocchio.computeCoriolisMatrix(
-            self._model, self._data, self._scatter(position), self._scatter(velocity)
+            self._model, self._data, self._at(position), self._moving(velocity)
         )
         return np.ascontiguousarray(full[np.ix_(self._order, self._order)])
 
     def gravity(self, position: Vector) -> Vector:
         """G(q), shape (joints,), N m."""
-        full = pinocchio.computeGeneralizedGravity(self._model, self._data, self._scatter(position))
+        full = pinocchio.computeGeneralizedGravity(self._model, self._data, self._at(position))
         return np.ascontiguousarray(full[self._order])
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
         """Torque of a motion, shape (joints,), N m."""
         full = pinocchio.rnea(
             self._model, self._data,
-            self._scatter(position), self._scatter(velocity), self._scatter(acceleration),
+            self._at(position), self._moving(velocity), self._with(acceleration),
         )  # fmt: skip
         return np.ascontiguousarray(full[self._order])
+
+    def torque_along(
+        self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
+    ) -> Vector:
+        """M(q) a + C(q, q̇) v + G(q) for a velocity v that need not be q̇, shape (joints,), N m.
+
+        As M a + C q̇ + G, which is one recursion, and C (v − q̇), for which C itself is needed.
+        """
+        torque = self.inverse_dynamics(position, velocity, acceleration)
+        coriolis = pinocchio.computeCoriolisMatrix(
+            self._model, self._data, self._position, self._velocity
+        )
+        torque += (coriolis @ self._with(along_velocity - velocity))[self._order]
+        return np.asarray(torque)
 
     def forward_dynamics(self, position: Vector, velocity: Vector, torque: Vector) -> Vector:
         """Acceleration under a torque, shape (joints,), rad/s²."""
         full = pinocchio.aba(
             self._model, self._data,
-            self._scatter(position), self._scatter(velocity), self._scatter(torque),
+            self._at(position), self._moving(velocity), self._with(torque),
         )  # fmt: skip
         return np.ascontiguousarray(full[self._order])
 
@@ -92,13 +125,13 @@ class ManipulatorModel:
         """Kinetic plus potential energy, J."""
         return float(
             pinocchio.computeMechanicalEnergy(
-                self._model, self._data, self._scatter(position), self._scatter(velocity)
+                self._model, self._data, self._at(position), self._moving(velocity)
             )
         )
 
     def tip_position(self, position: Vector) -> Vector:
         """Origin of the tip link in the base frame, shape (3,), m."""
-        pinocchio.forwardKinematics(self._model, self._data, self._scatter(position))
+        pinocchio.forwardKinematics(self._model, self._data, self._at(position))
         placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
         return np.array(placement.translation)
 
@@ -127,7 +160,14 @@ class ManipulatorModel:
             " with all joints at zero; joint_sinusoids and minimum_jerk work for any arm",
         )
 
-    def _scatter(self, values: Vector) -> Vector:
-        scattered = np.zeros(self._model.nv)
-        scattered[self._order] = values
-        return scattered
+    def _at(self, position: Vector) -> Vector:
+        self._position[self._order] = position
+        return self._position
+
+    def _moving(self, velocity: Vector) -> Vector:
+        self._velocity[self._order] = velocity
+        return self._velocity
+
+    def _with(self, values: Vector) -> Vector:
+        self._other[self._order] = values
+        return self._other

@@ -59,6 +59,18 @@ def clip_into_funnel(error: float, upper: float, lower: float) -> float:
 
 
 @compiled
+def clipped_rate(
+    error: float, error_rate: float, upper: float, lower: float, d_upper: float, d_lower: float
+) -> float:
+    """Rate of `clip_into_funnel`: the error's own inside, that of the bound outside."""
+    if error > CLIP * upper:
+        return CLIP * d_upper
+    if error < -CLIP * lower:
+        return -CLIP * d_lower
+    return error_rate
+
+
+@compiled
 def transform(error: float, upper: float, lower: float) -> float:
     """ε = ½ ln[(1 + e/l) / (1 − e/u)] for −l < e < u."""
     return 0.5 * math.log((1.0 + error / lower) / (1.0 - error / upper))

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
-import signal
 import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -17,8 +15,20 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schema.topics import Role
+from deploy import cli_experiments
 from deploy import doctor as doctor_module
-from deploy.experiments.replay import replay as replay_run
+from deploy.cli_common import (
+    BAD_INPUT,
+    BOUNDS_NOT_KEPT,
+    FAULT,
+    FINISHED,
+    INTERRUPTED,
+    Out,
+    Overrides,
+    RequireBounds,
+    ScenarioArgument,
+    on_interrupt,
+)
 from deploy.experiments.simulate import simulate as simulate_setup
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
 from deploy.processes import Voice, run_controller, run_plant, run_recorder
@@ -27,7 +37,6 @@ from deploy.scenario import ScenarioError, load_setup
 from deploy.terminal import RunProgress, show_summary
 from plant_emulator.plant_loop import PlantLoop
 
-FINISHED, FAULT, BAD_INPUT, BOUNDS_NOT_KEPT, INTERRUPTED = 0, 1, 2, 3, 130
 _SIMULATE_POLL_S = 0.1
 
 app = typer.Typer(
@@ -37,19 +46,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-ScenarioArgument = Annotated[
-    str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a scenario value; repeatable."),
-]
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
-]
-RequireBounds = Annotated[
-    bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
-]
 ToParent = Annotated[bool, typer.Option("--to-parent", hidden=True)]
 AwaitRecorder = Annotated[
     bool, typer.Option("--await-recorder", help="Start only once a recorder listens.")
@@ -75,7 +71,7 @@ def run(
     folder.write_scenario(setup)
     folder.write_manifest(setup, {})
     launcher = Launcher(setup, folder)
-    _on_interrupt(launcher.request_stop)
+    on_interrupt(launcher.request_stop)
     with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:
         outcome = launcher.run(progress.hear)
     folder.write_manifest(setup, outcome.grants)
@@ -105,7 +101,7 @@ def simulate(
                 outcome.interrupted = True
                 loop.request_stop()
 
-            _on_interrupt(stop)
+            on_interrupt(stop)
             _every(
                 _SIMULATE_POLL_S, over, lambda: progress.at(setup.grid.tick_ns(loop.tick) * 1e-9)
             )
@@ -166,29 +162,13 @@ def record(
     raise typer.Exit(code)
 
 
-@app.command()
-def replay(run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")]) -> None:
-    """Feed a recorded run to the law again and compare the torques bit for bit."""
-    data, contents = load_run(run_dir)
-    result = replay_run(data.setup, contents)
-    console = Console()
-    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
-    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
-    if result.is_identical:
-        console.print("[bold green]identical[/]")
-        return
-    console.print(f"[bold red]different[/] from command {result.first_difference} on")
-    raise typer.Exit(FAULT)
-
-
-@app.command()
-def report(run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")]) -> None:
-    """Judge a recorded run again: summary.json and report.html."""
-    data, _ = load_run(run_dir)
-    folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-    console = Console()
-    show_summary(console, folder.conclude(data))
-    console.print(f"report: {folder.report}", soft_wrap=True)
+for _command in (
+    cli_experiments.compare,
+    cli_experiments.report,
+    cli_experiments.replay,
+    cli_experiments.bench,
+):
+    app.command()(_command)
 
 
 @app.command()
@@ -235,14 +215,6 @@ def _exit_code(summary: dict[str, Any], outcome: RunOutcome, *, require_bounds: 
     if require_bounds and not summary["bounds"]["kept"]:
         return BOUNDS_NOT_KEPT
     return FINISHED
-
-
-def _on_interrupt(stop: Callable[[], None]) -> None:
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        stop()
-
-    signal.signal(signal.SIGINT, handle)
-    signal.signal(signal.SIGTERM, handle)
 
 
 def _every(seconds: float, over: threading.Event, action: Callable[[], None]) -> None:

@@ -71,6 +71,12 @@ class StopRequest:
             self._on_stop()
 
 
+def _leave_in_order() -> None:
+    """From here on a request to stop comes too late, and must not kill what is leaving anyway."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
 def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the plant for one run; the exit code."""
     lockstep = setup.scenario.clock == "lockstep"
@@ -98,6 +104,7 @@ def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         voice.say("fault", text=str(error))
         return FAULT
     finally:
+        _leave_in_order()
         if link is not None:
             link.close()
         arm.close()
@@ -123,6 +130,7 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         voice.say("fault", text=str(error))
         return FAULT
     finally:
+        _leave_in_order()
         link.close()
 
 

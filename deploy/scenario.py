@@ -129,7 +129,7 @@ class Setup:
             robot=self.robot,
             reference=self.reference,
             funnel=self.funnel,
-            law=controller.build_law(self.gains),
+            law=controller.build_law(self.gains, self.robot),
             guard=TorqueGuard(
                 controller.law, limits, controller.torque_rate_limits(self.robot.joints)
             ),

@@ -126,8 +126,12 @@ class PybulletArm:
 
     def step_braked(self) -> None:
         """One substep with the brakes engaged and no torque."""
-        pybullet.stepSimulation(physicsClientId=self._client)
+        self.advance()
         self._read()
+
+    def advance(self) -> None:
+        """One substep under the forces in force, and nothing else: the joints are not read."""
+        pybullet.stepSimulation(physicsClientId=self._client)
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """Joint-space inertia at `position`, shape (joints, joints), kg m²."""

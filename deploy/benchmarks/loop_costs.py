@@ -2,78 +2,51 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from bus_schema.events import EventKind
-from deploy.benchmarks.measure import Measurement, interleave
-from deploy.benchmarks.ping_pong import PingPong
+from deploy.benchmarks.echo import EchoPair
+from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
+from deploy.experiments.run_data import RunData
 from deploy.experiments.simulate import simulate
 from deploy.launcher import Launcher, with_free_endpoints
 from deploy.run_folder import RunFolder, load_run
 from deploy.scenario import Setup, load_setup
 from plant_emulator.pybullet_arm import PybulletArm
 
-BARE_PHYSICS = "bare pybullet calls per tick"
-SIMULATE = "simulate per tick"
+BARE_PHYSICS = "bare pybullet calls of a tick"
+SIMULATE = "tick of simulate"
 PING_PONG = "bare Zenoh ping-pong"
-LOCKSTEP = "lockstep over Zenoh per tick"
+LOCKSTEP = "tick of run in lockstep"
 _EXCHANGES = 1000
-_REPETITIONS = 5
 
 
-@dataclass(frozen=True)
-class LoopCosts:
-    """Costs of a tick, and the two ratios that matter."""
-
-    measurements: dict[str, Measurement]
-
-    @property
-    def simulate_to_physics(self) -> float:
-        """Simulation over the pybullet calls that it cannot do without."""
-        return self._us(SIMULATE) / self._us(BARE_PHYSICS)
-
-    @property
-    def lockstep_to_parts(self) -> float:
-        """Lockstep over Zenoh against ping-pong plus simulation."""
-        return self._us(LOCKSTEP) / (self._us(PING_PONG) + self._us(SIMULATE))
-
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "measurements_us": {name: vars(value) for name, value in self.measurements.items()},
-            "simulate_to_physics": self.simulate_to_physics,
-            "lockstep_to_parts": self.lockstep_to_parts,
-        }
-
-    def _us(self, name: str) -> float:
-        return self.measurements[name].median_us
-
-
-def measure_loop_costs(scenario: str, seconds: float = 2.0) -> LoopCosts:
-    """Measure a scenario.
+def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Section:
+    """Measure the ticks of a scenario.
 
     Args:
         scenario: name or path.
-        seconds: length of each simulated run on the run's clock.
+        seconds: length of each run on the run's clock.
+        repetitions: how often everything is measured.
     """
     overrides = [f"duration_s={seconds}", "clock=lockstep", "plant.gui=false"]
     setup = load_setup(scenario, with_free_endpoints(overrides))
-    link = load_setup(scenario, with_free_endpoints(overrides)).scenario.link
-    with PingPong(link, setup.robot.joint_names) as ping_pong:
-        return LoopCosts(
-            interleave(
-                {
-                    BARE_PHYSICS: lambda: bare_physics_us(setup),
-                    SIMULATE: lambda: simulate_us(setup),
-                    PING_PONG: lambda: ping_pong.round_trip_us(_EXCHANGES),
-                    LOCKSTEP: lambda: lockstep_us(setup),
-                },
-                _REPETITIONS,
-            )
+    with EchoPair("zenoh", setup.robot.joint_names, realtime=False) as pair:
+        costs = interleave(
+            {
+                BARE_PHYSICS: lambda: bare_physics_us(setup),
+                SIMULATE: lambda: simulate_us(setup),
+                PING_PONG: lambda: pair.round_trips_us(_EXCHANGES).mean,
+                LOCKSTEP: lambda: _wall_us(recorded_run(setup)),
+            },
+            repetitions,
         )
+    ratios = [
+        ratio(costs, SIMULATE, BARE_PHYSICS),
+        ratio(costs, LOCKSTEP, (PING_PONG, SIMULATE)),
+    ]
+    return Section(f"Ticks of {setup.scenario.name}", costs, ratios)
 
 
 def bare_physics_us(setup: Setup) -> float:
@@ -81,30 +54,35 @@ def bare_physics_us(setup: Setup) -> float:
     arm = PybulletArm(setup.robot, setup.grid.substep_s)
     arm.place(setup.start_position_rad)
     torque = [0.0] * setup.robot.joints
-    substeps = setup.ticks * setup.grid.substeps
-    started_ns = time.perf_counter_ns()
-    for _ in range(substeps):
-        arm.step_bare(torque)
-    cost_us = (time.perf_counter_ns() - started_ns) / setup.ticks * 1e-3
-    arm.close()
-    return cost_us
+    substeps = setup.grid.substeps
+    try:
+        return substeps * cost_us(lambda: arm.step_bare(torque), setup.ticks * substeps)
+    finally:
+        arm.close()
 
 
 def simulate_us(setup: Setup) -> float:
     """Cost of one tick of a simulation, all messages kept."""
-    return _wall_us(simulate(setup).data().plant_event(EventKind.ENDED), setup)
+    return _wall_us(simulate(setup).data())
 
 
-def lockstep_us(setup: Setup) -> float:
-    """Cost of one tick of a run with three processes in lockstep, everything recorded."""
+def recorded_run(setup: Setup) -> RunData:
+    """A run with controller, plant and recorder as processes of their own.
+
+    Raises:
+        RuntimeError: one of them failed.
+    """
     with TemporaryDirectory() as path:
         folder = RunFolder.create(setup.scenario.name, Path(path))
         folder.write_scenario(setup)
         failures = Launcher(setup, folder).run(lambda _: None).failures
         if failures:
             raise RuntimeError("; ".join(failures))
-        return _wall_us(load_run(folder.path)[0].plant_event(EventKind.ENDED), setup)
+        return load_run(folder.path)[0]
 
 
-def _wall_us(ended: Any, setup: Setup) -> float:
-    return float(ended.values()["wall_s"]) / setup.ticks * 1e6
+def _wall_us(run: RunData) -> float:
+    ended = run.plant_event(EventKind.ENDED)
+    if ended is None:
+        raise RuntimeError("a run did not come to its end")
+    return float(ended.values()["wall_s"]) / run.setup.ticks * 1e6

@@ -28,6 +28,18 @@ def line(times_s: Vector, values: Vector, colour: str, name: str, width: float =
     return go.Scatter(x=x, y=y, name=name, mode="lines", line={"color": colour, "width": width})
 
 
+def band(times_s: Vector, upper: Vector, lower: Vector) -> tuple[go.Scatter, go.Scatter]:
+    """The bounds −lower < e < upper over time, as two traces with the shade between them."""
+    edge = {"color": "rgba(0,114,178,0.45)", "width": 1}
+    return (
+        go.Scatter(x=times_s, y=upper, name="upper bound", mode="lines", line=edge),
+        go.Scatter(
+            x=times_s, y=lower, name="lower bound", mode="lines", line=edge,
+            fill="tonexty", fillcolor=BAND,
+        ),
+    )  # fmt: skip
+
+
 def joint_rows(names: tuple[str, ...], unit: str) -> go.Figure:
     """A figure with one row per joint over a common time axis.
 

@@ -17,9 +17,9 @@ from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.experiments.figure_style import (
     ALARM,
-    BAND,
     INK,
     MUTED,
+    band,
     joint_colour,
     joint_rows,
     line,
@@ -32,6 +32,7 @@ _MRAD = _MM = 1e3
 _ZOOM_S = 1.0
 _BAND_POINTS = 600
 _PATH_CAMERA = {"eye": {"x": 1.8, "y": 1.55, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.12}}
+_PATH_PX = 480
 _PATH_POINTS = 2000
 _HEADROOM = 1.6
 
@@ -77,28 +78,22 @@ def torques(run: RunData) -> go.Figure | None:
 
 def tip_path(run: RunData) -> go.Figure | None:
     """Path of the tip and path asked for, in the base frame."""
-    _, actual, wanted = _tips(run)
+    _, actual, wanted = tip_positions(run)
     if not len(actual):
         return None
     figure = go.Figure([
-        _path(wanted, "reference", {"color": MUTED, "width": 9}),
-        _path(actual, "true", {"color": joint_colour(0), "width": 4}),
-        _point(actual[0], "start", "circle"),
-        _point(actual[-1], "end", "diamond"),
+        path_line(wanted, "reference", {"color": MUTED, "width": 9}),
+        path_line(actual, "true", {"color": joint_colour(0), "width": 4}),
+        path_point(actual[0], "start", "circle"),
+        path_point(actual[-1], "end", "diamond"),
     ])  # fmt: skip
-    style(figure, 480, legend=True)
-    axes = {f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5} for name in "xyz"}
-    figure.update_layout(
-        scene={"aspectmode": "data", "camera": _PATH_CAMERA, **axes},
-        margin={"l": 0, "r": 0, "b": 0},
-        legend={"y": 0},
-    )
+    style_path(figure)
     return figure
 
 
 def tip_error(run: RunData) -> go.Figure | None:
     """True error of the tip along each axis of the base frame, scaled to its later part."""
-    times_s, actual, wanted = _tips(run)
+    times_s, actual, wanted = tip_positions(run)
     if not len(times_s):
         return None
     errors = _MM * (actual - wanted)
@@ -163,7 +158,7 @@ def _errors(run: RunData, until_s: float) -> go.Figure | None:
     figure = joint_rows(run.setup.robot.joint_names, "mrad")
     for joint in range(run.setup.robot.joints):
         traces = [
-            *_band(band_s, upper[:, joint], lower[:, joint]),
+            *band(band_s, upper[:, joint], lower[:, joint]),
             line(times_s, errors[:, joint], joint_colour(joint), "true error"),
         ]
         out = outside[:, joint]
@@ -173,17 +168,6 @@ def _errors(run: RunData, until_s: float) -> go.Figure | None:
         figure.add_traces(traces, rows=joint + 1, cols=1)
     figure.update_xaxes(range=[times_s[0], times_s[-1]])
     return figure
-
-
-def _band(times_s: Vector, upper: Vector, lower: Vector) -> tuple[go.Scatter, go.Scatter]:
-    edge = {"color": "rgba(0,114,178,0.45)", "width": 1}
-    return (
-        go.Scatter(x=times_s, y=upper, name="upper bound", mode="lines", line=edge),
-        go.Scatter(
-            x=times_s, y=lower, name="lower bound", mode="lines", line=edge,
-            fill="tonexty", fillcolor=BAND,
-        ),
-    )  # fmt: skip
 
 
 def _joint_series(run: RunData, topic: Topic, field: str, unit: str) -> go.Figure | None:
@@ -203,7 +187,7 @@ def _per_joint(run: RunData, topic: Topic, field: str) -> Matrix:
     return np.asarray(run.tables[topic.name][field].reshape(-1, run.setup.robot.joints))
 
 
-def _tips(run: RunData) -> tuple[Vector, Matrix, Matrix]:
+def tip_positions(run: RunData) -> tuple[Vector, Matrix, Matrix]:
     """Evenly spaced times (s), with the true and the reference position of the tip (m) at each."""
     truth = run.tables[topics.PLANT_TRUTH.name]
     truth = truth[:: max(1, len(truth) // _PATH_POINTS)]
@@ -216,12 +200,25 @@ def _tips(run: RunData) -> tuple[Vector, Matrix, Matrix]:
     return times_s, actual, reference
 
 
-def _path(points: Matrix, name: str, stroke: dict[str, object]) -> go.Scatter3d:
+def path_line(points: Matrix, name: str, stroke: dict[str, object]) -> go.Scatter3d:
+    """A path in space; points have shape (points, 3), m."""
     x, y, z = points.T
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line=stroke)
 
 
-def _point(point: Vector, name: str, symbol: str) -> go.Scatter3d:
+def path_point(point: Vector, name: str, symbol: str) -> go.Scatter3d:
+    """A point in space, shape (3,), m."""
     x, y, z = point
     marker = {"size": 5, "color": INK, "symbol": symbol}
     return go.Scatter3d(x=[x], y=[y], z=[z], name=name, mode="markers", marker=marker)
+
+
+def style_path(figure: go.Figure, height_px: float = _PATH_PX) -> None:
+    """Give a figure of a path in space the report's looks."""
+    style(figure, height_px, legend=True)
+    axes = {f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5} for name in "xyz"}
+    figure.update_layout(
+        scene={"aspectmode": "data", "camera": _PATH_CAMERA, **axes},
+        margin={"l": 0, "r": 0, "b": 0},
+        legend={"y": 0},
+    )

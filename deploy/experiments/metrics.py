@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from bus_schema import topics
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.events import EventKind
+from deploy.experiments.chattering import chatter_shares
 from deploy.experiments.run_data import RunData, stamps_s
+from deploy.experiments.settling_bound import settling_bound_s
 
 PERCENTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
@@ -86,7 +88,7 @@ def _tracking(run: RunData) -> dict[str, Any]:
         "rms_rad": np.sqrt((judged**2).mean(axis=0)).tolist() if len(judged) else None,
         "max_abs_rad": np.abs(judged).max(axis=0).tolist() if len(judged) else None,
         "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
-        "settling_bound_s": None,
+        "settling_bound_s": settling_bound_s(run.setup),
     }
 
 
@@ -110,12 +112,14 @@ def _torque(run: RunData) -> dict[str, Any]:
     effort = commands["effort"]
     if len(effort) < 2:
         return dict.fromkeys(
-            ("total_variation_nm_per_s", "rms_nm", "peak_nm", "saturated_fraction")
-        )
+            ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm",
+             "saturated_fraction")
+        )  # fmt: skip
     stamps = stamps_s(commands)
     variation = np.abs(np.diff(effort, axis=0)).sum(axis=0) / (stamps[-1] - stamps[0])
     return {
         "total_variation_nm_per_s": variation.tolist(),
+        "share_above_50_hz": chatter_shares(effort, run.setup.scenario.rate_hz),
         "rms_nm": np.sqrt((effort**2).mean(axis=0)).tolist(),
         "peak_nm": np.abs(effort).max(axis=0).tolist(),
         "saturated_fraction": float(truth["saturated"].mean()) if len(truth) else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from bus_schema.events import EventKind, RunEvent
@@ -11,6 +11,7 @@ from deploy.experiments.metrics import PERCENTILES
 from deploy.experiments.run_data import RunData
 
 _ABSENT = "–"
+_BEST = ' class="best"'
 _SHOWN_EVENTS = 200
 _TIMING = {
     "round_trip_us": "Round trip",
@@ -42,12 +43,27 @@ def tile(label: str, value: str, title: str = "") -> str:
     return f"<div{hint}><dt>{html.escape(label)}</dt><dd>{html.escape(value)}</dd></div>"
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "numbers") -> str:
-    """A table whose first column names the rows; `kind` is its CSS class."""
+def table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    kind: str = "numbers",
+    best: Collection[tuple[int, int]] = (),
+) -> str:
+    """A table whose first column names the rows.
+
+    Args:
+        header: titles of the columns.
+        rows: their cells.
+        kind: CSS class of the table.
+        best: row and column of the cells to set off.
+    """
     head = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in header)
     body = []
-    for first, *others in rows:
-        cells = "".join(f"<td>{html.escape(cell)}</td>" for cell in others)
+    for row, (first, *others) in enumerate(rows):
+        cells = "".join(
+            f"<td{_BEST if (row, column) in best else ''}>{html.escape(cell)}</td>"
+            for column, cell in enumerate(others, start=1)
+        )
         body.append(f'<tr><th scope="row">{html.escape(first)}</th>{cells}</tr>')
     return (
         f'<div class="scroll"><table class="{kind}"><thead><tr>{head}</tr></thead>'
@@ -96,7 +112,7 @@ def joint_table(summary: dict[str, Any]) -> str:
     if tracking["settling_bound_s"] is None:
         del columns["Settling bound (s)"]
     rows = [
-        [name, *(number(_of_joint(values, joint), factor) for values, factor in columns.values())]
+        [name, *(number(of_joint(values, joint), factor) for values, factor in columns.values())]
         for joint, name in enumerate(tracking["joint_names"])
     ]
     return table(["Joint", *columns], rows)
@@ -165,6 +181,6 @@ def _detail(event: RunEvent) -> str:
     return ", ".join(words) or event.detail
 
 
-def _of_joint(values: list[float | None] | float | None, joint: int) -> float | None:
+def of_joint(values: list[float | None] | float | None, joint: int) -> float | None:
     """One joint's value of a list, or the one value that holds for all joints."""
     return values[joint] if isinstance(values, list) else values

@@ -15,12 +15,13 @@ class Verdict:
     """The top of a report.
 
     Attributes:
-        level: ``good``, ``bad`` (bounds not kept) or ``broken`` (no run to judge as a whole).
+        level: ``good``, ``bad`` (bounds not kept), ``mixed`` (kept by some laws only) or ``broken``
+            (no run to judge as a whole).
         headline: the verdict.
         reasons: what it rests on, a sentence each.
     """
 
-    level: Literal["good", "bad", "broken"]
+    level: Literal["good", "bad", "mixed", "broken"]
     headline: str
     reasons: list[str]
 

@@ -33,7 +33,7 @@ class Bench:
         self.funnel = FunnelConfiguration().build(OFFSET)
         self.reference = reference
         guard = TorqueGuard(law, ROBOT.effort_limits_nm, np.full(3, rate_limit))
-        self.law = configuration.build_law(gains)
+        self.law = configuration.build_law(gains, ROBOT)
         task = ControlTask(ROBOT, reference, self.funnel, self.law, guard)
         self.bus = InProcessBus(VirtualClock())
         self.plant = InProcessPlantLink(self.bus)

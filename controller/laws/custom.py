@@ -1,0 +1,70 @@
+"""Laws of a user's own, named ``module:Class`` in a scenario."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bus_schema.configuration import ConfigurationError
+from controller.control_law import ControlLaw, Diagnostics, Dynamics
+
+_LAW_KEY = "controller.law"
+_GAINS_KEY = "controller.gains.custom"
+
+
+def is_custom(name: str) -> bool:
+    """Whether a law's name is a ``module:Class``."""
+    module, separator, class_name = name.partition(":")
+    parts = module.split(".")
+    return bool(separator) and all(part.isidentifier() for part in (*parts, class_name))
+
+
+def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLaw:
+    """A fresh ``Class(model, **gains)``.
+
+    Raises:
+        ConfigurationError: there is no such class, it refuses the gains, or what it makes is no
+            control law.
+    """
+    make = _find(name)
+    try:
+        law = make(model, **gains)
+    except Exception as error:  # whatever a user's constructor objects to, the input is bad
+        raise ConfigurationError(
+            _GAINS_KEY, gains, f"{name} cannot be made from these: {_told(error)}"
+        ) from error
+    missing = [method for method in ("torque", "reset") if not callable(getattr(law, method, None))]
+    if not isinstance(getattr(law, "diagnostics", None), Diagnostics):
+        missing.append("diagnostics, a controller.control_law.Diagnostics")
+    if missing:
+        raise ConfigurationError(
+            _LAW_KEY, name, f"is no control law: it lacks {', '.join(missing)}"
+        )
+    built: ControlLaw = law
+    return built
+
+
+def _find(name: str) -> Callable[..., Any]:
+    """The class; modules beside the one who calls are found, as with ``python -m``."""
+    module_name, _, class_name = name.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:  # an import runs a user's code, which may raise anything
+        raise ConfigurationError(
+            _LAW_KEY, name, f"{module_name} cannot be imported: {_told(error)}"
+        ) from error
+    found = getattr(module, class_name, None)
+    if not callable(found):
+        raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}")
+    make: Callable[..., Any] = found
+    return make
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"

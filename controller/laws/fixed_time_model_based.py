@@ -1,0 +1,130 @@
+"""The fixed-time model-based law: funnel, terminal sliding surface and a nominal model.
+
+After section 3 of the paper (the law of its first theorem). The surface, divided by the slope r of
+the error transformation, is s = q̇ − q̇_r for the reference velocity q̇_r = q̇_d + v − ψ(ε) / r, and
+
+    τ = M̂ q̈_r + Ĉ q̇_r + Ĝ − K₁ sig(s)^γ₁ − K₂ sig(s)^γ₂ − K₃ s,
+    q̈_r = q̈_d + v̇ − ψ′(ε) ε̇ / r + ψ(ε) ṙ / r².
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.compiled import compiled
+from bus_schema.configuration import PerJointNonNegative, Positive, PowerAboveOne, PowerBelowOne
+from controller.control_law import (
+    D_LOWER,
+    D_UPPER,
+    DD_LOWER,
+    DD_UPPER,
+    LOWER,
+    UPPER,
+    Diagnostics,
+    Dynamics,
+    Tracking,
+)
+from controller.prescribed_performance import (
+    clip_into_funnel,
+    clipped_rate,
+    transform,
+    transformation_accelerations,
+    transformation_rates,
+)
+from controller.sliding_surface import sig, surface_pull, surface_pull_slope
+
+
+class FixedTimeModelBasedGains(NamedTuple):
+    """Gains, named as in the equations above; per joint where they carry torque."""
+
+    k_1: PerJointNonNegative
+    k_2: PerJointNonNegative
+    k_3: PerJointNonNegative
+    alpha_1: Positive = 5.0
+    alpha_2: Positive = 5.0
+    phi_1: PowerAboveOne = 1.4
+    phi_2: PowerBelowOne = 0.6
+    gamma_1: PowerAboveOne = 1.4
+    gamma_2: PowerBelowOne = 0.6
+    eta: Positive = 0.02
+
+    @classmethod
+    def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeModelBasedGains:
+        """Gains for joints that see these inertias, shape (joints,).
+
+        With no network to learn it, feedback alone has to dominate what the model misses.
+        """
+        return cls(k_1=100.0 * inertia_kg_m2, k_2=100.0 * inertia_kg_m2, k_3=250.0 * inertia_kg_m2)
+
+
+class FixedTimeModelBased:
+    """The law on a nominal model."""
+
+    def __init__(self, gains: FixedTimeModelBasedGains, model: Dynamics) -> None:
+        joints = gains.k_1.size
+        self.gains = gains
+        self.diagnostics = Diagnostics(joints)
+        self._model = model
+        self._velocity: Vector = np.zeros(joints)
+        self._acceleration: Vector = np.zeros(joints)
+
+    def reset(self) -> None:
+        """Nothing to forget: the law has no memory."""
+
+    def torque(self, tracking: Tracking) -> Vector:
+        _reference_motion(
+            tracking.error,
+            tracking.error_rate,
+            tracking.bounds,
+            tracking.reference_velocity,
+            tracking.reference_acceleration,
+            self.gains,
+            self.diagnostics.transformed_error,
+            self.diagnostics.sliding_variable,
+            self._velocity,
+            self._acceleration,
+        )
+        torque = self._model.torque_along(
+            tracking.position, tracking.velocity, self._velocity, self._acceleration
+        )
+        _add_reaching(self.diagnostics.sliding_variable, self.gains, torque)
+        return torque
+
+
+@compiled
+def _reference_motion(
+    error: Vector, error_rate: Vector, bounds: Matrix,
+    reference_velocity: Vector, reference_acceleration: Vector, gains: FixedTimeModelBasedGains,
+    transformed: Vector, sliding: Vector, velocity: Vector, acceleration: Vector,
+) -> None:  # fmt: skip
+    g = gains
+    for i in range(error.size):
+        upper, d_upper, dd_upper = bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i]
+        lower, d_lower, dd_lower = bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i]
+        e = clip_into_funnel(error[i], upper, lower)
+        d_e = clipped_rate(error[i], error_rate[i], upper, lower, d_upper, d_lower)
+        r, v = transformation_rates(e, upper, lower, d_upper, d_lower)
+        d_r, d_v = transformation_accelerations(
+            e, d_e, upper, lower, d_upper, d_lower, dd_upper, dd_lower
+        )
+        epsilon = transform(e, upper, lower)
+        d_epsilon = r * (d_e - v)
+        psi = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
+        d_psi = surface_pull_slope(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
+
+        velocity[i] = reference_velocity[i] + v - psi / r
+        acceleration[i] = (
+            reference_acceleration[i] + d_v - d_psi * d_epsilon / r + psi * d_r / (r * r)
+        )
+        transformed[i], sliding[i] = epsilon, error_rate[i] - v + psi / r
+
+
+@compiled
+def _add_reaching(sliding: Vector, gains: FixedTimeModelBasedGains, torque: Vector) -> None:
+    g = gains
+    for i in range(sliding.size):
+        s = sliding[i]
+        torque[i] -= g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s

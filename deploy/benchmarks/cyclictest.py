@@ -1,0 +1,72 @@
+"""Wake-up lateness as `cyclictest` (rt-tests) measures it: the kernel alone, in C."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from typing import NamedTuple
+
+_PRIORITY = 50
+_LATEST_US = 20_000
+_PATIENCE_S = 30.0
+_BUCKET = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
+_OVERFLOWS = re.compile(r"^# Histogram Overflows:\s*(\d+)", re.MULTILINE)
+
+
+class Lateness(NamedTuple):
+    """Wake-up lateness, µs."""
+
+    p50: float
+    p99: float
+
+
+def why_not() -> str | None:
+    """Why `cyclictest` cannot be had here; None if it can."""
+    if shutil.which("cyclictest") is None:
+        return "cyclictest is not installed (package rt-tests): no comparison of wake-up lateness"
+    try:
+        run_cyclictest(1000, 0.1)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        return f"cyclictest does not work here: {error}"
+    return None
+
+
+def run_cyclictest(period_us: int, seconds: float) -> Lateness:
+    """Run it under SCHED_FIFO at the priority of a run's processes.
+
+    Raises:
+        OSError, subprocess.SubprocessError: it does not run.
+        ValueError: what it printed cannot be read.
+    """
+    loops = max(1, round(seconds * 1e6 / period_us))
+    command = ["cyclictest", "-q", "-m", "-t1", f"-p{_PRIORITY}", f"-i{period_us}", f"-l{loops}",
+               f"-h{_LATEST_US}"]  # fmt: skip
+    ended = subprocess.run(
+        command, capture_output=True, text=True, check=True, timeout=_PATIENCE_S + seconds
+    )
+    return parse_histogram(ended.stdout)
+
+
+def parse_histogram(output: str) -> Lateness:
+    """Percentiles of the histogram that ``cyclictest -h`` prints for one thread.
+
+    Raises:
+        ValueError: there is none in it.
+    """
+    buckets = [(int(late), int(count)) for late, count in _BUCKET.findall(output)]
+    overflows = _OVERFLOWS.search(output)
+    buckets.append((_LATEST_US, int(overflows[1]) if overflows else 0))
+    if not any(count for _, count in buckets):
+        raise ValueError("it printed no histogram")
+    return Lateness(_percentile(buckets, 0.50), _percentile(buckets, 0.99))
+
+
+def _percentile(buckets: list[tuple[int, int]], fraction: float) -> float:
+    wanted = fraction * sum(count for _, count in buckets)
+    passed = 0
+    for late_us, count in sorted(buckets):
+        passed += count
+        if count and passed >= wanted:
+            return float(late_us)
+    raise ValueError("it printed no histogram")

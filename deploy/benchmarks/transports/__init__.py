@@ -1,0 +1,1 @@
+"""What can carry bytes between two processes, each in a module with `Near` and `answer`."""

@@ -1,0 +1,74 @@
+"""Zenoh with the session settings of the real loop, and attachments as it sends them."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+
+from bus_schema import topics
+from bus_schema.rmw_wire import Attachment
+from bus_schema.zenoh_session import Delivery, ZenohSession
+from deploy.benchmarks.echo import TIMEOUT_S, Messages
+from deploy.benchmarks.transports.udp import free_port
+
+_ATTACHMENT = Attachment(1, 0, bytes(16)).encode()
+_DOMAIN = 0
+_TRY_S = 0.1
+
+
+class Near:
+    """The end that asks."""
+
+    def __init__(self, messages: Messages) -> None:
+        self.address = f"tcp/127.0.0.1:{free_port()}"
+        self._replies: queue.SimpleQueue[Delivery] = queue.SimpleQueue()
+        self._session = ZenohSession([self.address], [], low_latency=True)
+        self._requests = [
+            (
+                self._session.publisher(topic.key_expression(_DOMAIN)),
+                payload,
+            )
+            for topic, payload in (
+                (topics.PLANT_STATUS, messages.status), (topics.JOINT_STATES, messages.state)
+            )
+        ]  # fmt: skip
+        self._session.subscribe(topics.JOINT_COMMANDS.key_expression(_DOMAIN), self._replies.put)
+
+    def await_far_end(self) -> None:
+        give_up_s = time.monotonic() + TIMEOUT_S
+        while not self._try(_TRY_S):
+            if time.monotonic() > give_up_s:
+                raise TimeoutError("the far end does not come")
+        while self._took(_TRY_S):
+            pass  # late answers to earlier tries
+
+    def exchange(self) -> None:
+        if not self._try(TIMEOUT_S):
+            raise TimeoutError("a message was lost")
+
+    def _try(self, timeout_s: float) -> bool:
+        for publisher, payload in self._requests:
+            publisher.put(payload, _ATTACHMENT)
+        return self._took(timeout_s)
+
+    def _took(self, timeout_s: float) -> bool:
+        try:
+            self._replies.get(timeout=timeout_s)
+        except queue.Empty:
+            return False
+        return True
+
+
+def answer(address: str, messages: Messages) -> None:
+    """Answer every state, on the network thread as the real controller does."""
+    session = ZenohSession([], [address], low_latency=True)
+    publisher = session.publisher(
+        topics.JOINT_COMMANDS.key_expression(_DOMAIN)
+    )
+    session.subscribe(topics.PLANT_STATUS.key_expression(_DOMAIN), lambda _: None)
+    session.subscribe(
+        topics.JOINT_STATES.key_expression(_DOMAIN),
+        lambda _: publisher.put(messages.command, _ATTACHMENT),
+    )
+    threading.Event().wait()

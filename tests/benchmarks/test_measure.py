@@ -1,0 +1,174 @@
+"""Arithmetic and order of the benchmarks; what things cost is asserted nowhere."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+from rich.console import Console
+
+from deploy.benchmarks import bench, cyclictest, echo
+from deploy.benchmarks.control_step import measure_control_steps
+from deploy.benchmarks.long_arm import write_long_arm
+from deploy.benchmarks.measure import Section, Spread, cost_us, interleave, ratio
+from deploy.benchmarks.recorder_throughput import measure_recorder
+from deploy.scenario import ScenarioError, load_setup
+
+
+class FakeClock:
+    """Time that passes only when somebody works."""
+
+    def __init__(self):
+        self.now_ns = 0
+
+    def __call__(self):
+        return self.now_ns
+
+    def work(self, ns):
+        self.now_ns += ns
+
+
+def scripted(*costs, log=None, name=None):
+    remaining = list(costs)
+
+    def measure():
+        if log is not None:
+            log.append(name)
+        return remaining.pop(0)
+
+    return measure
+
+
+def test_candidates_take_turns():
+    log = []
+    interleave({name: scripted(1, 1, 1, log=log, name=name) for name in "ab"}, 2)
+    assert log == ["a", "b"] * 3
+
+
+def test_the_first_turn_does_not_count():
+    costs = interleave({"a": scripted(1000.0, 3.0, 1.0, 2.0)}, 3)
+    assert costs["a"].samples == (3.0, 1.0, 2.0)
+
+
+def test_a_spread_is_told_by_median_and_extremes():
+    spread = Spread((5.0, 1.0, 2.0, 10.0))
+    assert spread.as_dict() == {"median": 3.5, "lowest": 1.0, "highest": 10.0}
+
+
+def test_ratios_are_formed_turn_by_turn():
+    """A machine that halves its speed for one turn changes no ratio."""
+    costs = {"a": Spread((2.0, 4.0, 2.0)), "b": Spread((1.0, 2.0, 1.0))}
+    assert ratio(costs, "a", "b").value.samples == (2.0, 2.0, 2.0)
+
+
+def test_ratios_of_sums():
+    costs = {"a": Spread((6.0, 9.0)), "b": Spread((1.0, 1.0)), "c": Spread((2.0, 2.0))}
+    found = ratio(costs, "a", ("b", "c"))
+    assert found.name == "a / b + c"
+    assert found.value.samples == (2.0, 3.0)
+
+
+def test_a_cost_is_the_mean_on_the_given_clock():
+    clock = FakeClock()
+    assert cost_us(lambda: clock.work(5000), 7, clock) == 5.0
+
+
+HISTOGRAM = """# /dev/cpu_dma_latency set to 0us
+# Histogram
+000000 000000
+000003 000050
+000004 000048
+000010 000001
+000011 000001
+# Total: 000000100
+# Min Latencies: 00003
+# Max Latencies: 00011
+# Histogram Overflows: {overflows}
+"""
+
+
+def test_the_histogram_of_cyclictest_is_read():
+    lateness = cyclictest.parse_histogram(HISTOGRAM.format(overflows="00000"))
+    assert lateness == (3.0, 10.0)
+
+
+def test_what_lies_beyond_the_histogram_counts_as_latest():
+    lateness = cyclictest.parse_histogram(HISTOGRAM.format(overflows="00020"))
+    assert lateness == (4.0, 20_000.0)
+
+
+@pytest.mark.parametrize("output", ["", "000001 000000\n", "not permitted"])
+def test_output_without_a_histogram_is_refused(output):
+    with pytest.raises(ValueError, match="no histogram"):
+        cyclictest.parse_histogram(output)
+
+
+def test_cyclictest_that_is_missing_is_said_to_be(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    assert "not installed" in cyclictest.why_not()
+
+
+@pytest.mark.parametrize("joints", [1, 14])
+def test_the_long_arm_is_an_arm(tmp_path, joints):
+    setup = load_setup(str(write_long_arm(tmp_path, joints)))
+    assert setup.robot.joints == joints
+
+
+def test_control_steps_are_measured_for_all_arms():
+    section = measure_control_steps(steps=2, repetitions=1)
+    assert len(section.costs_us) == 6
+    assert all(cost.lowest > 0 for cost in section.costs_us.values())
+    assert len(section.ratios) == 7
+
+
+def test_the_recorder_is_measured():
+    section = measure_recorder("paper_arm", 0.01, 1)
+    assert section.ratios[0].value.lowest > 0
+
+
+@pytest.mark.parametrize("transport", ["zenoh", "udp", "pyzmq", "lcm_udp", "cyclone"])
+def test_every_transport_carries_an_exchange(transport):
+    library = {"pyzmq": "zmq", "lcm_udp": "lcm", "cyclone": "cyclonedds"}.get(transport, "socket")
+    pytest.importorskip(library)
+    with echo.EchoPair(transport, ("a", "b", "c"), realtime=False) as pair:
+        times = pair.round_trips_us(20, 1_000_000)
+    assert times.median > 0
+
+
+def test_a_transport_that_fails_is_told():
+    with pytest.raises(RuntimeError), echo.EchoPair("no_such", ("a",), realtime=False):
+        pass
+
+
+def test_bench_writes_all_sections_as_a_table_and_json(monkeypatch, tmp_path):
+    costs = {"a": Spread((2.0,)), "b": Spread((1.0,))}
+    section = Section("Things", costs, [ratio(costs, "a", "b")], ["b is missing"])
+    monkeypatch.setattr(bench, "_plan", lambda *, quick: {"things": lambda: section})
+    shown = io.StringIO()
+    file = tmp_path / "below" / "bench.json"
+    bench.run_bench(Console(file=shown, width=120), file, quick=True)
+    numbers = json.loads(file.read_text())
+    assert numbers["quick"] is True
+    assert numbers["sections"]["Things"]["ratios"]["a / b"]["median"] == 2.0
+    assert numbers["sections"]["Things"]["notes"] == ["b is missing"]
+    assert "a / b" in shown.getvalue()
+    assert "b is missing" in shown.getvalue()
+
+
+def test_a_section_that_fails_leaves_the_others(monkeypatch, tmp_path):
+    def fail():
+        raise RuntimeError("the plant was killed")
+
+    section = Section("Things", {}, [], [])
+    monkeypatch.setattr(bench, "_plan", lambda *, quick: {"ticks": fail, "things": lambda: section})
+    broken, whole = bench.run_bench(Console(file=io.StringIO()), None, quick=True)
+    assert broken.notes == [f"{bench.FAILED} the plant was killed"]
+    assert whole is section
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_measuring(monkeypatch, tmp_path):
+    monkeypatch.setattr(bench, "_plan", lambda *, quick: pytest.fail("measured"))
+    (tmp_path / "file").touch()
+    with pytest.raises(ScenarioError, match="--json"):
+        bench.run_bench(Console(), tmp_path / "file" / "bench.json", quick=True)
