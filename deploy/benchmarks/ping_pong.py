@@ -18,7 +18,8 @@ from bus_schema.rmw_wire import Attachment
 from bus_schema.zenoh_session import Delivery, ZenohSession
 
 _ATTACHMENT = Attachment(1, 0, bytes(16)).encode()
-_TIMEOUT_S = 5.0
+_TIMEOUT_S = 10.0
+_PATIENCE_S = 0.2
 
 
 class PingPong:
@@ -51,10 +52,10 @@ class PingPong:
 
     def __enter__(self) -> PingPong:
         give_up_s = time.monotonic() + _TIMEOUT_S
-        while not all(publisher.has_subscribers() for publisher in self._publishers):
+        # Declarations travel too: the first messages may find no subscriber at either end.
+        while not self._exchange(_PATIENCE_S):
             if time.monotonic() > give_up_s:
                 raise TimeoutError("the far end of the ping-pong does not come")
-            time.sleep(0.01)
         return self
 
     def __exit__(
@@ -67,13 +68,25 @@ class PingPong:
         self._session.close()
 
     def round_trip_us(self, exchanges: int) -> float:
-        """Mean round trip over a number of exchanges, µs."""
+        """Mean round trip over a number of exchanges, µs.
+
+        Raises:
+            TimeoutError: the far end does not answer.
+        """
         started_ns = time.perf_counter_ns()
         for _ in range(exchanges):
-            for publisher, payload in zip(self._publishers, self._payloads, strict=True):
-                publisher.put(payload, _ATTACHMENT)
-            self._replies.get(timeout=_TIMEOUT_S)
+            if not self._exchange(_TIMEOUT_S):
+                raise TimeoutError("the far end of the ping-pong does not answer")
         return (time.perf_counter_ns() - started_ns) / exchanges * 1e-3
+
+    def _exchange(self, timeout_s: float) -> bool:
+        for publisher, payload in zip(self._publishers, self._payloads, strict=True):
+            publisher.put(payload, _ATTACHMENT)
+        try:
+            self._replies.get(timeout=timeout_s)
+        except queue.Empty:
+            return False
+        return True
 
 
 def answer(endpoint: str, domain: int, joint_names: tuple[str, ...]) -> None:
