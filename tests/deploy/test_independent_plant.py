@@ -1,4 +1,4 @@
-"""The laws on another arm's worth of physics: pinocchio's forward dynamics instead of pybullet."""
+"""The laws on physics of another make: pinocchio's forward dynamics instead of pybullet."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 
 
 class PinocchioArm:
-    """What `ArmPlant` asks of its physics, by semi-implicit Euler on articulated bodies."""
+    """What `ArmPlant` asks of its physics, by RK4 (pybullet: semi-implicit Euler)."""
 
     def __init__(self, robot, substep_s, *, payload_kg=0.0, gui=False):
         self._model = ManipulatorModel(robot, payload_kg=payload_kg)
@@ -30,9 +30,17 @@ class PinocchioArm:
         pass
 
     def step(self, torque_nm):
-        acceleration = self._model.forward_dynamics(self.position, self.velocity, torque_nm)
-        self.velocity += self._substep_s * acceleration
-        self.position += self._substep_s * self.velocity
+        def rate(state):
+            acceleration = self._model.forward_dynamics(state[0], state[1], torque_nm)
+            return np.stack([state[1], acceleration])
+
+        step_s, state = self._substep_s, np.stack([self.position, self.velocity])
+        k_1 = rate(state)
+        k_2 = rate(state + 0.5 * step_s * k_1)
+        k_3 = rate(state + 0.5 * step_s * k_2)
+        k_4 = rate(state + step_s * k_3)
+        state += step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
+        self.position[:], self.velocity[:] = state
 
     def step_braked(self):
         self.velocity[:] = 0.0
