@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import controller
 from deploy.cli import main
 from deploy.experiments.simulate import simulate
 from deploy.scenario import ScenarioError, load_setup
@@ -125,3 +128,11 @@ def test_exit_codes(overrides, code, monkeypatch, folder, capsys):
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code == code
+
+
+def test_law_in_the_readme_runs_as_shown(folder):
+    readme = Path(controller.__file__).with_name("README.md").read_text()
+    (folder / "law_of_the_readme.py").write_text(readme.partition("```python\n")[2].split("```")[0])
+    custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
+    simulation = simulate(setup_of("law_of_the_readme:ComputedTorque", custom, duration_s=2))
+    assert np.abs(simulation.data().true_errors_rad()[-1]).max() < 0.05
