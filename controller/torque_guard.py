@@ -57,6 +57,8 @@ class TorqueGuard:
             raise InvalidTorqueError(
                 self._law, tick, f"{shape} where shape {self._out.shape} is expected"
             )
+        if torque.dtype != np.float64:
+            raise InvalidTorqueError(self._law, tick, f"{torque.dtype} where float64 is expected")
         if not all_finite(torque):
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
         _limit(torque, self._limits, self._rate_limits, step_s, self._out)

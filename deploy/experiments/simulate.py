@@ -65,13 +65,14 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
     """
     clock = VirtualClock()
     bus = InProcessBus(clock)
-    ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
+    controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     arm = setup.arm()
     plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
         on_start(plant)
     failure = None
     try:
+        controller.warm_up()
         plant.run()
     except ControllerError as error:
         failure = error

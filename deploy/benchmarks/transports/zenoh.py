@@ -63,9 +63,7 @@ class Near:
 def answer(address: str, messages: Messages) -> None:
     """Answer every state, on the network thread as the real controller does."""
     session = ZenohSession([], [address], low_latency=True)
-    publisher = session.publisher(
-        topics.JOINT_COMMANDS.key_expression(_DOMAIN)
-    )
+    publisher = session.publisher(topics.JOINT_COMMANDS.key_expression(_DOMAIN))
     session.subscribe(topics.PLANT_STATUS.key_expression(_DOMAIN), lambda _: None)
     session.subscribe(
         topics.JOINT_STATES.key_expression(_DOMAIN),
