@@ -82,7 +82,7 @@ IMPOSSIBLE = [
     ("robot.initial_offset_rad=[0.1, 0.1]", "robot.initial_offset_rad = [0.1, 0.1]", "each of the 3 joints"),
     ("funnel.final_rad=1", "funnel.final_rad = [1.0, 1.0, 1.0]", "must not exceed"),
     ("reference.x.offset_m=9", "reference", "within the arm's reach"),
-    ("controller.law=magic", "controller.law = 'magic'", "fixed_time_neural, pid"),
+    ("controller.law=magic", "controller.law = 'magic'", "fixed_time_neural, fixed_time_model_based, pid"),
     ("controller.gains.magic=1", "controller.gains.magic", "there is no such key"),
     ("controller.gains.fixed_time_neural.k_1=[1, 2]", "controller.gains.fixed_time_neural.k_1 = [1.0, 2.0]", "each of the 3 joints"),
     ("controller.gains.fixed_time_neural.k_1=-1", "controller.gains.fixed_time_neural.k_1 = -1", "at least 0"),
