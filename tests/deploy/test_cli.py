@@ -76,7 +76,7 @@ IMPOSSIBLE = [
     ("robot.initial_offset_rad", "[9, 0, 0]", "[9.0, 0.0, 0.0]", "[-3.1, 3.1]"),
     ("robot.initial_offset_rad", "[0.1, 0.1]", "[0.1, 0.1]", ONE_EACH),
     ("funnel.final_rad", "1", "[1.0, 1.0, 1.0]", "must not exceed"),
-    ("controller.law", "magic", "'magic'", "fixed_time_neural, pid"),
+    ("controller.law", "magic", "'magic'", "fixed_time_neural"),
     ("controller.gains.fixed_time_neural.k_1", "[1, 2]", "[1.0, 2.0]", ONE_EACH),
     ("controller.gains.fixed_time_neural.k_1", "-1", "-1", "at least 0"),
     ("controller.torque_rate_limit_nm_s", "[1, 2]", "[1.0, 2.0]", ONE_EACH),
