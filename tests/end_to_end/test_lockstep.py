@@ -159,7 +159,7 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
         "joint_names", "rms_rad", "max_abs_rad", "settling_time_s", "settling_bound_s"
     }  # fmt: skip
     assert set(summary["torque"]) == {
-        "total_variation_nm_per_s", "rms_nm", "peak_nm", "saturated_fraction"
+        "total_variation_nm_per_s", "rms_nm", "peak_nm", "saturated_fraction", "share_above_50_hz",
     }  # fmt: skip
     assert set(summary["timing"]) == {
         "round_trip_us", "command_age_us", "state_age_us", "control_step_us",
