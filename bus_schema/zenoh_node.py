@@ -22,7 +22,7 @@ from bus_schema.rmw_wire import (
     node_token,
 )
 from bus_schema.topics import Rate, Role, Topic
-from bus_schema.zenoh_session import Delivery, ZenohPublisher, ZenohSession
+from bus_schema.zenoh_session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
 NODE_PREFIX = "funnel_hil_"
 POLL_S = 0.05
@@ -76,6 +76,13 @@ class ZenohNode:
         """Subscribe and announce it."""
         self._session.subscribe(topic.key_expression(self._domain), on_delivery)
         self._announce(EntityKind.SUBSCRIBER, topic)
+
+    def listen_to_all(self, capacity: int) -> Mailbox:
+        """Subscribe to everything in the domain, in one mailbox."""
+        mailbox = self._session.mailbox(f"{self._domain}/**", capacity)
+        for topic in topics.TOPICS:
+            self._announce(EntityKind.SUBSCRIBER, topic)
+        return mailbox
 
     def publish(self, topic: Topic, payload: bytes) -> int:
         """Send a message; its sequence number.

@@ -49,6 +49,18 @@ class Delivery(NamedTuple):
     attachment: bytes
 
 
+class Mailbox:
+    """Collects deliveries without waking Python up for each of them; they are taken in bulk."""
+
+    def __init__(self, subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> None:
+        self._subscriber = subscriber
+
+    def take(self) -> tuple[str, Delivery] | None:
+        """Key and content of the oldest delivery not yet taken; None if there is none."""
+        sample = self._subscriber.try_recv()
+        return None if sample is None else (str(sample.key_expr), _delivery(sample))
+
+
 class ZenohPublisher:
     """Sends on one key."""
 
@@ -113,16 +125,15 @@ class ZenohSession:
         """Have `on_delivery` called on the network thread; it must neither block nor raise."""
 
         def handle(sample: zenoh.Sample) -> None:
-            attachment = sample.attachment
-            on_delivery(
-                Delivery(
-                    sample.payload.to_bytes(),
-                    b"" if attachment is None else attachment.to_bytes(),
-                )
-            )
+            on_delivery(_delivery(sample))
 
         handler = zenoh.handlers.Callback(handle, indirect=False)
         self._kept.append(self._session.declare_subscriber(key, handler))
+
+    def mailbox(self, key: str, capacity: int) -> Mailbox:
+        """Subscribe with a mailbox; once it is full, senders have to wait."""
+        handler: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(capacity)
+        return Mailbox(self._session.declare_subscriber(key, handler))
 
     def announce(self, token: str) -> None:
         """Declare a liveliness token, which lives as long as the session."""
@@ -150,6 +161,11 @@ class ZenohSession:
     def _close(self) -> None:
         with contextlib.suppress(zenoh.ZError):
             self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _delivery(sample: zenoh.Sample) -> Delivery:
+    attachment = sample.attachment
+    return Delivery(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes())
 
 
 def _configuration(

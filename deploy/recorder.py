@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import queue
 import struct
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from bus_schema import topics
@@ -28,8 +26,9 @@ RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 _STAMP = struct.Struct("<iI")
 _STAMP_OFFSET = 4
-_LARGEST_BACKLOG = 500_000
-_FLUSH_S = 0.1
+_LARGEST_BACKLOG = 200_000
+_PAUSE_S = 0.02
+"""Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
 
 def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
@@ -71,15 +70,15 @@ class Recorder:
     def __init__(self, setup: Setup, path: Path) -> None:
         self._setup = setup
         self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind)
-        self._heard: queue.SimpleQueue[tuple[Topic, Delivery]] = queue.SimpleQueue()
+        domain = setup.scenario.link.domain
+        self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
         self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
         self._last_stamp_ns = 0
         self.messages = 0
         self.lost = 0
         self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=True)
         self._node.advertise(topics.RUN_EVENTS)
-        for topic in topics.TOPICS:
-            self._node.subscribe(topic, partial(self._on_delivery, topic))
+        self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG)
         self._node.announce()
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
@@ -92,7 +91,8 @@ class Recorder:
         has_heard = False
         while not is_stop_requested():
             somebody_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
-            wrote = self._write_for(_FLUSH_S)
+            time.sleep(_PAUSE_S)
+            wrote = self._write_what_came()
             has_heard = has_heard or wrote
             if has_heard and not somebody_is_there and not wrote:
                 return
@@ -103,30 +103,21 @@ class Recorder:
 
     def close(self) -> None:
         """Write what was heard, and finish the file."""
-        self._write_for(0.0)
+        self._write_what_came()
         counts = {"messages": str(self.messages), "lost": str(self.lost)}
         self._log.add_metadata(RECORDER_METADATA, counts)
         self._log.close()
         self._node.close()
 
-    def _on_delivery(self, topic: Topic, delivery: Delivery) -> None:
-        if self._heard.qsize() < _LARGEST_BACKLOG:  # beyond it, the gap in numbers tells the loss
-            self._heard.put((topic, delivery))
-
-    def _write_for(self, duration_s: float) -> bool:
-        """Write what comes in for a while, then hand it to the disk; whether anything came."""
-        until_s = time.monotonic() + duration_s
+    def _write_what_came(self) -> bool:
+        """Write what has come in and hand it to the disk; whether anything had."""
         wrote = False
-        while True:
-            left_s = until_s - time.monotonic()
-            try:
-                topic, delivery = self._heard.get(block=left_s > 0.0, timeout=max(left_s, 0.0))
-            except queue.Empty:
-                break
-            self._write(topic, delivery)
-            wrote = True
-            if left_s <= 0.0 and duration_s > 0.0:
-                break
+        while (item := self._mailbox.take()) is not None:
+            key, delivery = item
+            topic = self._topics.get(key)
+            if topic is not None:
+                self._write(topic, delivery)
+                wrote = True
         self._log.flush()
         return wrote
 
