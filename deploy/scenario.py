@@ -116,11 +116,6 @@ class Setup:
     def ticks(self) -> int:
         return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
 
-    @property
-    def tick_times_s(self) -> Vector:
-        """Time of every tick, shape (ticks,)."""
-        return np.arange(self.ticks, dtype=np.float64) * (self.grid.period_ns * 1e-9)
-
     def control_task(self) -> ControlTask:
         """A fresh task for a controller."""
         controller = self.scenario.controller

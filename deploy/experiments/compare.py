@@ -22,7 +22,6 @@ from deploy.scenario import ScenarioError, Setup, load_setup
 from plant_emulator.plant_loop import PlantLoop
 
 KIND = "comparison"
-OnStart = Callable[[str, PlantLoop], None]
 
 
 def parse_laws(text: str | None) -> list[str]:

@@ -14,8 +14,6 @@ import pytest
 
 from bus_schema import realtime
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="what is asked for is Linux's")
-
 REPOSITORY = Path(realtime.__file__).resolve().parents[1]
 PRELUDE = """
 import gc, json, mmap, os, resource, threading
