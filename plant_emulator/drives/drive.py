@@ -1,7 +1,7 @@
 """What a protocol and a joint have to say to each other: the interface of an emulated drive.
 
-Drives are passive: they live in the time they are told, have no thread and look at no clock, so that
-the same frames at the same instants always give the same answers, whatever carries them.
+Drives are passive: they live in the time they are told, have no thread and look at no clock, so
+that the same frames at the same instants always give the same answers, whatever carries them.
 """
 
 from __future__ import annotations

@@ -58,9 +58,7 @@ class Automaton:
     @property
     def follows(self) -> bool:
         """Whether the motor follows its target torque."""
-        return (
-            self.state is State.OPERATION_ENABLED and self._slow_down is None and not self.halted
-        )
+        return self.state is State.OPERATION_ENABLED and self._slow_down is None and not self.halted
 
     @property
     def brings_to_rest(self) -> bool:
@@ -114,9 +112,7 @@ class Automaton:
     def advance(self) -> None:
         """End a slow-down whose time has come."""
         slow_down = self._slow_down
-        if slow_down is not None and (
-            self._is_still() or self._node.now_ns >= slow_down.until_ns
-        ):
+        if slow_down is not None and (self._is_still() or self._node.now_ns >= slow_down.until_ns):
             self._enter(slow_down.then)
 
     def _go(self, command: Command, following: State) -> None:

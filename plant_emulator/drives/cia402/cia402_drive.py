@@ -144,14 +144,14 @@ class Cia402Drive:
         if len(data) != SDO_BYTES:
             raise InvalidMessageError("sdo_length", f"an SDO request has 8 bytes: {data!r}")
         if self._network.has_sdo:
-            self._node.sdo.on_request(self._node.sdo.rx_cobid, data)
+            self._node.sdo.on_request(self._node.sdo.rx_cobid, data, 0.0)
 
     def _obey_master(self, data: bytes) -> None:
         if len(data) != _NMT_BYTES:
             raise InvalidMessageError("nmt_length", f"an NMT command has 2 bytes: {data!r}")
         if data[0] not in list(NmtCommand):
             raise InvalidMessageError("nmt_command", f"there is no NMT command {data[0]}")
-        if data[1] not in (_ALL_NODES, self._node.id):
+        if data[1] not in (_ALL_NODES, self._node.node_id):
             return
         command = NmtCommand(data[0])
         if command is NmtCommand.RESET_NODE:

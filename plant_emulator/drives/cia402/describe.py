@@ -30,10 +30,11 @@ def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str
     if identifier == process_data.sync_identifier:
         return "SYNC"
     if identifier == node.emcy.cob_id and len(data) >= _EMERGENCY_BYTES:
-        return f"node {node.id} EMCY {_name(int.from_bytes(data[:2], 'little'))}, register {data[2]}"
-    if identifier == HEARTBEAT + node.id and len(data) == 1:
+        code = int.from_bytes(data[:2], "little")
+        return f"node {node.node_id} EMCY {_name(code)}, register {data[2]}"
+    if identifier == HEARTBEAT + node.node_id and len(data) == 1:
         state = NmtState(data[0]).name if data[0] in list(NmtState) else data[0]
-        return f"node {node.id} heartbeat {state}"
+        return f"node {node.node_id} heartbeat {state}"
     if identifier in (node.sdo.rx_cobid, node.sdo.tx_cobid):
         return _sdo(data, node, is_request=identifier == node.sdo.rx_cobid)
     for direction, pdo in (
@@ -42,12 +43,12 @@ def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str
     ):
         if pdo is not None:
             asked = " asked for" if frame.is_remote else _values(pdo, data, node)
-            return f"node {node.id} {direction}{asked}"
+            return f"node {node.node_id} {direction}{asked}"
     return None
 
 
 def _network(data: bytes) -> str:
-    if len(data) != 2 or data[0] not in list(NmtCommand):  # noqa: PLR2004
+    if len(data) != 2 or data[0] not in list(NmtCommand):
         return f"NMT {data.hex(' ')}"
     whom = f"node {data[1]}" if data[1] else "all nodes"
     return f"NMT {NmtCommand(data[0]).name} {whom}"
@@ -60,14 +61,14 @@ def _name(code: int) -> str:
 
 def _sdo(data: bytes, node: DriveNode, *, is_request: bool) -> str:
     if len(data) < _SDO_HEADER_BYTES:
-        return f"node {node.id} SDO {data.hex(' ')}"
+        return f"node {node.node_id} SDO {data.hex(' ')}"
     kind = data[0] & 0xE0
     words = (_SDO_WORDS if is_request else _SDO_ANSWERS).get(kind, "SDO")
     if "segment" in words:
-        return f"node {node.id} {words} {data[1:].hex(' ')}"
+        return f"node {node.node_id} {words} {data[1:].hex(' ')}"
     index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-    text = f"node {node.id} {words} 0x{index:04X}:{subindex:02X} {_object_name(node, index)}"
-    if kind == 0x80 or (is_request and kind == 0x20) or (not is_request and kind == 0x40):  # noqa: PLR2004
+    text = f"node {node.node_id} {words} 0x{index:04X}:{subindex:02X} {_object_name(node, index)}"
+    if kind == 0x80 or (is_request and kind == 0x20) or (not is_request and kind == 0x40):
         text += f" 0x{int.from_bytes(data[4:], 'little'):X}"
     return text
 
@@ -83,7 +84,7 @@ def _values(pdo: Pdo, data: bytes, node: DriveNode) -> str:
     parts, start = [], 0
     for index, subindex, bits in pdo.entries:
         variable = node.find(index, subindex)
-        value = variable.decode_raw(data[start : start + bits // 8])
+        value = int(variable.decode_raw(data[start : start + bits // 8]))
         is_word = index in (0x6040, 0x6041)
         parts.append(f"{variable.name} {f'0x{value:04X}' if is_word else value}")
         start += bits // 8

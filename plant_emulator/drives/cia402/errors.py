@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntEnum
 
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.node import DriveNode

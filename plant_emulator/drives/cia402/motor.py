@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.automaton import Automaton

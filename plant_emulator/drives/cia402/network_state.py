@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from enum import IntEnum
 
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from bus_schema.can_frame import CanFrame
 from plant_emulator.drives.cia402.abort import Abort
@@ -80,7 +80,7 @@ class NetworkState:
 
     def boot(self) -> None:
         """Say that the node is there; from now on it is pre-operational."""
-        self._send(CanFrame(HEARTBEAT + self._node.id, bytes([NmtState.INITIALISING])))
+        self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([NmtState.INITIALISING])))
         self.state = NmtState.PRE_OPERATIONAL
         self._heard_ns.clear()
         self._lost.clear()
@@ -108,7 +108,7 @@ class NetworkState:
         now_ns = self._node.now_ns
         period_ns = self._period_ns()
         if period_ns and now_ns >= self._next_heartbeat_ns:
-            self._send(CanFrame(HEARTBEAT + self._node.id, bytes([self.state])))
+            self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
             behind = (now_ns - self._next_heartbeat_ns) // period_ns
             self._next_heartbeat_ns += (behind + 1) * period_ns
         if not self._heard_ns:

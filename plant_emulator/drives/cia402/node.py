@@ -13,7 +13,8 @@ from typing import Any
 
 import canopen
 from canopen.objectdictionary import NUMBER_TYPES, ObjectDictionary, ODVariable
-from canopen.sdo import SdoAbortedError, SdoServer
+from canopen.sdo.exceptions import SdoAbortedError
+from canopen.sdo.server import SdoServer
 
 from bus_schema.can_files import CIA402_EDS
 from bus_schema.can_frame import CanFrame
@@ -55,12 +56,12 @@ class PassiveNetwork(canopen.Network):
 class StrictSdoServer(SdoServer):
     """canopen's SDO server, kept to CiA 301 where it is lenient or would stumble."""
 
-    def __init__(self, node: canopen.LocalNode) -> None:
-        super().__init__(0x600 + node.id, 0x580 + node.id, node)
+    def __init__(self, node: canopen.LocalNode, node_id: int) -> None:
+        super().__init__(0x600 + node_id, 0x580 + node_id, node)
         self._index, self._subindex = 0, 0
         self._pending: int | None = None
 
-    def on_request(self, can_id: int, data: bytes, timestamp: float = 0.0) -> None:
+    def on_request(self, can_id: int, data: bytes, timestamp: float) -> None:
         """Answer one request of eight bytes."""
         command = data[0] & _COMMAND_MASK
         if command in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT) and self._pending != command:
@@ -102,7 +103,7 @@ class StrictSdoServer(SdoServer):
 
     def segmented_download(self, command: int, request: bytes) -> None:
         """Take one segment."""
-        if len(self._buffer) > _LONGEST_DOWNLOAD:
+        if len(self._buffer or b"") > _LONGEST_DOWNLOAD:
             raise SdoAbortedError(Abort.OUT_OF_MEMORY)
         if command & _LAST_SEGMENT:
             self._pending = None
@@ -122,14 +123,16 @@ class DriveNode(canopen.LocalNode):
         send: takes the frames it sends.
 
     Attributes:
+        node_id: its address.
         now_ns: the time of what is being done.
     """
 
     def __init__(self, node_id: int, send: Send) -> None:
         super().__init__(node_id, _dictionary(node_id))
-        self.sdo = StrictSdoServer(self)
+        self.sdo = StrictSdoServer(self, node_id)
         self.network = PassiveNetwork(send)
         self.sdo.network = self.emcy.network = self.network
+        self.node_id = node_id
         self.now_ns = 0
         self._readers: dict[int, Reader] = {}
         self._writers: dict[int, Writer] = {}

@@ -1,10 +1,10 @@
-"""Process data objects of a drive, mapped as the master likes (CiA 301, 7.2.2 and 7.5.2.34 to 38)."""
+"""Process data objects, mapped as the master likes (CiA 301, 7.2.2 and 7.5.2.34 to 38)."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.errors import check_identifier
@@ -21,7 +21,7 @@ _MS, _INHIBIT_UNIT = 1_000_000, 100_000
 class Entry(NamedTuple):
     """An object mapped into a PDO."""
 
-    index: int
+    object_index: int
     subindex: int
     bits: int
 
@@ -82,10 +82,6 @@ class Pdo:
             self._node.set_data(index, subindex, data[start:end])
             start = end
 
-    def carries(self, index: int) -> bool:
-        """Whether an object is mapped."""
-        return any(entry.index == index for entry in self.entries)
-
     def _set_cob_id(self, value: int) -> None:
         self.identifier = value & 0x7FF
         self.is_valid = not value & _NOT_VALID
@@ -134,7 +130,7 @@ class Pdo:
         """A mapping parameter, if that can be mapped here."""
         entry = Entry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
         try:
-            variable = self._node.find(entry.index, entry.subindex)
+            variable = self._node.find(entry.object_index, entry.subindex)
         except SdoAbortedError:
             raise SdoAbortedError(Abort.NO_SUCH_OBJECT) from None
         is_open = variable.writable if self._is_received else variable.readable

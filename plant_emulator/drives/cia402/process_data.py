@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from bus_schema.can_frame import CanFrame
 from bus_schema.errors import InvalidMessageError
@@ -86,14 +86,16 @@ class ProcessData:
     def load(self) -> None:
         """Take everything from the dictionary."""
         self.sync_identifier = self._node.value(0x1005) & 0x7FF
-        for each in (*self._received, *self._sent):
-            each.pdo.load()
+        for pdo in (*(r.pdo for r in self._received), *(s.pdo for s in self._sent)):
+            pdo.load()
         self.rest()
 
     def rest(self) -> None:
         """The node is not operational: nothing is pending or awaited."""
-        for each in (*self._received, *self._sent):
-            each.rest()
+        for received in self._received:
+            received.rest()
+        for sent in self._sent:
+            sent.rest()
 
     def receiving(self, identifier: int) -> Pdo | None:
         """The RPDO with this identifier."""
@@ -112,7 +114,7 @@ class ProcessData:
         """SYNC: what is pending comes into force, what is due is sampled and sent."""
         if data:
             self._errors.note(ErrorCode.SYNC_LENGTH)
-            raise InvalidMessageError("sync_length", f"a SYNC without counter has no data: {data!r}")
+            raise InvalidMessageError("sync_length", f"a SYNC has no counter here: {data!r}")
         self._errors.clear(ErrorCode.SYNC_LENGTH)
         self.samplings += 1
         for received in self._received:
