@@ -92,7 +92,16 @@ class DriveBank:
     def faults(self) -> list[str]:
         """One sentence for each drive with a fault."""
         return [
-            f"drive {axis.node_id}: {axis.drive.fault}" for axis in self._axes if axis.drive.fault
+            f"node {axis.node_id}: {axis.drive.fault}" for axis in self._axes if axis.drive.fault
+        ]
+
+    @property
+    def statuses(self) -> list[str]:
+        """State of each drive, and what is wrong with it."""
+        return [
+            f"node {axis.node_id}: {axis.drive.status}"
+            + (f", {axis.drive.fault}" if axis.drive.fault else "")
+            for axis in self._axes
         ]
 
     def take_targets(self) -> bool:

@@ -62,6 +62,7 @@ class Axis:
 
     Attributes:
         targets: torques taken so far.
+        state: idle or in closed-loop control.
     """
 
     def __init__(self, settings: DriveSettings) -> None:
@@ -121,7 +122,7 @@ class Axis:
     def request(self, state: int) -> None:
         """Change the state, if the axis has it and nothing is wrong."""
         if state == AxisState.IDLE:
-            self._state = AxisState.IDLE
+            self.state = AxisState.IDLE
             self._result = ProcedureResult.SUCCESS
         elif state != AxisState.CLOSED_LOOP_CONTROL:
             self._result = ProcedureResult.INVALID_STATE
@@ -132,7 +133,7 @@ class Axis:
         elif not self._is_armed():
             self._torque_nm = 0.0
             self._disarm_reason = AxisError.NONE
-            self._state = AxisState.CLOSED_LOOP_CONTROL
+            self.state = AxisState.CLOSED_LOOP_CONTROL
             self._result = ProcedureResult.SUCCESS
 
     def set_mode(self, control: int, inputs: int) -> None:
@@ -191,7 +192,7 @@ class Axis:
             self._disarm(AxisError.WATCHDOG_TIMER_EXPIRED)
 
     def _start(self) -> None:
-        self._state = AxisState.IDLE
+        self.state = AxisState.IDLE
         self._errors = self._disarm_reason = AxisError.NONE
         self._result = ProcedureResult.SUCCESS
         self._mode = (POSITION_CONTROL, PASSTHROUGH)
@@ -200,12 +201,12 @@ class Axis:
         self._current_limit = self._settings.max_torque_nm / TORQUE_CONSTANT_NM_A
 
     def _is_armed(self) -> bool:
-        return self._state is AxisState.CLOSED_LOOP_CONTROL
+        return self.state is AxisState.CLOSED_LOOP_CONTROL
 
     def _disarm(self, reason: AxisError) -> None:
         self._errors |= reason
         if self._is_armed():
-            self._state = AxisState.IDLE
+            self.state = AxisState.IDLE
             self._disarm_reason = reason
         self._result = ProcedureResult.DISARMED
 
@@ -220,7 +221,7 @@ class Axis:
 
     def _heartbeat(self) -> Mapping[str, float]:
         return {
-            "Axis_Error": self._errors, "Axis_State": self._state,
+            "Axis_Error": self._errors, "Axis_State": self.state,
             "Procedure_Result": self._result, "Trajectory_Done_Flag": 0,
         }  # fmt: skip
 

@@ -75,6 +75,10 @@ class CanSimpleDrive:
         return self._axis.targets
 
     @property
+    def status(self) -> str:
+        return self._axis.state.name
+
+    @property
     def fault(self) -> str | None:
         return self._axis.fault
 

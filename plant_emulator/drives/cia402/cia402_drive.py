@@ -55,6 +55,10 @@ class Cia402Drive:
         return self._motor.automaton.state
 
     @property
+    def status(self) -> str:
+        return self.state.name
+
+    @property
     def fault(self) -> str | None:
         code = self._motor.error_code
         return None if code is ErrorCode.NONE else f"{SENTENCES[code]} (0x{code:04X})"
