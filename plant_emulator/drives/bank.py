@@ -1,8 +1,8 @@
 """All drives of a robot: what stands between its joints and the CAN bus.
 
 For a plant in lockstep the bank counts what the controller does: `samplings` rises when it has
-sampled every axis (a SYNC; or, without one, a request to each axis), `take_targets` tells when it has
-given every axis a new target.
+sampled every axis (a SYNC; or, without one, a request to each axis), `take_targets` tells when it
+has given every axis a new target.
 """
 
 from __future__ import annotations
@@ -92,11 +92,20 @@ class DriveBank:
     def faults(self) -> list[str]:
         """One sentence for each drive with a fault."""
         return [
-            f"drive {axis.node_id}: {axis.drive.fault}" for axis in self._axes if axis.drive.fault
+            f"node {axis.node_id}: {axis.drive.fault}" for axis in self._axes if axis.drive.fault
+        ]
+
+    @property
+    def statuses(self) -> list[str]:
+        """State of each drive, and what is wrong with it."""
+        return [
+            f"node {axis.node_id}: {axis.drive.status}"
+            + (f", {axis.drive.fault}" if axis.drive.fault else "")
+            for axis in self._axes
         ]
 
     def take_targets(self) -> bool:
-        """Whether every axis that is still on the bus got a target since the last time it was so."""
+        """Whether every axis still on the bus got a target since the last time it was so."""
         listening = [axis for axis in self._axes if not axis.is_silent]
         if not listening or any(axis.drive.targets <= axis.targets_taken for axis in listening):
             return False
@@ -106,9 +115,7 @@ class DriveBank:
 
     def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
         """Show the drives their joints, shape (joints,) each."""
-        rows = zip(
-            position_rad.tolist(), velocity_rad_s.tolist(), torque_nm.tolist(), strict=True
-        )
+        rows = zip(position_rad.tolist(), velocity_rad_s.tolist(), torque_nm.tolist(), strict=True)
         for axis, row in zip(self._axes, rows, strict=True):
             axis.measure(*row)
         self._note_demands()

@@ -1,7 +1,7 @@
 """What a protocol and a joint have to say to each other: the interface of an emulated drive.
 
-Drives are passive: they live in the time they are told, have no thread and look at no clock, so that
-the same frames at the same instants always give the same answers, whatever carries them.
+Drives are passive: they live in the time they are told, have no thread and look at no clock, so
+that the same frames at the same instants always give the same answers, whatever carries them.
 """
 
 from __future__ import annotations
@@ -84,20 +84,29 @@ class DriveSettings:
 
 
 class Drive(Protocol):
-    """One axis of one protocol.
-
-    Attributes:
-        targets: targets (torques) accepted so far.
-        samplings: times the measured values were sampled for the controller: on SYNC, or on its
-            request.
-        fault: one sentence about what is wrong, None if nothing is.
-    """
-
-    targets: int
-    samplings: int
-    fault: str | None
+    """One axis of one protocol."""
 
     def __init__(self, settings: DriveSettings, send: Send) -> None: ...
+
+    @property
+    def targets(self) -> int:
+        """Targets (torques) accepted so far."""
+        ...
+
+    @property
+    def samplings(self) -> int:
+        """Times the values were sampled for the controller: on SYNC, or on its request."""
+        ...
+
+    @property
+    def status(self) -> str:
+        """The drive's state in the protocol's own word."""
+        ...
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong, None if nothing is."""
+        ...
 
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show from now on."""
