@@ -45,19 +45,29 @@ class CanMedium:
         self._busy_ns = 0
         self._window_busy: Counter[int] = Counter()
         self._worst_identifier = ""
+        self._start_ns = 0
         self.free_ns = 0
         self.error_frames = 0
         self.worst_latency_ns = 0
 
-    def transmit(self, frames: Sequence[CanFrame], ready_ns: int) -> None:
-        """Send frames that are ready at the same instant, by nodes that arbitrate."""
+    def transmit(self, frames: Sequence[CanFrame], ready_ns: int) -> list[tuple[int, CanFrame]]:
+        """Send frames that are ready at the same instant, by nodes that arbitrate.
+
+        Returns:
+            The frames in the order in which they win, with the instants at which they are through,
+            counted from when the bus came up.
+        """
+        passed = []
         for frame in sorted(frames, key=arbitration_key):
             start_ns = max(ready_ns, self.free_ns)
             self.free_ns = start_ns + self._time_on_wire_ns(frame)
             self._note(frame, start_ns, self.free_ns - ready_ns)
+            passed.append((self._start_ns + self.free_ns, frame))
+        return passed
 
     def start_counting(self) -> None:
         """The run begins: time is 0 again, and what came before does not count."""
+        self._start_ns += self.free_ns
         self._counts.clear()
         self._window_busy.clear()
         self._busy_ns = self.free_ns = self.error_frames = self.worst_latency_ns = 0

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from bus_schema.can_configuration import CanConfiguration
 from bus_schema.configuration import NonNegative, Positive, StrictModel
 
 
@@ -37,7 +38,8 @@ class LinkConfiguration(StrictModel):
     """The link between controller and plant.
 
     Attributes:
-        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``).
+        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh).
         domain: ROS domain, the first part of every key.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
@@ -48,9 +50,10 @@ class LinkConfiguration(StrictModel):
             period beyond the link's own mean delay.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
         reply_timeout_s: how long a silent peer is waited for during a run, wall time.
+        can: the CAN bus, with ``kind: can``.
     """
 
-    kind: Literal["zenoh", "in_process"] = "zenoh"
+    kind: Literal["zenoh", "in_process", "can"] = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
@@ -60,6 +63,7 @@ class LinkConfiguration(StrictModel):
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
+    can: CanConfiguration = CanConfiguration()
 
     def deadline_ns(self, period_ns: int) -> int:
         """The deadline for this tick period."""

@@ -107,7 +107,7 @@ def simulate(
             )
 
         try:
-            simulation = simulate_setup(setup, watch)
+            simulation = simulate_setup(setup, watch, folder.can_log)
         finally:
             over.set()
     simulation.write_log(folder.log)
@@ -132,12 +132,15 @@ def plant(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     await_recorder: AwaitRecorder = False,
+    can_log: Annotated[
+        Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
+    ] = None,
     to_parent: ToParent = False,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
     setup = load_setup(scenario, overrides or [])
     voice = Voice(Role.PLANT, to_parent=to_parent)
-    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder))
+    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder, can_log=can_log))
 
 
 @app.command()
