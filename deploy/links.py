@@ -15,14 +15,15 @@ from bus_schema.can_link import CanControllerLink
 from bus_schema.can_master import CanMaster
 from bus_schema.can_medium import CanMedium
 from bus_schema.can_run import CanRun
-from bus_schema.can_session import open_can_bus
+from bus_schema.can_session import check_can_bus, open_can_bus
 from bus_schema.candump import CandumpLog
 from bus_schema.clock import Clock, MonotonicClock, VirtualClock
+from bus_schema.configuration import ConfigurationError
 from bus_schema.link import PlantLink
 from bus_schema.telemetry import Telemetry, ZenohTelemetry
 from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
-from deploy.scenario import Setup
+from deploy.scenario import ScenarioError, Setup
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.can_plant_link import CanPlantLink
 from plant_emulator.driven_arm import DrivenArm
@@ -37,6 +38,30 @@ class RecordedPlantLink(PlantLink, Protocol):
     def await_recorded(self) -> None:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
         ...
+
+
+def check_link(setup: Setup, *, one_process: bool) -> None:
+    """Check that this machine has what the scenario's link needs, before anything starts.
+
+    Raises:
+        ScenarioError: it has not.
+    """
+    link = setup.scenario.link
+    try:
+        if link.kind == "in_process" and not one_process:
+            raise ConfigurationError(
+                "link.kind", link.kind, "must be zenoh or can for run; simulate runs in one process"
+            )
+        if link.kind == "can":
+            if link.can.interface == "virtual" and not one_process:
+                raise ConfigurationError(
+                    "link.can.interface", "virtual",
+                    "reaches no other process: must be udp_multicast, socketcan or hardware for"
+                    " run; simulate runs in one process",
+                )  # fmt: skip
+            check_can_bus(link.can)
+    except ConfigurationError as error:
+        raise ScenarioError(f"{setup.source}: {error}") from error
 
 
 def open_plant_link(
