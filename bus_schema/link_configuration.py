@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
+from bus_schema.can_configuration import CanConfiguration
 from bus_schema.configuration import NonNegative, Positive, StrictModel
 
 
@@ -48,6 +49,7 @@ class LinkConfiguration(StrictModel):
             period beyond the link's own mean delay.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
         reply_timeout_s: how long a silent peer is waited for during a run, wall time.
+        can: the CAN bus and its drives.
     """
 
     kind: Literal["zenoh", "in_process"] = "zenoh"
@@ -60,6 +62,7 @@ class LinkConfiguration(StrictModel):
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
+    can: CanConfiguration = CanConfiguration()
 
     def deadline_ns(self, period_ns: int) -> int:
         """The deadline for this tick period."""
