@@ -1,4 +1,4 @@
-"""What the states do to the joint: torque, brake, slowing down, and what master and bus can cause."""
+"""What the states do to the joint: torque, brake, slowing down; what master and bus can cause."""
 
 import pytest
 from drive_bench import (

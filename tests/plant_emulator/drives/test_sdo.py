@@ -1,5 +1,5 @@
-"""The SDO server: every abort code that the dictionary can give (CiA 301, table 22), and no other way
-out of a bad request."""
+"""The SDO server: every abort code that the dictionary can give (CiA 301, table 22), and no other
+way out of a bad request."""
 
 import struct
 

@@ -28,16 +28,18 @@ def test_position_is_the_nearest_increment(bench, position_rad):
 
 
 @pytest.mark.parametrize(
-    ("turns", "counts"), [(2047.5, 2147483648 - TURN // 2), (2048.0, -(1 << 31)), (-2049, 2146435072)]
-)  # fmt: skip
+    ("turns", "counts"),
+    [(2047.5, (1 << 31) - TURN // 2), (2048.0, -(1 << 31)), (-2049, (1 << 31) - TURN)],
+)
 def test_position_wraps_around_at_32_bits(bench, turns, counts):
     bench.move(position_rad=turns * 2 * math.pi)
     assert bench.read(0x6064, signed=True) == counts
 
 
 @pytest.mark.parametrize(
-    ("turns_s", "value"), [(1.0, TURN), (-0.25, -TURN // 4), (5000, (1 << 31) - 1), (-5000, -(1 << 31))]
-)  # fmt: skip
+    ("turns_s", "value"),
+    [(1.0, TURN), (-0.25, -TURN // 4), (5000, (1 << 31) - 1), (-5000, -(1 << 31))],
+)
 def test_velocity_saturates(bench, turns_s, value):
     bench.move(velocity_rad_s=turns_s * 2 * math.pi)
     assert bench.read(0x606C, signed=True) == value
@@ -76,7 +78,9 @@ def test_offset_and_max_torque():
 
 
 def test_position_limits_let_no_torque_push_further():
-    bench = Bench(settings=DriveSettings(**(vars(SETTINGS) | {"upper_rad": 1.0, "lower_rad": -2.0})))
+    bench = Bench(
+        settings=DriveSettings(**(vars(SETTINGS) | {"upper_rad": 1.0, "lower_rad": -2.0}))
+    )
     bench.enable(100)
     assert bench.read(0x607D, 2, signed=True) == 166886
     for position_rad, per_mille, torque_nm in (
