@@ -1,5 +1,5 @@
-"""The CANSimple axis against ODrive's public protocol description: identifier = node << 5 | command,
-little endian, IEEE 754 floats."""
+"""The CANSimple axis against ODrive's public protocol description: identifier = node << 5 |
+command, little endian, IEEE 754 floats."""
 
 import math
 import struct
