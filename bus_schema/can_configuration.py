@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
@@ -25,16 +24,20 @@ def _check_node_ids(node_ids: tuple[int, ...]) -> tuple[int, ...]:
     return node_ids
 
 
-class MediumFaults(StrictModel):
-    """What goes wrong on an emulated bus.
+class CanFaults(StrictModel):
+    """What goes wrong on an emulated bus, and with the drives on it.
 
     Attributes:
         frame_error_probability: share of frames that are destroyed by an error frame and repeated.
         bus_off_s: time at which the drives' side goes bus-off for good; null for never.
+        drives: what goes wrong with drives, in the form ``kind:node@time`` or
+            ``kind:node@time+duration``, such as ``drive:2@3s``; kinds are ``drive``, ``silent``,
+            ``encoder-frozen`` and ``over-temperature``.
     """
 
     frame_error_probability: Annotated[float, Field(ge=0, le=0.5)] = 0.0
     bus_off_s: NonNegative | None = None
+    drives: tuple[str, ...] = ()
 
 
 class CanConfiguration(StrictModel):
@@ -59,7 +62,7 @@ class CanConfiguration(StrictModel):
         heartbeat_timeout_ms: silence after which a node counts as lost.
         command_timeout_ms: time without a torque after which a drive stops by itself.
         answer_timeout_s: how long the master waits for the answer to a request, wall time.
-        faults: what goes wrong on an emulated bus.
+        faults: what goes wrong on an emulated bus, and with the drives on it.
     """
 
     interface: str = "socketcan"
@@ -69,17 +72,18 @@ class CanConfiguration(StrictModel):
     fd: bool = False
     data_bitrate: Annotated[int, Field(ge=125_000, le=8_000_000)] | None = None
     protocol: Literal["cia402", "cansimple"] = "cia402"
-    node_ids: Annotated[
-        tuple[Annotated[int, Field(ge=1, le=127)], ...], AfterValidator(_check_node_ids)
-    ] | None = None
-    eds: Path | None = None
+    node_ids: (
+        Annotated[tuple[Annotated[int, Field(ge=1, le=127)], ...], AfterValidator(_check_node_ids)]
+        | None
+    ) = None
+    eds: str | None = None
     encoder_bits: Annotated[int, Field(ge=8, le=24)] = 20
     rated_torque_nm: PerJointPositive | None = None
     heartbeat_ms: Annotated[int, Field(ge=1, le=30_000)] = 20
     heartbeat_timeout_ms: Annotated[int, Field(ge=2, le=65_000)] = 70
     command_timeout_ms: Annotated[int, Field(ge=2, le=65_000)] = 50
     answer_timeout_s: Positive = 2.0
-    faults: MediumFaults = MediumFaults()
+    faults: CanFaults = CanFaults()
 
     @property
     def resolved_channel(self) -> str:

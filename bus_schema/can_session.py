@@ -123,7 +123,7 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
         )  # fmt: skip
     try:
         bus = can.Bus(interface=interface, channel=channel, **_arguments(configuration))
-    except Exception as error:  # noqa: BLE001 (drivers raise whatever they like)
+    except Exception as error:
         raise _explained(error, interface, channel) from error
     return PythonCanBus(bus, channel, hears_itself=interface == "udp_multicast")
 
@@ -178,9 +178,7 @@ def _explained(error: Exception, interface: str, channel: str) -> ConfigurationE
             advice = "may not be opened by this user; ask for its group, or run as root"
         case _ if interface == "udp_multicast":
             key, given = "link.can.channel", channel
-            advice = (
-                f"must be a multicast address of this host's network, such as 239.74.163.2 ({error})"
-            )
+            advice = f"must be a multicast address of this host's network, such as 239.74.163.2 ({error})"
         case _:
             key, given = "link.can.interface", interface
             advice = f"cannot be opened on channel {channel!r}, is its driver installed? ({error})"

@@ -38,7 +38,8 @@ class LinkConfiguration(StrictModel):
     """The link between controller and plant.
 
     Attributes:
-        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``).
+        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh).
         domain: ROS domain, the first part of every key.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
@@ -49,10 +50,10 @@ class LinkConfiguration(StrictModel):
             period beyond the link's own mean delay.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
         reply_timeout_s: how long a silent peer is waited for during a run, wall time.
-        can: the CAN bus and its drives.
+        can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 
-    kind: Literal["zenoh", "in_process"] = "zenoh"
+    kind: Literal["zenoh", "in_process", "can"] = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"

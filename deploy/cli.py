@@ -30,6 +30,7 @@ from deploy.cli_common import (
     on_interrupt,
 )
 from deploy.experiments.simulate import simulate as simulate_setup
+from deploy.links import check_link
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
 from deploy.processes import Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
@@ -61,11 +62,7 @@ def run(
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, with_free_endpoints(overrides or []))
-    if setup.scenario.link.kind == "in_process":
-        raise ScenarioError(
-            f"{setup.source}: link.kind = 'in_process': must be zenoh for run; simulate runs in one"
-            " process"
-        )
+    check_link(setup, one_process=False)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
@@ -87,6 +84,7 @@ def simulate(
 ) -> None:
     """Run a scenario in one process and in virtual time."""
     setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=True)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
@@ -107,7 +105,7 @@ def simulate(
             )
 
         try:
-            simulation = simulate_setup(setup, watch)
+            simulation = simulate_setup(setup, watch, folder.can_log)
         finally:
             over.set()
     simulation.write_log(folder.log)
@@ -123,6 +121,7 @@ def controller(
 ) -> None:
     """Be the controller: answer the joint states of a plant on the bus."""
     setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=False)
     voice = Voice(Role.CONTROLLER, to_parent=to_parent)
     raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
 
@@ -132,12 +131,16 @@ def plant(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     await_recorder: AwaitRecorder = False,
+    can_log: Annotated[
+        Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
+    ] = None,
     to_parent: ToParent = False,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
     setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=False)
     voice = Voice(Role.PLANT, to_parent=to_parent)
-    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder))
+    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder, can_log=can_log))
 
 
 @app.command()

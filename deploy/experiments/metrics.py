@@ -155,4 +155,5 @@ def _transport(run: RunData) -> dict[str, Any]:
     event = run.plant_event(EventKind.COUNTS)
     counts = event.values() if event is not None else {}
     unknown: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
-    return {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
+    channels = {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
+    return channels | ({"can": counts["can"]} if "can" in counts else {})

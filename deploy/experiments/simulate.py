@@ -14,6 +14,7 @@ from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
 from deploy.experiments.run_data import RunData, build_run_data
+from deploy.experiments.simulate_can import run_over_can
 from deploy.recorder import RECORDER_METADATA, open_log, stamp_of
 from deploy.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
@@ -35,18 +36,22 @@ class Simulation:
     setup: Setup
     topics: list[Topic]
     payloads: list[bytes]
-    failure: ControllerError | None
+    failure: Exception | None
 
     def data(self) -> RunData:
         """The data of the run."""
         by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             by_topic[topic.name].append(payload)
-        return build_run_data(self.setup, by_topic, clock=CLOCK, link=LINK)
+        return build_run_data(self.setup, by_topic, clock=CLOCK, link=self._link)
+
+    @property
+    def _link(self) -> str:
+        return "can" if self.setup.scenario.link.kind == "can" else LINK
 
     def write_log(self, path: Path) -> None:
         """Write the recording that a recorder would have made."""
-        log = open_log(self.setup, path, clock=CLOCK, link=LINK)
+        log = open_log(self.setup, path, clock=CLOCK, link=self._link)
         sequences: Counter[str] = Counter()
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             sequences[topic.name] += 1
@@ -56,29 +61,42 @@ class Simulation:
         log.close()
 
 
-def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:
+def simulate(
+    setup: Setup,
+    on_start: Callable[[PlantLoop], None] | None = None,
+    can_log: Path | None = None,
+) -> Simulation:
     """Run a scenario in virtual time.
 
     Args:
         setup: the scenario.
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
+        can_log: file for the frames of a CAN bus.
     """
     clock = VirtualClock()
     bus = InProcessBus(clock)
+    if setup.scenario.link.kind == "can":
+        failure = run_over_can(setup, bus, clock, on_start, can_log)
+        if failure is not None:
+            _publish_fault(bus, clock.now_ns(), failure)
+        return Simulation(setup, bus.topics, bus.payloads, failure)
     controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     arm = setup.arm()
     plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
         on_start(plant)
-    failure = None
+    failure: Exception | None = None
     try:
         controller.warm_up()
         plant.run()
     except ControllerError as error:
         failure = error
-        stamp_ns = setup.grid.tick_ns(plant.tick)
-        event = RunEvent(stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
-        bus.publish(RUN_EVENTS, event.encode())
+        _publish_fault(bus, setup.grid.tick_ns(plant.tick), error)
     finally:
         arm.close()
     return Simulation(setup, bus.topics, bus.payloads, failure)
+
+
+def _publish_fault(bus: InProcessBus, stamp_ns: int, error: Exception) -> None:
+    event = RunEvent(stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
+    bus.publish(RUN_EVENTS, event.encode())

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
-import numpy as np
-
-from bus_schema.arrays import Vector
 from bus_schema.can_configuration import CanConfiguration
-from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.can_units import rated_torque_nm
+from bus_schema.configuration import expand
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
@@ -17,9 +15,6 @@ from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
 from plant_emulator.drives.drive import Drive, DriveSettings, Send
 
 PROTOCOLS: dict[str, type[Drive]] = {"cia402": Cia402Drive, "cansimple": CanSimpleDrive}
-
-PEAK_TO_RATED = 32.0
-"""Effort limit to rated torque by default: the limit is 32000 ‰, nearly all that 16 bits hold."""
 
 _LARGEST_PER_MILLE = 32_767
 
@@ -33,7 +28,7 @@ def commission(
         ConfigurationError: a value does not fit the robot.
     """
     damping = expand(plant.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
-    rated = _rated_torque_nm(can, robot)
+    rated = rated_torque_nm(can, robot)
     return tuple(
         DriveSettings(
             node_id=node_id,
@@ -50,24 +45,22 @@ def commission(
 
 
 def build_bank(
-    can: CanConfiguration, robot: RobotDescription, plant: PlantConfiguration, send: Send
+    can: CanConfiguration,
+    robot: RobotDescription,
+    plant: PlantConfiguration,
+    send: Send,
+    *,
+    polled: bool = False,
 ) -> DriveBank:
-    """The drives of a robot.
+    """The drives of a robot; `polled`: estimates only when asked for, see `DriveSettings`.
 
     Raises:
         ConfigurationError: a value does not fit the robot.
     """
-    return DriveBank(PROTOCOLS[can.protocol], commission(can, robot, plant), send)
-
-
-def _rated_torque_nm(can: CanConfiguration, robot: RobotDescription) -> Vector:
-    if can.rated_torque_nm is not None:
-        return expand(can.rated_torque_nm, robot.joints, "link.can.rated_torque_nm")
-    for name, limit in zip(robot.joint_names, robot.effort_limits_nm, strict=True):
-        if not math.isfinite(limit):
-            allowed = f"must be given: the URDF has no effort limit for joint {name}"
-            raise ConfigurationError("link.can.rated_torque_nm", None, allowed)
-    return np.asarray(robot.effort_limits_nm / PEAK_TO_RATED)
+    settings = commission(can, robot, plant)
+    if polled:
+        settings = tuple(replace(each, estimates_ms=0) for each in settings)
+    return DriveBank(PROTOCOLS[can.protocol], settings, send)
 
 
 def _max_torque_nm(effort_limit_nm: float, rated_nm: float) -> float:

@@ -71,6 +71,7 @@ class DriveSettings:
         stop_damping_nm_s: torque per rad/s against the motion while the drive slows down.
         watchdog_ms: CANSimple: time without a frame after which the axis is disarmed; 0 for never.
             CiA 402 has timeouts that the master sets instead.
+        estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
     """
 
     node_id: int
@@ -81,6 +82,7 @@ class DriveSettings:
     upper_rad: float = float("inf")
     stop_damping_nm_s: float = 20.0
     watchdog_ms: float = 0.0
+    estimates_ms: int = 10
 
 
 class Drive(Protocol):

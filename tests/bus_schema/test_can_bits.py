@@ -80,7 +80,9 @@ frames = st.builds(
     ),
     st.booleans(),
     st.integers(0, (1 << 29) - 1),
-    st.binary(max_size=8) | st.integers(0, 8).map(bytes) | st.integers(0, 8).map(lambda n: b"\xff" * n),
+    st.binary(max_size=8)
+    | st.integers(0, 8).map(bytes)
+    | st.integers(0, 8).map(lambda n: b"\xff" * n),
     st.booleans(),
 )
 

@@ -71,7 +71,7 @@ def test_a_client_in_another_process_hears_and_drives_them():
     assert process.returncode == 0, said  # without --duration this is how it ends
     for words in (
         "cia402 drives 1, 2, 3 on udp_multicast",
-        "node 2 heartbeat PRE_OPERATIONAL",
+        "node 2 heartbeat INITIALISING",
         "NMT START node 2",
         "node 2 SDO upload request 0x6502:00 Supported drive modes",
         "node 2 RPDO Controlword 0x000F, Target torque 0",

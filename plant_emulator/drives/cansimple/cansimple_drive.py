@@ -1,7 +1,7 @@
 """An ODrive axis speaking CANSimple, as ODrive's public protocol description has it.
 
-CANSimple has no SYNC: estimates go out every `ESTIMATES_MS` as a factory-fresh axis sends them, and
-at once whenever they are asked for by a remote frame, which is how a controller samples an axis.
+CANSimple has no SYNC: estimates go out every 10 ms as a factory-fresh axis sends them, and at
+once whenever they are asked for by a remote frame, which is how a controller samples an axis.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from plant_emulator.drives.drive import (
 )
 
 COMMAND_BITS = 5
-HEARTBEAT_MS, ESTIMATES_MS = 100, 10
+HEARTBEAT_MS = 100
 _MS = 1_000_000
 _COMMANDS = (1 << COMMAND_BITS) - 1
 _AXIS = "Axis"
@@ -56,7 +56,7 @@ class CanSimpleDrive:
         self._axis = Axis(settings)
         self._is_off_bus = False
         self._heartbeat = _Cycle(HEARTBEAT_MS * _MS)
-        self._estimates = _Cycle(ESTIMATES_MS * _MS)
+        self._estimates = _Cycle(settings.estimates_ms * _MS)
         self.samplings = 0
         self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
             "Estop": lambda _: self._axis.emergency_stop(),
@@ -157,7 +157,7 @@ class CanSimpleDrive:
 
 
 class _Cycle:
-    """Something that happens again and again."""
+    """Something that happens again and again, or never if its period is 0."""
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
@@ -165,7 +165,7 @@ class _Cycle:
 
     def is_due(self, now_ns: int) -> bool:
         """Whether it is time; if so, until the next time not again."""
-        if now_ns < self._next_ns:
+        if now_ns < self._next_ns or not self._period_ns:
             return False
         self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
         return True
