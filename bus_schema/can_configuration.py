@@ -56,8 +56,8 @@ class CanConfiguration(StrictModel):
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
-        rated_torque_nm: unit of CiA 402's torques, one for all or one per joint; by default the
-            URDF's effort limits.
+        rated_torque_nm: unit of CiA 402's torques, one for all or one per joint; by default a
+            32nd of the URDF's effort limits, so that these are nearly all that 16 bits can say.
         heartbeat_ms: period of the heartbeats of master and drives, on the run's clock.
         heartbeat_timeout_ms: silence after which a node counts as lost.
         command_timeout_ms: time without a torque after which a drive stops by itself.

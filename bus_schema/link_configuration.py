@@ -50,7 +50,7 @@ class LinkConfiguration(StrictModel):
             period beyond the link's own mean delay.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
         reply_timeout_s: how long a silent peer is waited for during a run, wall time.
-        can: the CAN bus, with ``kind: can``.
+        can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 
     kind: Literal["zenoh", "in_process", "can"] = "zenoh"

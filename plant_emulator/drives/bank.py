@@ -84,6 +84,11 @@ class DriveBank:
         self.rejections = Rejections("frame", logger)
 
     @property
+    def node_ids(self) -> tuple[int, ...]:
+        """Addresses, in the order of the joints."""
+        return tuple(axis.node_id for axis in self._axes)
+
+    @property
     def samplings(self) -> int:
         """How often the controller has sampled every axis that is still on the bus."""
         return min((axis.drive.samplings for axis in self._axes if not axis.is_silent), default=0)

@@ -74,7 +74,9 @@ class FaultPlan:
                 bank.inject(joint, fault, now_ns)
             else:
                 bank.heal(joint, fault, now_ns)
-            said.append(f"{fault} {'injected' if is_start else 'over'} at joint {joint + 1}")
+            said.append(
+                f"{fault} {'injected' if is_start else 'over'} at node {bank.node_ids[joint]}"
+            )
         return said
 
 

@@ -74,9 +74,13 @@ class Cia402Drive:
             return False
         self._node.now_ns = now_ns
         try:
-            return self._take(frame)
-        finally:
+            is_mine = self._take(frame)
+        except InvalidMessageError:
             self._send_events()
+            raise
+        if is_mine:
+            self._send_events()
+        return is_mine
 
     def advance(self, now_ns: int) -> None:
         self._node.now_ns = now_ns
@@ -131,7 +135,7 @@ class Cia402Drive:
         elif (pdo := self._process_data.receiving(identifier)) is not None:
             if self._is_operational():
                 self._process_data.receive(pdo, data)
-        elif identifier - HEARTBEAT in self._network.consumed():
+        elif identifier - HEARTBEAT in self._network.watched:
             self._network.hear(identifier - HEARTBEAT)
         else:
             return False

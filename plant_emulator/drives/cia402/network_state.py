@@ -55,6 +55,7 @@ class NetworkState:
 
     Attributes:
         state: NMT state.
+        watched: time in ns within which a heartbeat of each watched node is due.
     """
 
     def __init__(
@@ -67,6 +68,8 @@ class NetworkState:
         self._node, self._send = node, send
         self._on_lost, self._on_heard = on_lost, on_heard
         self.state = NmtState.INITIALISING
+        self.watched: dict[int, int] = {}
+        self._period_ns = 0
         self._next_heartbeat_ns = 0
         self._heard_ns: dict[int, int] = {}
         self._lost: set[int] = set()
@@ -84,16 +87,12 @@ class NetworkState:
         self.state = NmtState.PRE_OPERATIONAL
         self._heard_ns.clear()
         self._lost.clear()
-        self._next_heartbeat_ns = self._node.now_ns + self._period_ns()
+        self._watch([self._node.value(0x1016, subindex) for subindex in _CONSUMED])
+        self._on_period(0, self._node.value(0x1017))
 
     def obey(self, command: NmtCommand) -> None:
         """Change the state; resets are for the drive as a whole to do."""
         self.state = _STATE_AFTER[command]
-
-    def consumed(self) -> dict[int, int]:
-        """Time in ns within which a heartbeat of each watched node is due."""
-        entries = (self._node.value(0x1016, subindex) for subindex in _CONSUMED)
-        return dict(_consumer(entry) for entry in entries if _is_used(entry))
 
     def hear(self, node_id: int) -> None:
         """A heartbeat of a watched node has come."""
@@ -106,24 +105,23 @@ class NetworkState:
     def advance(self) -> None:
         """Send a heartbeat if one is due, and miss those that are overdue."""
         now_ns = self._node.now_ns
-        period_ns = self._period_ns()
+        period_ns = self._period_ns
         if period_ns and now_ns >= self._next_heartbeat_ns:
             self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
             behind = (now_ns - self._next_heartbeat_ns) // period_ns
             self._next_heartbeat_ns += (behind + 1) * period_ns
-        if not self._heard_ns:
-            return
-        for node_id, time_ns in self.consumed().items():
+        for node_id, time_ns in self.watched.items():
             heard_ns = self._heard_ns.get(node_id)
             if heard_ns is not None and now_ns - heard_ns > time_ns and node_id not in self._lost:
                 self._lost.add(node_id)
                 self._on_lost()
 
-    def _period_ns(self) -> int:
-        return self._node.value(0x1017) * _MS
-
     def _on_period(self, _subindex: int, value: int) -> None:
-        self._next_heartbeat_ns = self._node.now_ns + value * _MS
+        self._period_ns = value * _MS
+        self._next_heartbeat_ns = self._node.now_ns + self._period_ns
+
+    def _watch(self, entries: list[int]) -> None:
+        self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
 
     def _check_consumed(self, subindex: int, value: int) -> None:
         """Two entries may not watch the same node (CiA 301, 7.5.2.18)."""
@@ -132,6 +130,7 @@ class NetworkState:
         if _is_used(value) and _consumer(value)[0] in nodes:
             raise SdoAbortedError(Abort.INCOMPATIBLE)
         self._heard_ns.pop(_consumer(value)[0], None)
+        self._watch([*others, value])
 
 
 def _consumer(entry: int) -> tuple[int, int]:
