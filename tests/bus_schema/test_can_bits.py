@@ -1,8 +1,8 @@
 """Frame lengths against the formula and against a second implementation that writes out each bit.
 
-The second one works on strings of bits and takes its rules straight from the frame format pictures of
-Bosch's CAN Specification 2.0 (3.1, 5) and ISO 11898-1:2015 (10.4, 10.5): it shares no code and no
-representation with the one under test.
+The second one works on strings of bits and takes its rules straight from the pictures of frame
+formats in Bosch's CAN Specification 2.0 (3.1, 5) and ISO 11898-1:2015 (10.4, 10.5): it shares no
+code and no representation with the one under test.
 """
 
 from __future__ import annotations
@@ -125,7 +125,8 @@ def test_lower_identifier_wins_then_data_over_remote_then_standard_over_extended
     extended = CanFrame(0x181 << 18, is_extended=True)
     extended_remote = CanFrame(0x181 << 18, is_extended=True, is_remote=True)
     order = [low, remote, extended, extended_remote, high]
-    assert sorted(reversed(order), key=arbitration_key) == order
+    shuffled = [high, extended, low, extended_remote, remote]
+    assert sorted(shuffled, key=arbitration_key) == order
 
 
 def test_duration_counts_each_phase_at_its_own_rate() -> None:

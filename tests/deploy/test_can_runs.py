@@ -1,4 +1,4 @@
-"""Runs over CAN in one process: real masters, real drives, python-can's virtual bus between them."""
+"""Runs over CAN in one process: master and drives, with python-can's virtual bus between them."""
 
 from __future__ import annotations
 
