@@ -122,7 +122,7 @@ def _stuffed_classical_bits(bits: NDArray[np.uint8]) -> int:
     total, run, last = 0, 0, 2
     for index in range(bits.size + _CRC15_BITS):
         if index < bits.size:
-            bit = np.int64(bits[index])
+            bit = int(bits[index])
         else:
             bit = (crc >> (bits.size + _CRC15_BITS - 1 - index)) & 1
         run = run + 1 if bit == last else 1
@@ -141,7 +141,7 @@ def _stuff_bits(bits: NDArray[np.uint8], boundary: int) -> tuple[int, int]:
     """
     early, late, run, last = 0, 0, 0, 2
     for index in range(bits.size - 1):
-        bit = np.int64(bits[index])
+        bit = int(bits[index])
         run = run + 1 if bit == last else 1
         last = bit
         if run == _STUFFED_RUN:

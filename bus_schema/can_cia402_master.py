@@ -12,6 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import canopen
@@ -135,12 +136,9 @@ class Cia402Master:
         """Reset all drives until each has said that it is there; false if asked to stop."""
         give_up_s = time.monotonic() + timeout_s
         missing = set(self._joint_of)
-        for node in self._nodes:
-            node.nmt.add_heartbeat_callback(
-                lambda state, node_id=node.id: (
-                    missing.discard(node_id) if state == _BOOT_UP else None
-                )
-            )
+        for node_id, joint in self._joint_of.items():
+            heard = partial(_strike_off, missing, node_id)
+            self._nodes[joint].nmt.add_heartbeat_callback(heard)
         while missing and not is_stop_requested():
             for node_id in sorted(missing):
                 self._network[node_id].nmt.state = "RESET"
@@ -253,6 +251,12 @@ class Cia402Master:
         finally:
             over.set()
             thread.join()
+
+
+def _strike_off(missing: set[int], node_id: int, state: int) -> None:
+    """A heartbeat has come; a node that has just booted is missing no longer."""
+    if state == _BOOT_UP:
+        missing.discard(node_id)
 
 
 class _Network(canopen.Network):

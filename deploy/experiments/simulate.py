@@ -76,8 +76,8 @@ def simulate(
     clock = VirtualClock()
     bus = InProcessBus(clock)
     if setup.scenario.link.kind == "can":
-        failure = run_over_can(setup, bus, clock, on_start, can_log)
-        return Simulation(setup, bus.topics, bus.payloads, failure)
+        stopped_by = run_over_can(setup, bus, clock, on_start, can_log)
+        return Simulation(setup, bus.topics, bus.payloads, stopped_by)
     controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     arm = setup.arm()
     plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)

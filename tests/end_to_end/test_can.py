@@ -7,7 +7,6 @@ import socket
 from pathlib import Path
 
 import numpy as np
-import pytest
 from running import Watcher, funnel_hil, processes_of, settings, started
 
 from bus_schema.topics import PLANT_TRUTH
@@ -58,23 +57,3 @@ def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None
     # link.can.command_timeout_ms, the drives' slow-down, and two ticks to see either
     allowed_s = 0.05 + SLOW_DOWN_S + 4 * 0.002
     assert times_s[moving][-1] - last_command_s <= allowed_s
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ("link.can.interface=nope", "must be one that python-can knows"),
-        ("link.can.interface=virtual", "reaches no other process"),
-        ("link.can.channel=10.0.0.1", "must be a multicast address"),
-        ("link.can.node_ids=[1, 2, 2]", "given more than once: [2]"),
-        ("link.can.eds=/etc/hostname", "must be a file that is an EDS"),
-        ("rate_hz=2000", "nearest rate that fits is 1000 Hz"),
-    ],
-)
-def test_bad_input_is_refused_before_anything_starts(
-    value: str, message: str, tmp_path: Path
-) -> None:
-    refused = funnel_hil("run", "paper_arm_can", "--set", value, out=tmp_path / "run")
-    assert refused.code == 2
-    assert message in refused.output
-    assert not (tmp_path / "run").exists()
