@@ -91,6 +91,9 @@ class CanSimpleMaster:
             raise DriveError("; ".join(dict.fromkeys(faults)))
         return self._roll.is_complete
 
+    def missing(self) -> str:
+        return self._roll.missing
+
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:
             self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
@@ -100,7 +103,7 @@ class CanSimpleMaster:
 
     def begin_stop(self) -> None:
         self._is_stopping = True
-        self._roll.strike()
+        self._roll.give_up()
 
     def is_stopped(self) -> bool:
         return not any(

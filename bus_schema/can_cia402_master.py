@@ -34,7 +34,7 @@ MASTER_NODE = 127
 _EMCY, _TPDO_2, _HEARTBEAT = 0x080, 0x280, 0x700
 _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD = struct.Struct("<H")
-_ENABLED = State402.SW_MASK["OPERATION ENABLED"]
+_POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
 _MODE = "CYCLIC SYNCHRONOUS TORQUE"
 _POLL_S = 0.05
 _BOOT_S = 1.0
@@ -66,7 +66,7 @@ class Cia402Master:
         self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
         self._roll = Roll(node_ids)
         self._faults: list[str] = []
-        self._follows = [False] * len(node_ids)
+        self._is_powered = [False] * len(node_ids)
         self._heard_ns = [0] * len(node_ids)
         self._now_ns = 0
         self._next_heartbeat_ns = 0
@@ -84,7 +84,7 @@ class Cia402Master:
                     raise DriveError(f"drive {node.id} does not follow: {error}") from error
             for node in self._nodes:
                 self._set(node, 0x1400, 5, self._can.command_timeout_ms)
-        self._follows = [True] * len(self._nodes)
+        self._is_powered = [True] * len(self._nodes)
         return True
 
     def sample(self, now_ns: int) -> None:
@@ -110,6 +110,9 @@ class Cia402Master:
         self._watch()
         return self._roll.is_complete
 
+    def missing(self) -> str:
+        return self._roll.missing
+
     def command(self, torque_nm: Vector) -> None:
         for frame in self._codec.torque_frames(torque_nm):
             self._bus.send(frame)
@@ -117,12 +120,12 @@ class Cia402Master:
     def begin_stop(self) -> None:
         self._is_stopping = True
         self._codec.controlword = QUICK_STOP
-        self._roll.strike()
+        self._roll.give_up()
 
     def is_stopped(self) -> bool:
         return not any(
-            follows and joint not in self._roll.silent
-            for joint, follows in enumerate(self._follows)
+            is_powered and joint not in self._roll.silent
+            for joint, is_powered in enumerate(self._is_powered)
         )
 
     def leave(self) -> None:
@@ -211,11 +214,11 @@ class Cia402Master:
             self._faults.append(f"drive {node_id}: emergency 0x{code:04X} ({meaning})")
 
     def _hear_status(self, joint: int, node_id: int, word: int) -> None:
-        mask, bits = _ENABLED
-        self._follows[joint] = word & mask == bits
-        if not self._follows[joint]:
-            names = [name for name, (m, b) in State402.SW_MASK.items() if word & m == b]
-            self._faults.append(f"drive {node_id}: {', '.join(names).lower()}")
+        states = [name for name, (mask, bits) in State402.SW_MASK.items() if word & mask == bits]
+        state = states[0] if states else f"unknown state 0x{word:04X}"
+        self._is_powered[joint] = state in _POWERED
+        if state != "OPERATION ENABLED":
+            self._faults.append(f"drive {node_id}: {state.lower()}")
 
     def _watch(self) -> None:
         """Raise what is wrong."""

@@ -141,7 +141,8 @@ class CanControllerLink:
             if is_stop_requested():
                 return False
             if waited_s >= self._run.link.can.answer_timeout_s:
-                raise DriveError(f"a drive did not answer tick {tick} within {waited_s:g} s")
+                nodes = self._master.missing()
+                raise DriveError(f"no answer from drive {nodes} within {waited_s:g} s")
         return True
 
     def _next(self, tick: int) -> int:

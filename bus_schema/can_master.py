@@ -41,6 +41,10 @@ class CanMaster(Protocol):
         """
         ...
 
+    def missing(self) -> str:
+        """Addresses of the drives that have not answered yet, in words."""
+        ...
+
     def command(self, torque_nm: Vector) -> None:
         """Send torques, shape (joints,)."""
         ...
@@ -50,7 +54,7 @@ class CanMaster(Protocol):
         ...
 
     def is_stopped(self) -> bool:
-        """Whether no drive that can be heard follows torques any longer."""
+        """Whether no drive that can be heard has its power stage on any longer."""
         ...
 
     def leave(self) -> None:
@@ -77,6 +81,11 @@ class Roll:
     def is_complete(self) -> bool:
         return not self._missing
 
+    @property
+    def missing(self) -> str:
+        """Addresses of those that have not answered yet."""
+        return ", ".join(str(self._node_ids[joint]) for joint in sorted(self._missing))
+
     def call(self) -> None:
         """All were asked."""
         self._missing = set(range(len(self._node_ids))) - self.silent
@@ -85,12 +94,10 @@ class Roll:
         """One has answered."""
         self._missing.discard(joint)
 
-    def strike(self) -> str:
-        """Give up those that have not answered; who they are, in words."""
-        nodes = ", ".join(str(self._node_ids[joint]) for joint in sorted(self._missing))
+    def give_up(self) -> None:
+        """Those that have not answered are not waited for any longer."""
         self.silent |= self._missing
         self._missing = set()
-        return nodes
 
 
 def bus_fault(frame: CanFrame) -> str | None:

@@ -119,18 +119,17 @@ def can_plant_link(
     """The plant's side of a link over CAN on a bus that is open; the arm gets its drives."""
     can, robot = run.link.can, setup.robot
     log = None if can_log is None else CandumpLog(can_log, can.resolved_channel)
+    node_ids = can.node_ids_of(robot.joints)
     drives = DrivesOnBus(
         bus,
+        FaultPlan([parse_fault(text, node_ids) for text in can.faults.drives]),
         lambda send: build_bank(can, robot, setup.scenario.plant, send, polled=True),
         CanMedium(can, setup.scenario.seed),
         log,
     )
     arm.attach(drives.bank)
-    plan = FaultPlan(
-        [parse_fault(text, can.node_ids_of(robot.joints)) for text in can.faults.drives]
-    )
     codec = build_codec(can, robot)
-    return CanPlantLink(run, drives, codec, clock, telemetry, plan, await_recorder=await_recorder)
+    return CanPlantLink(run, drives, codec, clock, telemetry, await_recorder=await_recorder)
 
 
 def can_controller_link(

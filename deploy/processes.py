@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from bus_schema.can_link import CanControllerLink
-from bus_schema.clock import Clock, MonotonicClock, VirtualClock
+from bus_schema.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
 from bus_schema.errors import BusError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.realtime import go_realtime
@@ -84,7 +84,7 @@ def run_plant(
 ) -> int:
     """Be the plant for one run; the exit code."""
     lockstep = setup.scenario.clock == "lockstep"
-    clock: Clock = VirtualClock() if lockstep else MonotonicClock()
+    clock = _plant_clock(setup)
     arm = setup.arm()
     _go_realtime(setup, voice)
     link = None
@@ -110,6 +110,12 @@ def run_plant(
         if link is not None:
             link.close()
         arm.close()
+
+
+def _plant_clock(setup: Setup) -> Clock:
+    if setup.scenario.clock == "lockstep":
+        return VirtualClock()
+    return SyncedClock() if setup.scenario.link.kind == "can" else MonotonicClock()
 
 
 def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:

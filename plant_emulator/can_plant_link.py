@@ -21,16 +21,17 @@ from bus_schema.can_codec import CanCodec
 from bus_schema.can_frame import CanFrame
 from bus_schema.can_run import CanRun
 from bus_schema.cdr_layout import Record
-from bus_schema.clock import Clock
+from bus_schema.clock import Clock, SyncedClock
 from bus_schema.errors import PeerSilentError
 from bus_schema.link import CommandArrival, never
 from bus_schema.telemetry import Telemetry
 from bus_schema.topics import Role
-from plant_emulator.drives.fault_plan import FaultPlan
 from plant_emulator.drives_on_bus import DrivesOnBus
 
 _POLL_S = 0.02
 _FAREWELL_S = 1.0
+_LEAD = 0.25
+"""Share of the period by which the physics is ahead of the master in real time."""
 
 
 class CanPlantLink:
@@ -42,7 +43,6 @@ class CanPlantLink:
         codec: their cyclic frames.
         clock: the plant's clock.
         telemetry: where all that is no frame goes; what the frames say too, for the record.
-        plan: what goes wrong with drives.
         await_recorder: do not start without a recorder.
     """
 
@@ -53,12 +53,11 @@ class CanPlantLink:
         codec: CanCodec,
         clock: Clock,
         telemetry: Telemetry,
-        plan: FaultPlan,
         *,
         await_recorder: bool,
     ) -> None:
         self._run, self._drives, self._codec = run, drives, codec
-        self._clock, self._telemetry, self._plan = clock, telemetry, plan
+        self._clock, self._telemetry = clock, telemetry
         self._await_recorder = await_recorder
         self._measured = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
         self._sampled = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
@@ -93,9 +92,12 @@ class CanPlantLink:
                 self._waiting.append(frame)
                 break
             self._drives.handle(frame, self._clock.now_ns())
+        if isinstance(self._clock, SyncedClock):
+            # Each tick comes a little before it is asked for, so that what is told is fresh.
+            self._clock.note_sign(round(_LEAD * self._run.grid.period_ns))
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
-        self._drives.medium.start_counting()
+        self._drives.begin_run(self._clock.now_ns())
         self._controller_was_seen = self._telemetry.sees(Role.CONTROLLER)
 
     def send_state(self, state: bytes, status: bytes) -> None:
@@ -106,7 +108,6 @@ class CanPlantLink:
             fields = self._measured.fields
             bank = self._drives.bank
             bank.measure(fields["position"], fields["velocity"], fields["effort"])
-            self._plan.carry_out(bank, now_ns)
             bus_off_s = self._run.link.can.faults.bus_off_s
             if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
                 self._drives.lose_bus(now_ns)

@@ -187,7 +187,7 @@ class PlantLoop:
                 self._collect_commands()
             elif self._link.controller_has_left():
                 self._controller_is_lost = True
-                if self._arm.mode in _COMMANDABLE:
+                if self._arm.mode in _COMMANDABLE and self._link.fault() is None:
                     self._fail("the controller has left the bus")
                 return
             elif time.monotonic() > give_up_s:

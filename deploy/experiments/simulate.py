@@ -77,8 +77,6 @@ def simulate(
     bus = InProcessBus(clock)
     if setup.scenario.link.kind == "can":
         failure = run_over_can(setup, bus, clock, on_start, can_log)
-        if failure is not None:
-            _publish_fault(bus, clock.now_ns(), failure)
         return Simulation(setup, bus.topics, bus.payloads, failure)
     controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     arm = setup.arm()
@@ -91,12 +89,9 @@ def simulate(
         plant.run()
     except ControllerError as error:
         failure = error
-        _publish_fault(bus, setup.grid.tick_ns(plant.tick), error)
+        stamp_ns = setup.grid.tick_ns(plant.tick)
+        event = RunEvent(stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
+        bus.publish(RUN_EVENTS, event.encode())
     finally:
         arm.close()
     return Simulation(setup, bus.topics, bus.payloads, failure)
-
-
-def _publish_fault(bus: InProcessBus, stamp_ns: int, error: Exception) -> None:
-    event = RunEvent(stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
-    bus.publish(RUN_EVENTS, event.encode())

@@ -61,6 +61,10 @@ class FaultPlan:
         ends = [(fault.end_ns, False, fault) for fault in faults if fault.end_ns is not None]
         self._steps = sorted([*starts, *ends])
 
+    def postpone(self, by_ns: int) -> None:
+        """Let everything happen later."""
+        self._steps = [(start_ns + by_ns, is_start, f) for start_ns, is_start, f in self._steps]
+
     def carry_out(self, bank: DriveBank, now_ns: int) -> list[str]:
         """Do what is due; a sentence for each."""
         said = []
