@@ -1,4 +1,4 @@
-"""How long a CAN frame is on the wire: bits of the frame formats of ISO 11898-1, stuff bits counted.
+"""How long a CAN frame is on the wire: the frame formats of ISO 11898-1, stuff bits counted.
 
 What a frame occupies reaches from its start-of-frame bit to the end of the interframe space (three
 bits), so that frames sent back to back add up.

@@ -1,8 +1,8 @@
 """Cyclic frames of ODrive axes on CANSimple, as ODrive's public protocol description has them.
 
-A cycle is, for each axis, a remote frame that asks for its encoder estimates, the answer (turns, turns
-per second) and the torque to give. Axes must not send estimates unasked (``encoder_msg_rate_ms = 0``):
-an answer could not be told from one of those.
+A cycle is, for each axis, a remote frame that asks for its encoder estimates, the answer (turns,
+turns per second) and the torque to give. Axes must not send estimates unasked
+(``encoder_msg_rate_ms = 0``): an answer could not be told from one of those.
 """
 
 from __future__ import annotations

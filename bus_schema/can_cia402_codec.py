@@ -1,7 +1,7 @@
 """Cyclic frames of CiA 402 drives in their default PDO mapping (see the EDS).
 
-A cycle is SYNC, one TPDO 1 from each drive (position, velocity) and one RPDO 1 to each (controlword,
-target torque).
+A cycle is SYNC, one TPDO 1 from each drive (position, velocity) and one RPDO 1 to each
+(controlword, target torque).
 """
 
 from __future__ import annotations

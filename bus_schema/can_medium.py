@@ -1,9 +1,10 @@
 """The medium of an emulated CAN bus: one frame at a time, the lowest identifier first.
 
-It keeps time for frames that some software carries at once: each gets the instants at which it would
-have won arbitration and been through on a wire, on the plant's clock. It delays nothing: a frame that
-takes tenths of a millisecond on the wire is answered within the same tick, whatever carries it, so a
-run gives the same bits over every interface. What a real wire would have added is reported.
+It keeps time for frames that some software carries at once: each gets the instants at which it
+would have won arbitration and been through on a wire, on the plant's clock. It delays nothing: a
+frame that takes tenths of a millisecond on the wire is answered within the same tick, whatever
+carries it, so a run gives the same bits over every interface. What a real wire would have added is
+reported.
 """
 
 from __future__ import annotations

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import socket
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import can
@@ -17,6 +19,7 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 
 _SEND_TIMEOUT_S = 1.0
+_IFF_UP = 1
 
 # What the interfaces have to say reaches the user in the exceptions they raise.
 logging.getLogger("can").setLevel(logging.CRITICAL)
@@ -132,9 +135,29 @@ def check_can_bus(configuration: CanConfiguration) -> None:
     """Join the bus and leave it again, so that what is wrong is known before a run.
 
     Raises:
-        ConfigurationError: as `open_can_bus`.
+        ConfigurationError: as `open_can_bus`; also where nothing could be sent.
     """
     open_can_bus(configuration).close()
+    interface, channel = configuration.interface, configuration.resolved_channel
+    try:
+        if interface == "udp_multicast":
+            _require_route(channel, configuration.port)
+        elif interface == "socketcan":
+            _require_up(channel)
+    except OSError as error:
+        raise _explained(error, interface, channel) from error
+
+
+def _require_route(group: str, port: int) -> None:
+    family = socket.AF_INET6 if ":" in group else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as sender:
+        sender.connect((group, port))
+
+
+def _require_up(channel: str) -> None:
+    flags = int(Path(f"/sys/class/net/{channel}/flags").read_text(), 16)
+    if not flags & _IFF_UP:
+        raise OSError(errno.ENETDOWN, "Network is down")
 
 
 def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
@@ -166,9 +189,9 @@ def _explained(error: Exception, interface: str, channel: str) -> ConfigurationE
         case errno.ENODEV if interface == "socketcan":
             key, given = "link.can.channel", channel
             advice = (
-                f"there is no such CAN interface; `ip link add dev {channel} type vcan && ip link"
-                f" set {channel} up` makes a virtual one (as root), `ip -details link show type can`"
-                " shows hardware, scripts/with-vcan runs a command where vcan0 is up"
+                f"there is no such CAN interface; as root, `ip link add dev {channel} type vcan`"
+                f" and `ip link set {channel} up` make a virtual one; `ip link show type can` shows"
+                " hardware; scripts/with-vcan runs a command where vcan0 is up"
             )
         case errno.ENETDOWN:
             key, given = "link.can.channel", channel
@@ -178,7 +201,10 @@ def _explained(error: Exception, interface: str, channel: str) -> ConfigurationE
             advice = "may not be opened by this user; ask for its group, or run as root"
         case _ if interface == "udp_multicast":
             key, given = "link.can.channel", channel
-            advice = f"must be a multicast address of this host's network, such as 239.74.163.2 ({error})"
+            advice = (
+                "must be a multicast address that this host has a route to, such as 239.74.163.2"
+                f" ({cause})"
+            )
         case _:
             key, given = "link.can.interface", interface
             advice = f"cannot be opened on channel {channel!r}, is its driver installed? ({error})"

@@ -1,4 +1,4 @@
-"""Whether a scenario with ``link.kind: can`` fits together, but for what only this machine knows."""
+"""Whether a scenario with ``link.kind: can`` fits together, whatever the machine has."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ from deploy.cli_common import (
     on_interrupt,
 )
 from deploy.experiments.simulate import simulate as simulate_setup
-from deploy.links import check_link
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
+from deploy.links import check_link
 from deploy.processes import Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
 from deploy.scenario import ScenarioError, load_setup

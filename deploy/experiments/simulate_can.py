@@ -1,4 +1,4 @@
-"""A run over CAN in one process and in virtual time: real masters and drives, each on its thread."""
+"""A run over CAN in one process and in virtual time: master and drives, each on its thread."""
 
 from __future__ import annotations
 

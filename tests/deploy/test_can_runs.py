@@ -1,4 +1,4 @@
-"""Runs over CAN in one process: real masters, real drives, python-can's virtual bus between them."""
+"""Runs over CAN in one process: master and drives, with python-can's virtual bus between them."""
 
 from __future__ import annotations
 
@@ -88,7 +88,6 @@ def test_bounds_are_kept_and_quantisation_is_all_that_differs(
 def test_same_run_gives_the_same_bits_again(cia402: CanRun, tmp_path: Path) -> None:
     again = run_over_can(tmp_path, "duration_s=1")
     assert again.data.digest == cia402.data.digest
-    assert again.can_log.read_text().count("080#") == 501  # 500 ticks, and one to stop
 
 
 def test_load_of_three_drives_is_that_of_their_frames(cia402: CanRun) -> None:
@@ -99,7 +98,8 @@ def test_load_of_three_drives_is_that_of_their_frames(cia402: CanRun) -> None:
     unstuffed = {"0": 47, "1": 111, "2": 79, "7": 55}
     bits = sum(unstuffed[name[0]] * count for name, count in counts.items())
     assert bits / 1e6 <= bus["load"] <= 1.2 * bits / 1e6
-    assert bus["worst_latency_us"] <= 3 * 135  # the last of three TPDOs, with all stuff bits
+    # the last of three states, at the first tick together with three status words
+    assert bus["worst_latency_us"] <= 3 * (135 + 105)
 
 
 def test_log_decodes_completely_with_our_eds(cia402: CanRun) -> None:
