@@ -93,6 +93,7 @@ def _serve(
         plan=FaultPlan(plan), on_frame=witness.hear, on_event=witness.say,
     )  # fmt: skip
     on_interrupt(rig.request_stop)
+    clock.start()
     nodes = ", ".join(str(each) for each in can.node_ids_of(robot.joints))
     witness.say(f"{can.protocol} drives {nodes} on {can.interface} {can.resolved_channel}")
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)

@@ -129,12 +129,12 @@ class DriveBank:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
         if frame.is_error:
             self._hear_controller(frame, now_ns)
-        else:
-            try:
-                self._deliver(frame, now_ns)
-            except InvalidMessageError as error:
-                self.rejections.note(error)
-        self._note_demands()
+            return
+        try:
+            self._deliver(frame, now_ns)
+        except InvalidMessageError as error:
+            self.rejections.note(error)
+            self._note_demands()
 
     def advance(self, now_ns: int) -> None:
         """Let the drives do what is due at `now_ns`."""
@@ -164,9 +164,10 @@ class DriveBank:
         if frame.is_fd or frame.is_extended or len(frame.data) > _MOST_BYTES:
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
         understood = False
-        for axis in self._axes:
-            if not axis.is_silent:
-                understood |= axis.drive.receive(frame, now_ns)
+        for joint, axis in enumerate(self._axes):
+            if not axis.is_silent and axis.drive.receive(frame, now_ns):
+                understood = True
+                self._note_demand(joint, axis)
         if not understood:
             raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
 
@@ -176,12 +177,16 @@ class DriveBank:
                 axis.drive.lose_bus(now_ns)
             if frame.identifier & BUS_RESTARTED:
                 axis.drive.regain_bus(now_ns)
+        self._note_demands()
 
     def _note_demands(self) -> None:
         for joint, axis in enumerate(self._axes):
-            torque_nm, is_released = axis.drive.demand()
-            self.torque_nm[joint] = torque_nm
-            self.braked[joint] = not is_released
+            self._note_demand(joint, axis)
+
+    def _note_demand(self, joint: int, axis: _Axis) -> None:
+        torque_nm, is_released = axis.drive.demand()
+        self.torque_nm[joint] = torque_nm
+        self.braked[joint] = not is_released
 
 
 _MOST_BYTES = 8

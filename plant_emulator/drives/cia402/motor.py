@@ -48,7 +48,7 @@ class Motor:
         self._rated_mnm = round(settings.rated_torque_nm / _MILLI)
         self._hard_limit = int(settings.max_torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE)
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
-        self._reading = JointReading()
+        self._reading, self._position, self._velocity = JointReading(), 0, 0
         self.automaton = Automaton(node, self._is_still, self._reset_errors)
         self.error_code = ErrorCode.NONE
         self.targets = 0
@@ -59,6 +59,9 @@ class Motor:
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
         self._reading = reading
+        counts = round(reading.position_rad * self._counts_per_rad)
+        self._position = (counts - INT32[0]) % (1 << 32) + INT32[0]
+        self._velocity = clamp(round(reading.velocity_rad_s * self._counts_per_rad), INT32)
 
     def restore(self) -> None:
         """Take the objects' values from the dictionary."""
@@ -105,15 +108,6 @@ class Motor:
                 word |= Statusword.INTERNAL_LIMIT_ACTIVE
         return word
 
-    def position(self) -> int:
-        """Object 0x6064: increments, wrapping around."""
-        counts = round(self._reading.position_rad * self._counts_per_rad)
-        return (counts - INT32[0]) % (1 << 32) + INT32[0]
-
-    def velocity(self) -> int:
-        """Object 0x606C: increments per second."""
-        return clamp(round(self._reading.velocity_rad_s * self._counts_per_rad), INT32)
-
     def torque(self) -> int:
         """Object 0x6077: thousandths of the rated torque."""
         per_mille = self._reading.torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE
@@ -128,7 +122,7 @@ class Motor:
         most = min(self._max_torque, self._hard_limit)
         given = clamp(wanted, (-most, most))
         lowest, highest = self._position_limits
-        position = self.position()
+        position = self._position
         if (position >= highest and given > 0) or (position <= lowest and given < 0):
             given = 0
         return given, given != wanted
@@ -137,7 +131,7 @@ class Motor:
         return per_mille * self._rated_mnm * (_MILLI / _PER_MILLE)
 
     def _is_still(self) -> bool:
-        return abs(self.velocity()) <= self._node.value(0x606F)
+        return abs(self._velocity) <= self._node.value(0x606F)
 
     def _reset_errors(self) -> bool:
         is_reset = self._errors.reset()
@@ -162,8 +156,8 @@ class Motor:
         node.serve(0x603F, lambda _: self.error_code)
         node.serve(0x6041, lambda _: self.statusword())
         node.serve(0x6061, lambda _: self._mode)
-        node.serve(0x6064, lambda _: self.position())
-        node.serve(0x606C, lambda _: self.velocity())
+        node.serve(0x6064, lambda _: self._position)
+        node.serve(0x606C, lambda _: self._velocity)
         node.serve(0x6077, lambda _: self.torque())
         node.on_write(0x6040, lambda _, value: self.automaton.obey(value))
         node.on_write(0x6060, self._set_mode)

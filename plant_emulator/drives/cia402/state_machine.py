@@ -25,7 +25,7 @@ Transitions are numbered as in the standard:
 
 from __future__ import annotations
 
-from enum import Enum, IntFlag, auto
+from enum import Enum, auto
 
 
 class State(Enum):
@@ -52,7 +52,7 @@ class Command(Enum):
     FAULT_RESET = auto()
 
 
-class Controlword(IntFlag):
+class Controlword:
     """Bits of object 0x6040."""
 
     SWITCH_ON = 1 << 0
@@ -63,7 +63,7 @@ class Controlword(IntFlag):
     HALT = 1 << 8
 
 
-class Statusword(IntFlag):
+class Statusword:
     """Bits of object 0x6041 beside those that name the state (0, 1, 2, 3, 5, 6)."""
 
     VOLTAGE_ENABLED = 1 << 4

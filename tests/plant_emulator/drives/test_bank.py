@@ -93,6 +93,21 @@ def test_a_silent_node_neither_hears_nor_is_heard_nor_awaited(rig):
     assert rig.bank.torque_nm[1] == pytest.approx(5.0)
 
 
+def test_a_silent_drive_stops_by_itself(rig):
+    """Its own timeout: the event timer of RPDO 1 that the master has set, or the watchdog."""
+    if rig.is_cia402:
+        rig.hear(0x602, "BHBHxx", 0x2B, 0x1400, 5, 50)
+    rig.target(2, 5.0)
+    rig.bank.inject(1, DriveFault.SILENT, 0)
+    rig.sent.clear()
+    for tick in range(1, 60):
+        rig.bank.advance(tick * MS)
+        rig.target(1, 5.0, tick * MS)
+        rig.target(3, 5.0, tick * MS)
+    assert rig.bank.braked.tolist() == [False, True, False]
+    assert rig.bank.faults[0].startswith("node 2: ")
+
+
 def test_a_frozen_encoder_shows_its_last_value_and_no_velocity(rig):
     still = np.zeros(3)
     rig.bank.measure(np.array([0.1, 0.2, 0.3]), np.ones(3), still)

@@ -17,13 +17,14 @@ from canopen.profiles.p402 import BaseNode402
 from bus_schema.can_configuration import CanConfiguration
 from bus_schema.can_files import CIA402_EDS
 from bus_schema.can_session import open_can_bus
+from bus_schema.can_units import PEAK_TO_RATED
 from bus_schema.clock import MonotonicClock, TickGrid
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.robot_files import find_urdf
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.drives.commissioning import PEAK_TO_RATED, build_bank
+from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
 from plant_emulator.drives.fault_plan import FaultPlan
 

@@ -95,6 +95,16 @@ def test_a_slow_down_ends_after_its_longest_time(enabled):
     assert enabled.drive.demand() == AT_REST
 
 
+@pytest.mark.parametrize(("option", "word"), [(0x605B, SHUTDOWN), (0x605C, SWITCH_ON)])
+def test_repeating_the_command_does_not_prolong_a_slow_down(enabled, option, word):
+    enabled.write(option, 0, 1)
+    for _ in range(300):  # 0x2000 is 300 ms
+        enabled.control(word)
+        assert enabled.drive.demand().is_released
+        enabled.wait(1)
+    assert enabled.drive.demand() == AT_REST
+
+
 def test_enable_operation_calls_a_slow_down_off(enabled):
     enabled.control(SWITCH_ON, TORQUE)
     enabled.control(ENABLE, TORQUE)
@@ -157,6 +167,20 @@ def test_an_rpdo_is_awaited_from_its_first_arrival_on():
     bench.start()
     bench.wait(100)
     assert bench.state == "SWITCH_ON_DISABLED"
+
+
+def test_an_rpdo_is_not_awaited_after_a_spell_in_pre_operational(enabled):
+    enabled.write(0x1400, 5, 20)
+    enabled.control(ENABLE, TORQUE)
+    enabled.hear(0, 128, NODE)
+    enabled.wait(50)
+    enabled.hear(0, 1, NODE)
+    assert len(enabled.take(0x280 + NODE)) == 1  # what is event-driven goes anew
+    enabled.wait(50)
+    assert enabled.state == "OPERATION_ENABLED"
+    enabled.control(ENABLE, TORQUE)
+    enabled.wait(21)
+    assert enabled.state == "FAULT_REACTION_ACTIVE"
 
 
 @pytest.mark.parametrize(
