@@ -9,7 +9,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from running import Finished, funnel_hil, settings
+from running import Finished, bits, funnel_hil, settings
 
 from deploy.cli import main
 from deploy.experiments.metrics import summarise
@@ -54,7 +54,7 @@ def test_run_equals_simulation_bit_for_bit(run: Finished, simulation: Finished) 
     assert simulation.code == 0
     assert run.digest == simulation.digest
     for topic in ("joint_states", "joint_commands", "plant_status", "plant_truth"):
-        assert run.log.payloads[topic] == simulation.log.payloads[topic]
+        assert bits(run.log, topic) == bits(simulation.log, topic)
 
 
 def test_run_equals_itself_a_second_time(run: Finished, tmp_path: Path) -> None:
