@@ -154,5 +154,9 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
 def _transport(run: RunData) -> dict[str, Any]:
     event = run.plant_event(EventKind.COUNTS)
     counts = event.values() if event is not None else {}
-    unknown: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
+    unknown: dict[str, Any] = {
+        **dict.fromkeys(_CHANNEL), "rejected": {},
+        "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),
+        "loss_burst": dict.fromkeys(("mean", "longest")),
+    }  # fmt: skip
     return {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
