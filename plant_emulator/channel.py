@@ -57,7 +57,7 @@ class Channel(Generic[Item]):
 
     def take_due(self, now_ns: int) -> list[tuple[int, Item]]:
         """All items that come out until `now_ns`, and when they do so, in that order."""
-        due = []
+        due: list[tuple[int, Item]] = []
         while self.next_due_ns <= now_ns:
             due.append(self.receive())
         return due

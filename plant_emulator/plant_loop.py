@@ -221,7 +221,8 @@ class PlantLoop:
                     self._stop_safely()
                 arm.step(now_ns * 1e-9)
             self.tick += 1
-            self._put_into_force(self._grid.tick_ns(self.tick))
+            if downlink.next_due_ns <= (end_ns := self._grid.tick_ns(self.tick)):
+                self._put_into_force(end_ns)
             self._note_truth()
 
     def _put_into_force(self, now_ns: int) -> None:
