@@ -169,11 +169,29 @@ def test_outage_costs_the_bounds_for_no_longer_than_it_takes_to_come_back(way):
     assert summary["timing"]["deadline_miss_longest_run"] == pytest.approx(100, abs=1)
 
 
+def test_one_state_that_comes_twice_is_judged_like_one():
+    outage = "[{kind: outage, at_s: 0.0005, for_s: 10}]"
+    run = run_of(f"link.uplink={{duplicate: 1, schedule: {outage}}}")
+    assert len(run.tables[topics.JOINT_COMMANDS.name]) == 2
+    assert set(summarise(run)["torque"].values()) == {None}
+
+
 def test_outage_longer_than_the_timeout_stops_the_arm():
     outage = "link.uplink.schedule=[{kind: outage, at_s: 0.2, for_s: 0.1}]"
     run = run_of(outage, "plant.command_timeout_ms=60")
     # The last state before it is of 0.199 s; the substep after 0.259 s is the first that is late.
     assert run.faults() == ["plant at 0.259 s: no valid command for 60 ms: safe stop (brake)"]
+
+
+def test_scenario_in_force_says_the_whole_of_the_link(tmp_path):
+    setup = load_setup("paper_arm", [
+        "link.uplink={jitter_ms: 1, burst_loss: {mean_loss: 0.02, mean_burst: 3}}",
+        "link.downlink.schedule=[{kind: ramp, at_s: 1, for_s: 2, delay_ms: 3,"
+        " burst_loss: {p: 0.1, r: 0.2}}, {kind: outage, at_s: 2, for_s: 0.1}]",
+    ])  # fmt: skip
+    file = tmp_path / "scenario.yaml"
+    file.write_text(effective_scenario(setup))
+    assert load_setup(str(file)).scenario.link == setup.scenario.link
 
 
 def test_bandwidth_too_small_for_the_rate_makes_delays_grow():
