@@ -66,6 +66,14 @@ def test_mean_delay_is_the_one_asked_for(distribution):
     assert channel.mean_delay_ns == 8 * MS
 
 
+def test_correlation_is_that_of_one_delay_and_the_next():
+    channel = uplink(delay_ms=8, jitter_ms=1, distribution="normal", correlation=0.8, reorder=True)
+    by_number = delays_ms(passed(channel))
+    delays = np.array([by_number[number] for number in range(MESSAGES)])
+    found = np.corrcoef(delays[:-1], delays[1:])[0, 1]
+    assert found == pytest.approx(0.8, abs=4 * math.sqrt((1 - 0.8**2) / MESSAGES))
+
+
 def test_delays_are_never_negative():
     out = passed(uplink(delay_ms=1, jitter_ms=3, distribution="normal", reorder=True))
     delays = np.array(list(delays_ms(out).values()))
