@@ -19,6 +19,7 @@ from plant_emulator.command_gate import Command
 from plant_emulator.jitter import Jitter
 from plant_emulator.loss import Loss
 from plant_emulator.playout import PlayoutBuffer
+from plant_emulator.random_numbers import uniform_numbers
 from plant_emulator.schedule import Conditions, Schedule
 from plant_emulator.transport_statistics import TransportStatistics
 
@@ -44,7 +45,7 @@ class ImpairedChannel(Channel[Item]):
         randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
         self._jitter, self._copys_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
-        self._duplicate_random = randoms[4]
+        self._duplicate_numbers = uniform_numbers(randoms[4])
         self._schedule = Schedule(configuration)
         self._may_overtake = configuration.reorder
         self._flying: list[tuple[int, int, _Flight, Item]] = []
@@ -56,19 +57,18 @@ class ImpairedChannel(Channel[Item]):
 
     def send(self, item: Item, now_ns: int, size_bytes: int) -> None:
         conditions = self._schedule.at(now_ns)
-        jitters = [self._jitter.draw(conditions.correlation), self._copys_jitter.draw(0.0)]
+        jitter = self._jitter.draw(conditions.correlation)
         is_lost = self._loss.takes(conditions)
-        copies = 1 + (self._duplicate_random.random() < conditions.duplicate)
-        number = self._statistics.sent
+        is_doubled = next(self._duplicate_numbers) < conditions.duplicate
+        flight = _Flight(self._statistics.sent, now_ns, is_copy=False)
         self._statistics.note_sent(is_lost=is_lost)
         if is_lost:
             return
-        for copy, jitter in enumerate(jitters[:copies]):
-            due_ns = self._due_ns(conditions, jitter, now_ns, size_bytes)
-            flight = _Flight(number, now_ns, is_copy=copy > 0)
-            heapq.heappush(self._flying, (due_ns, self._entered, flight, item))
-            self._entered += 1
-        self.next_due_ns = self._flying[0][0]
+        self._launch(item, flight, self._due_ns(conditions, jitter, now_ns, size_bytes))
+        if is_doubled:
+            jitter = self._copys_jitter.draw(0.0)
+            copy = flight._replace(is_copy=True)
+            self._launch(item, copy, self._due_ns(conditions, jitter, now_ns, size_bytes))
 
     def receive(self) -> tuple[int, Item]:
         due_ns, _, flight, item = heapq.heappop(self._flying)
@@ -84,6 +84,11 @@ class ImpairedChannel(Channel[Item]):
 
     def statistics(self) -> TransportStatistics:
         return self._statistics
+
+    def _launch(self, item: Item, flight: _Flight, due_ns: int) -> None:
+        heapq.heappush(self._flying, (due_ns, self._entered, flight, item))
+        self._entered += 1
+        self.next_due_ns = self._flying[0][0]
 
     def _due_ns(self, conditions: Conditions, jitter: float, now_ns: int, size_bytes: int) -> int:
         """When a message comes out; it passes the limited bandwidth first, then it is delayed."""

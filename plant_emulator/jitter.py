@@ -17,6 +17,7 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.channel_configuration import ChannelConfiguration
+from plant_emulator.random_numbers import normal_numbers
 
 Quantile = Callable[[float], float]
 """A distribution's quantile function at Φ(z)."""
@@ -66,8 +67,8 @@ class Jitter:
     """
 
     def __init__(self, configuration: ChannelConfiguration, random: np.random.Generator) -> None:
-        self._random = random
-        self._z = random.standard_normal()
+        self._normal = normal_numbers(random)
+        self._z = next(self._normal)
         self._correlation, self._keep, self._renew = 0.0, 0.0, 1.0
         self.mean = 0.0
         match configuration.distribution:
@@ -88,7 +89,7 @@ class Jitter:
             self._correlation = correlation
             self._keep = float(np.interp(correlation, *self._copula))
             self._renew = math.sqrt(1.0 - self._keep**2)
-        self._z = self._keep * self._z + self._renew * self._random.standard_normal()
+        self._z = self._keep * self._z + self._renew * next(self._normal)
         return self._quantile(self._z)
 
     @cached_property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plant_emulator.random_numbers import uniform_numbers
 from plant_emulator.schedule import Conditions
 
 
@@ -16,14 +17,15 @@ class Loss:
     """
 
     def __init__(self, random: np.random.Generator, burst_random: np.random.Generator) -> None:
-        self._random, self._burst_random = random, burst_random
+        self._numbers = uniform_numbers(random)
+        self._burst_numbers = uniform_numbers(burst_random)
         self._is_bad = False
 
     def takes(self, conditions: Conditions) -> bool:
         """Whether the next message is lost."""
         loss_in_state = conditions.loss_in_bad if self._is_bad else conditions.loss_in_good
-        is_lost_in_burst = self._burst_random.random() < loss_in_state
+        is_lost_in_burst = next(self._burst_numbers) < loss_in_state
         leaves_state = conditions.r if self._is_bad else conditions.p
-        if self._burst_random.random() < leaves_state:
+        if next(self._burst_numbers) < leaves_state:
             self._is_bad = not self._is_bad
-        return self._random.random() < conditions.loss or is_lost_in_burst
+        return next(self._numbers) < conditions.loss or is_lost_in_burst
