@@ -155,14 +155,18 @@ def test_silence_from_the_first_message_on_trips_it():
     assert summarise(run)["transport"]["uplink"]["delivered"] == 0
 
 
-@pytest.mark.parametrize("way", ["uplink", "downlink"])
-def test_outage_costs_the_bounds_for_no_longer_than_it_takes_to_come_back(way):
+@pytest.mark.parametrize(
+    ("way", "law", "is_lost"),
+    [("uplink", "fixed_time_neural", False), ("uplink", "smc", True), ("downlink", "smc", True)],
+)
+def test_outage_costs_the_bounds_for_no_longer_than_it_takes_to_come_back(way, law, is_lost):
     outage = f"link.{way}.schedule=[{{kind: outage, at_s: 2.5, for_s: 0.1}}]"
-    run = run_of(outage, "duration_s=4", "plant.command_timeout_ms=200", "metrics.from_s=0")
+    run = run_of(outage, f"controller.law={law}", "duration_s=3.5", "plant.command_timeout_ms=200")
     summary = summarise(run)
     assert (summary["completed"], summary["faults"]) == (True, [])
     times_s = run.times_s(topics.PLANT_TRUTH)
     lost_s = times_s[(bound_usage(run) >= 1.0).any(axis=1)]
+    assert summary["bounds"]["kept"] is not is_lost
     assert np.all((lost_s >= 2.5) & (lost_s <= 2.5 + 0.1 + 0.5))
     channel = summary["transport"][way]
     assert (channel["lost"], channel["loss_burst"]) == (100, {"mean": 100.0, "longest": 100})
