@@ -36,11 +36,20 @@ class PlantJournal:
         self._cycle_started_ns = 0
         self._period_ns = 0
         self._lateness_ns = 0
+        self._physics_ns = 0
         self._step_ns = 0
         self.round_trip_ns = -1
         self.state_age_ns = -1
         self.skipped = 0
         self.deadline_misses = 0
+
+    def begin_physics(self) -> None:
+        """The physics of a tick begins."""
+        self._physics_ns = -time.perf_counter_ns()
+
+    def end_physics(self) -> None:
+        """The physics of a tick is done."""
+        self._physics_ns += time.perf_counter_ns()
 
     def begin_cycle(self, lateness_ns: int) -> None:
         """A cycle begins, so late after the instant it was to begin at."""
@@ -51,7 +60,7 @@ class PlantJournal:
 
     def end_cycle(self) -> None:
         """The work of the cycle is done."""
-        self._step_ns = time.perf_counter_ns() - self._cycle_started_ns
+        self._step_ns = self._physics_ns + time.perf_counter_ns() - self._cycle_started_ns
 
     def note_truth(
         self,

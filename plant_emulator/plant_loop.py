@@ -150,9 +150,15 @@ class PlantLoop:
 
     def _cycle(self) -> None:
         tick = self._next_tick()
+        # What acts in a substep is known when it begins: the physics need not wait for the tick,
+        # at which nothing is left to do but to measure.
+        self._exchange_until(self._grid.last_substep_ns(tick - 1))
+        self._journal.begin_physics()
+        self._advance_to(tick)
+        self._journal.end_physics()
         self._exchange_until(self._grid.tick_ns(tick))
         self._journal.begin_cycle(self._lateness_ns)
-        self._advance_to(tick)
+        self._complete_tick(was_skipped=False)
         if tick < self._end_tick:
             self._measure()
         self._journal.end_cycle()
@@ -213,9 +219,9 @@ class PlantLoop:
                 self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
 
     def _advance_to(self, tick: int) -> None:
-        """Let the physics catch up with the clock, substep by substep."""
+        """Let the physics catch up with a tick, substep by substep."""
         arm, downlink, watchdog = self._arm, self._downlink, self._watchdog
-        while self.tick < tick:
+        while True:
             tick_ns = self._grid.tick_ns(self.tick)
             for offset_ns in self._grid.substep_offsets_ns:
                 now_ns = tick_ns + offset_ns
@@ -224,10 +230,15 @@ class PlantLoop:
                 if watchdog.expires_ns < now_ns and arm.mode in _COMMANDABLE:
                     self._stop_safely()
                 arm.step(now_ns * 1e-9)
-            self.tick += 1
-            if downlink.next_due_ns <= (end_ns := self._grid.tick_ns(self.tick)):
-                self._put_into_force(end_ns)
-            self._note_truth(was_skipped=self.tick < tick)
+            if self.tick + 1 == tick:
+                return
+            self._complete_tick(was_skipped=True)
+
+    def _complete_tick(self, *, was_skipped: bool) -> None:
+        self.tick += 1
+        if self._downlink.next_due_ns <= (now_ns := self._grid.tick_ns(self.tick)):
+            self._put_into_force(now_ns)
+        self._note_truth(was_skipped=was_skipped)
 
     def _put_into_force(self, now_ns: int) -> None:
         for effective_ns, command in self._downlink.take_due(now_ns):
