@@ -15,7 +15,7 @@ from deploy.experiments import margin as margins
 from deploy.experiments import sweep as sweeps
 from deploy.experiments.compare import parse_laws
 from deploy.experiments.margin import Margin, MarginDefinition
-from deploy.experiments.study import Run, carry_out, retrace
+from deploy.experiments.study import carry_out, retrace
 from deploy.experiments.study_definition import find_study, validated
 from deploy.experiments.study_folder import (
     StudyFolder,
@@ -27,7 +27,6 @@ from deploy.experiments.study_folder import (
 from deploy.experiments.study_report import write_study_report
 from deploy.experiments.study_text import write_margin_table
 from deploy.experiments.sweep import Sweep, load_sweep
-from deploy.run_folder import RunFolderError
 from deploy.scenario import ScenarioError, parse_override, read_yaml
 from deploy.terminal_studies import StudyProgress, show_study
 
@@ -133,13 +132,12 @@ def is_study(path: Path) -> bool:
 def report_study(path: Path, console: Console) -> None:
     """Judge the rows of a study again, and write its summary and report."""
     values = read_study(path)
-    restore = {sweeps.KIND: sweeps.restore, margins.KIND: margins.restore}.get(values["kind"])
-    if restore is None:
-        raise RunFolderError(
-            f"{path / 'study.yaml'}: kind = {values['kind']!r}: must be sweep or margin"
-        )
-    study = restore(values["definition"], path)
-    folder = StudyFolder(path.resolve(), study.kind, study.columns)
+    study: Study
+    if values["kind"] == sweeps.KIND:
+        study = sweeps.restore(values["definition"], path)
+    else:
+        study = margins.restore(values["definition"], path)
+    folder = StudyFolder(path.resolve(), study.kind, study.columns, study.seeds[0])
     folder.lock()
     retrace(study, folder)
     _conclude(study, folder, console)
@@ -156,7 +154,7 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
     path = find_folder(study.kind, study.name, out, text)
     with DaskWorkers(workers, scheduler) as team:
         path = path or create_folder(study.kind, study.name, out, text)
-        folder = StudyFolder(path, study.kind, study.columns)
+        folder = StudyFolder(path, study.kind, study.columns, study.seeds[0])
         folder.lock()
         on_interrupt(stop.set)
         lost = None

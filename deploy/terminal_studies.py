@@ -78,9 +78,9 @@ class StudyProgress:
         failed = f"{self._failed} failed" if self._failed else ""
         left = expected - self._before
         self._bar.update(self._task, completed=self._now, total=left, failed=failed)
-        if not self._console.is_terminal:
-            if time.monotonic() - self._last_line_s >= _PLAIN_LINE_S:
-                self._line()
+        due = time.monotonic() - self._last_line_s >= _PLAIN_LINE_S
+        if due and not self._console.is_terminal:
+            self._line()
 
     def _line(self) -> None:
         self._last_line_s = time.monotonic()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,6 +20,8 @@ from deploy.experiments.study_statistics import held, spread_of_runs
 from deploy.scenario import ScenarioError, Setup, load_setup
 
 KIND = "margin"
+_COLUMNS = {"arm": "string", "compensation": "bool", "quantity": "string", "value": "double",
+            "offset_scale": "double"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,14 @@ class MarginDefinition(StrictModel):
     """
 
     name: Name = "margin"
-    scenarios: Annotated[list[str], AfterValidator(_different)] = ["paper_arm"]
-    laws: Annotated[list[str], AfterValidator(_different)] = list(LAWS)
+    scenarios: Annotated[list[str], AfterValidator(_different)] = Field(default=["paper_arm"])
+    laws: Annotated[list[str], AfterValidator(_different)] = Field(default=list(LAWS))
     compensation: Annotated[list[bool], AfterValidator(_different)] | None = None
     quantity: Literal["delay", "jitter", "loss"] = "delay"
-    fixed: Annotated[dict[str, Any], Field(alias="set")] = {}
+    fixed: Annotated[dict[str, Any], Field(alias="set", default_factory=dict)]
     duration_s: Positive | None = 8.0
-    seeds: Seeds = [1, 2]
-    offsets: Annotated[list[float], AfterValidator(_different)] = [1.0, -0.5]
+    seeds: Seeds = Field(default=[1, 2])
+    offsets: Annotated[list[float], AfterValidator(_different)] = Field(default=[1.0, -0.5])
     resolution: Positive | None = None
     limit: Positive | None = None
 
@@ -132,11 +134,10 @@ class Margin:
     """
 
     kind = KIND
-    columns = {"arm": "string", "compensation": "bool", "quantity": "string", "value": "double",
-               "offset_scale": "double"}  # fmt: skip
 
     def __init__(self, definition: MarginDefinition, folder: Path, source: str) -> None:
         self.definition = definition
+        self.columns = _COLUMNS
         self.quantity = QUANTITIES[definition.quantity]
         self.resolution = definition.resolution or self.quantity.resolution
         self.limit = definition.limit or self.quantity.limit
@@ -153,6 +154,10 @@ class Margin:
     @property
     def name(self) -> str:
         return self.definition.name
+
+    @property
+    def seeds(self) -> list[int]:
+        return self.definition.seeds
 
     @property
     def bases(self) -> list[Setup]:
@@ -197,7 +202,7 @@ class Margin:
             "completed": all(search.next() is None for search in self.searches),
             "runs": len(rows),
             "runs_failed": sum(row["error"] is not None for row in rows),
-            "seeds": self.definition.seeds,
+            "seeds": self.seeds,
             "offsets": self.definition.offsets,
             "duration_s": {base.scenario.name: base.scenario.duration_s for base in self.bases},
             "cases": [self._case_summary(index, rows) for index in range(len(self.cases))],
@@ -205,7 +210,7 @@ class Margin:
 
     @property
     def _runs_per_probe(self) -> int:
-        return len(self.definition.seeds) * len(self.definition.offsets)
+        return len(self.seeds) * len(self.definition.offsets)
 
     def _build_cases(self) -> Iterator[Case]:
         """All cases, each checked from every start at the largest value."""
@@ -213,7 +218,8 @@ class Margin:
         fixed = [override(key, value) for key, value in wanted.fixed.items()]
         if wanted.duration_s is not None:
             fixed.append(override("duration_s", wanted.duration_s))
-        chosen = itertools.product(self.scenarios, wanted.laws, wanted.compensation or [None])
+        compensations: Sequence[bool | None] = wanted.compensation or [None]
+        chosen = itertools.product(self.scenarios, wanted.laws, compensations)
         for scenario, law, compensation in chosen:
             overrides = (*fixed, override("controller.law", law))
             if compensation is not None:
@@ -243,7 +249,7 @@ class Margin:
             overrides = self._overrides(case, value, scale)
             runs += [
                 Run(_point(index, steps, start), case.scenario, overrides, seed, columns)
-                for seed in self.definition.seeds
+                for seed in self.seeds
             ]
         return runs
 
@@ -271,6 +277,7 @@ class Margin:
                     "value": value(steps),
                     "held": search.outcomes.get(steps),
                     "points": sorted({row["point"] for row in of_probe}),
+                    "worst_point": max(of_probe, key=_badness)["point"],
                     **spread_of_runs(of_probe),
                 }
                 for steps, of_probe in sorted(by_steps.items())
@@ -281,6 +288,11 @@ class Margin:
 def restore(values: dict[str, Any], folder: Path) -> Margin:
     """A search from the definition that its folder keeps."""
     return Margin(MarginDefinition.model_validate(values), folder, str(folder))
+
+
+def _badness(row: Row) -> tuple[bool, float]:
+    """What the worst of several runs has most of: failure, then ticks outside its bounds."""
+    return row["error"] is not None, row["violation_fraction"] or 0.0
 
 
 def _point(case: int, steps: int, start: int) -> str:

@@ -33,14 +33,16 @@ class StudyFolder:
         path: an existing folder.
         kind: ``sweep`` or ``margin``.
         columns: names and Parquet types of what the study varies.
+        seed: of the scenarios that it keeps.
     """
 
-    def __init__(self, path: Path, kind: str, columns: dict[str, str]) -> None:
+    def __init__(self, path: Path, kind: str, columns: dict[str, str], seed: int) -> None:
         self.path = path
         self.rows_file = path / f"{kind}.parquet"
         self.summary = path / "summary.json"
         self.report = path / "report.html"
         self.scenarios = path / "scenarios"
+        self._seed = seed
         self._parts = path / "rows"
         self._columns = {"point": "string", **columns}
         self._rows = {(row["point"], row["seed"]): row for row in self._kept()}
@@ -109,7 +111,7 @@ class StudyFolder:
         if file.exists():
             return
         self.scenarios.mkdir(exist_ok=True)
-        setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
+        setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
         unfinished = file.with_suffix(".unfinished")
         unfinished.write_text(effective_scenario(setup))
         unfinished.replace(file)
@@ -183,9 +185,11 @@ def read_study(path: Path) -> dict[str, Any]:
         values = yaml.safe_load((path / STUDY_FILE).read_text())
     except (OSError, yaml.YAMLError) as error:
         raise RunFolderError(f"{path / STUDY_FILE}: cannot be read: {error}") from error
-    if not isinstance(values, dict) or not {"kind", "definition"} <= values.keys():
-        raise RunFolderError(f"{path / STUDY_FILE}: must have the keys kind and definition")
-    return values
+    known = isinstance(values, dict) and values.get("kind") in ("sweep", "margin")
+    if not known or not isinstance(values.get("definition"), dict):
+        raise RunFolderError(f"{path / STUDY_FILE}: must have kind sweep or margin, and definition")
+    study: dict[str, Any] = values
+    return study
 
 
 def _interrupted(prefix: str, text: str) -> Path | None:

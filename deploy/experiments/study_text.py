@@ -36,7 +36,7 @@ def margin_table(summary: dict[str, Any]) -> str:
         for case in summary["cases"]
     }
     header = ["law", *(f"{arm}{_COMPENSATION[on].replace(' ', ', ', 1)}" for arm, on in columns)]
-    lines = [header, ["---"] * len(header)]
-    for law in dict.fromkeys(case["law"] for case in summary["cases"]):
-        lines.append([f"`{law}`", *(cells[law, arm, on] for arm, on in columns)])
+    laws = dict.fromkeys(case["law"] for case in summary["cases"])
+    body = [[f"`{law}`", *(cells[law, arm, on] for arm, on in columns)] for law in laws]
+    lines = [header, ["---"] * len(header), *body]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -40,10 +40,11 @@ def _to_values(given: Any) -> Any:
 
 
 def _steps(given: dict[str, Any]) -> list[float] | None:
-    numbers = [given.get(name) for name in ("from", "to", "step")]
-    if len(given) != 3 or any(type(number) not in (int, float) for number in numbers):
+    if set(given) != {"from", "to", "step"}:
         return None
-    first, last, step = numbers
+    first, last, step = given["from"], given["to"], given["step"]
+    if any(type(number) not in (int, float) for number in (first, last, step)):
+        return None
     if not step > 0 or not 0 <= (last - first) / step < _MOST_VALUES:
         return None
     count = math.floor((last - first) / step + 1e-9) + 1
@@ -67,9 +68,9 @@ class SweepDefinition(StrictModel):
 
     name: Name
     scenario: str
-    fixed: Annotated[dict[str, Any], Field(alias="set")] = {}
+    fixed: Annotated[dict[str, Any], Field(alias="set", default_factory=dict)]
     grid: dict[str, Values]
-    seeds: Seeds = [1]
+    seeds: Seeds = Field(default=[1])
 
 
 class Sweep:
@@ -109,6 +110,10 @@ class Sweep:
         return self.definition.name
 
     @property
+    def seeds(self) -> list[int]:
+        return self.definition.seeds
+
+    @property
     def bases(self) -> list[Setup]:
         """The scenarios that it varies."""
         return [self.base]
@@ -116,7 +121,7 @@ class Sweep:
     @property
     def expected(self) -> int:
         """Number of runs."""
-        return math.prod(map(len, self.axes.values())) * len(self.definition.seeds)
+        return math.prod(map(len, self.axes.values())) * len(self.seeds)
 
     def definition_values(self) -> dict[str, Any]:
         """The definition as plain values, from which `restore` makes it again."""
@@ -132,13 +137,13 @@ class Sweep:
             }  # fmt: skip
             overrides = (*self._fixed, *(override(key, value) for key, value in chosen.items()))
             columns = {key: _as_cell(value, self.columns[key]) for key, value in chosen.items()}
-            seed = self.definition.seeds[0]
+            seed = self.seeds[0]
             yield Run(f"{index:05d}", self.scenario, overrides, seed, columns)
 
     def first(self) -> Iterable[Run]:
         """All runs."""
         for run in self.points():
-            for seed in self.definition.seeds:
+            for seed in self.seeds:
                 yield Run(run.point, run.scenario, run.overrides, seed, run.columns)
 
     def follow(self, _run: Run, _values: Row) -> Iterable[Run]:
@@ -158,9 +163,12 @@ class Sweep:
             "runs": len(rows),
             "runs_expected": self.expected,
             "runs_failed": sum(row["error"] is not None for row in rows),
-            "seeds": self.definition.seeds,
+            "seeds": self.seeds,
             "joint_names": list(self.base.robot.joint_names),
-            "axes": [{"keys": list(keys), "values": values} for keys, values in self.axes.items()],
+            "axes": [
+                {"keys": list(keys), "values": [_as_cell(v, self.columns[keys[0]]) for v in values]}
+                for keys, values in self.axes.items()
+            ],
             "points": [
                 {
                     "point": run.point,
