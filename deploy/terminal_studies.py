@@ -22,7 +22,7 @@ from rich.text import Text
 
 from deploy.experiments.report_tables import number
 from deploy.experiments.run_rows import Row
-from deploy.experiments.study_text import case_name, margin_text
+from deploy.experiments.study_text import case_name, margin_text, shown_value
 
 _PLAIN_LINE_S = 5.0
 _SHOWN_POINTS = 40
@@ -130,7 +130,7 @@ def _points(summary: dict[str, Any]) -> Table:
         table.add_column(heading, justify="right")
     for point in summary["points"][:_SHOWN_POINTS]:
         table.add_row(
-            *(escape(str(value)) for value in point["values"]),
+            *(escape(shown_value(value)) for value in point["values"]),
             f"{point['runs_kept']} of {point['runs']}",
             number(point["violation_fraction"]["mean"], 100.0),
             number(point["worst_rms_rad"]["mean"], 1e3),

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import queue
+from collections import deque
 from types import TracebackType
 
-from distributed import Client, Future, LocalCluster
+from distributed import Client, Future, LocalCluster, rpc
 from distributed.scheduler import KilledWorker
 
 from deploy.experiments.run_rows import Row, failed_row
 from deploy.experiments.study import Run, execute, labelled
 from deploy.scenario import ScenarioError
 
-_CONNECT_S = 5.0
-_WORKER_S = 20.0
+_ANSWER_S = 3.0
+_WORKERS_S = 5.0
+_FIRST_TASK_S = 30.0
 
 
 class ClusterLostError(Exception):
@@ -25,8 +28,9 @@ class ClusterLostError(Exception):
 class DaskWorkers:
     """Processes that do runs.
 
-    A worker that dies costs no row, as its runs are given to others; a run that takes several
-    workers with it becomes a row with an error.
+    A worker that dies costs no row, as its runs are given to others. Runs whose workers die again
+    and again are tried once more, alone, as any of those that a worker has at a time may be the
+    cause; one that takes its workers with it even then becomes a row with an error.
 
     Args:
         workers: processes to start on this machine; as many as it has cores by default.
@@ -39,6 +43,9 @@ class DaskWorkers:
     def __init__(self, workers: int | None = None, scheduler: str | None = None) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._finished: queue.SimpleQueue[tuple[Run, Future]] = queue.SimpleQueue()
+        self._in_flight = 0
+        self._suspects: deque[Run] = deque()
+        self._alone: Run | None = None
         self._cluster: LocalCluster | None = None
         if scheduler is not None:
             self._client = _connect(scheduler)
@@ -75,6 +82,7 @@ class DaskWorkers:
 
     def submit(self, run: Run) -> None:
         """Have a run done."""
+        self._in_flight += 1
         future = self._client.submit(execute, run, pure=False)
         future.add_done_callback(lambda done: self._finished.put((run, done)))
 
@@ -84,42 +92,56 @@ class DaskWorkers:
         Raises:
             ClusterLostError: none will ever be.
         """
+        if not self._in_flight and self._suspects:
+            self._alone = self._suspects.popleft()
+            self.submit(self._alone)
         try:
             run, future = self._finished.get(timeout=timeout_s)
         except queue.Empty:
             if self._client.status not in ("running", "connecting"):
                 raise ClusterLostError("the Dask scheduler has gone away") from None
             return None
+        self._in_flight -= 1
         if future.status == "cancelled":
             raise ClusterLostError("the Dask scheduler has gone away")
         error = future.exception()
+        if error is None:
+            return run, future.result()
+        if isinstance(error, KilledWorker) and run is not self._alone:
+            self._suspects.append(run)
+            return None
+        reason = f"{type(error).__name__}: {error}"
         if isinstance(error, KilledWorker):
-            reason = (
-                f"ended the process of every worker that tried it: {error.allowed_failures + 1}"
-            )
-            return run, labelled(run, failed_row(run.seed, reason))
-        if error is not None:
-            return run, labelled(run, failed_row(run.seed, f"{type(error).__name__}: {error}"))
-        return run, future.result()
+            reason = "ended the process of every worker that tried it"
+        return run, labelled(run, failed_row(run.seed, reason))
 
 
 def _connect(scheduler: str) -> Client:
     """A client of a scheduler whose workers can do runs."""
     try:
-        client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
+        asyncio.run(asyncio.wait_for(_identity(scheduler), _ANSWER_S))
+        client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False)
     except (OSError, ValueError) as error:
+        reason = str(error) or f"nothing was heard for {_ANSWER_S:g} s"
         raise ScenarioError(
-            f"--scheduler {scheduler}: does not answer as a Dask scheduler: {error}"
+            f"--scheduler {scheduler}: must be the address of a Dask scheduler that answers, such"
+            f" as tcp://127.0.0.1:8786: {reason}"
         ) from error
     try:
-        client.wait_for_workers(1, timeout=_CONNECT_S)
-        client.submit(_can_run, pure=False).result(timeout=_WORKER_S)
+        client.wait_for_workers(1, timeout=_WORKERS_S)
+        client.submit(_can_run, pure=False).result(timeout=_FIRST_TASK_S)
     except Exception as error:
         client.close()
         raise ScenarioError(
             f"--scheduler {scheduler}: has no worker that can run funnel-hil: {error}"
         ) from error
     return client
+
+
+async def _identity(scheduler: str) -> None:
+    """Ask who is there; cheaper to give up than a client."""
+    async with rpc(scheduler) as peer:
+        await peer.identity()
 
 
 def _can_run() -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import plotly.graph_objects as go
+
 from deploy.experiments.report_page import Panel
 from deploy.experiments.report_tables import number
-from deploy.experiments.study_figures import Curve, bars, curves
+from deploy.experiments.study_figures import Bar, Curve, bars, curves
 from deploy.experiments.study_panels import Rerun, StudyPage, Summary, clickable
 from deploy.experiments.study_text import case_name, margin_text
 
@@ -69,15 +71,14 @@ def _panels(summary: Summary, arm: str, rerun: Rerun) -> list[Panel[Summary]]:
     ]  # fmt: skip
 
 
-def _bars(summary: Summary, arm: str, axis: str, rerun: Rerun) -> Any:
-    heights: dict[str, dict[str, float | None]] = {}
-    reruns: dict[str, dict[str, str]] = {}
+def _bars(summary: Summary, arm: str, axis: str, rerun: Rerun) -> go.Figure | None:
+    shown = []
     for case in _cases(summary, arm):
-        group = _GROUPS[case["compensation"]]
-        heights.setdefault(group, {})[case["law"]] = case["margin"]
-        shown = _probe(case, case["first_failure"]) or _probe(case, case["margin"])
-        reruns.setdefault(group, {})[case["law"]] = rerun(shown["worst_point"]) if shown else ""
-    return bars(heights, reruns, axis)
+        probe = _probe(case, case["first_failure"]) or _probe(case, case["margin"])
+        command = rerun(probe["worst_point"]) if probe else ""
+        text, group = margin_text(case, summary), _GROUPS[case["compensation"]]
+        shown.append(Bar(group, case["law"], case["margin"], text, command))
+    return bars(shown, axis)
 
 
 def _curves(summary: Summary, arm: str, quantity: str, rerun: Rerun) -> list[Curve]:
@@ -112,7 +113,7 @@ def _best(summary: Summary, arm: str) -> str:
         return f"{arm}: no law keeps its bounds at all."
     best = max(known, key=lambda case: case["margin"])
     others = [case_name(case) for case in known if case["margin"] == best["margin"]]
-    return f"{arm}: {margin_text(best, summary)} at most, by {' and '.join(others)}."
+    return f"{arm}: the largest margin is {margin_text(best, summary)}, of {' and '.join(others)}."
 
 
 def _held_again(summary: Summary) -> list[str]:

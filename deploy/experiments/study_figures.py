@@ -14,9 +14,10 @@ import plotly.graph_objects as go
 
 from deploy.experiments.figure_style import joint_colour, style
 from deploy.experiments.study_statistics import Spread
+from deploy.experiments.study_text import shown_value
 
 _DASHES = ("solid", "dot", "dash", "dashdot")
-_LEGEND_ROW_PX = 21
+_LEGEND_ROW_PX, _TOOLBAR_PX, _LETTER_PX, _NARROW_NAME = 21, 26, 7.5, 10
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 
 
@@ -61,32 +62,46 @@ def curves(
     return figure
 
 
-def bars(
-    groups: dict[str, dict[str, float | None]], reruns: dict[str, dict[str, str]], y_title: str
-) -> go.Figure | None:
-    """Bars by group, for instance with and without compensation, and by law.
+@dataclass(frozen=True)
+class Bar:
+    """One bar.
 
-    Args:
-        groups: height of each bar by group, then by its name; None draws nothing.
-        reruns: command of each bar, alike.
-        y_title: what the height is.
+    Attributes:
+        group: what it shares its colour with, where there is more than one group.
+        name: what it stands at.
+        height: nothing is drawn for None.
+        text: its height in words.
+        rerun: command of its point.
     """
+
+    group: str
+    name: str
+    height: float | None
+    text: str
+    rerun: str
+
+
+def bars(all_bars: Sequence[Bar], y_title: str) -> go.Figure | None:
+    """Bars by name, and side by side by group."""
     figure = go.Figure()
-    for index, (group, heights) in enumerate(groups.items()):
-        texts = ["none" if height is None else f"{height:g}" for height in heights.values()]
+    groups = list(dict.fromkeys(bar.group for bar in all_bars))
+    for index, group in enumerate(groups):
+        members = [bar for bar in all_bars if bar.group == group]
+        own = [joint_colour(number) for number in range(len(members))]
         figure.add_trace(
             go.Bar(
-                x=[html.escape(name) for name in heights], y=[h or 0.0 for h in heights.values()],
-                name=html.escape(group), text=texts, textposition="outside", cliponaxis=False,
-                customdata=list(reruns[group].values()), hovertemplate="%{x}: %{text}",
-                marker={"color": joint_colour(index)},
+                x=[html.escape(bar.name) for bar in members],
+                y=[bar.height or 0.0 for bar in members], text=[bar.text for bar in members],
+                textposition="outside", cliponaxis=False, name=html.escape(group),
+                customdata=[bar.rerun for bar in members], hovertemplate="%{x}: %{text}",
+                marker={"color": joint_colour(index) if len(groups) > 1 else own},
             )
         )  # fmt: skip
-    if not figure.data:
+    if not all_bars:
         return None
     style(figure, 430)
     if len(groups) > 1:
-        _put_legend_on_top(figure, list(groups))
+        _put_legend_on_top(figure, groups)
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(title_text=html.escape(y_title), rangemode="tozero")
     return figure
@@ -106,9 +121,11 @@ def heat_map(
         unit: what the numbers are.
     """
     shown = [["" if value is None else f"{value:.3g}" for value in row] for row in values]
+    known = [value for row in values for value in row if value is not None]
     crowded = len(x[1]) * len(y[1]) > 150
     field = go.Heatmap(
-        x=[str(value) for value in x[1]], y=[str(value) for value in y[1]], z=values,
+        x=[shown_value(value) for value in x[1]], y=[shown_value(value) for value in y[1]],
+        z=values, zmin=0.0, zmax=max(known, default=0.0) or 1.0,
         customdata=reruns, text=shown, texttemplate=None if crowded else "%{text}",
         colorscale=_HEAT, xgap=1, ygap=1, hoverongaps=False,
         colorbar={"title": {"text": html.escape(unit), "side": "right"}, "thickness": 12},
@@ -157,16 +174,18 @@ def _pale(colour: str) -> str:
 
 
 def _put_legend_on_top(figure: go.Figure, names: Sequence[str]) -> None:
-    """Above the plot, with room for two columns, which narrow pages have."""
-    wide = max(map(len, names), default=0) > 24
-    height = _LEGEND_ROW_PX * (len(names) if wide else -(-len(names) // 2))
+    """Between toolbar and plot; in as many columns as fit, with room for what narrow pages take."""
+    widest = max(map(len, names), default=0)
+    rows = len(names) if widest > _NARROW_NAME else -(-len(names) // 2)
+    added = _TOOLBAR_PX + _LEGEND_ROW_PX * rows
+    height = figure.layout.height + added
     figure.update_layout(
-        height=figure.layout.height + height,
-        margin={"t": figure.layout.margin.t + height},
+        height=height,
+        margin={"t": figure.layout.margin.t + added},
         showlegend=True,
         legend={
-            "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "yref": "container",
-            "traceorder": "normal", "entrywidthmode": "fraction",
-            "entrywidth": 0.95 if wide else 0.47,
+            "x": 0, "xanchor": "left", "y": 1.0 - _TOOLBAR_PX / height, "yanchor": "top",
+            "yref": "container", "traceorder": "normal", "entrywidthmode": "pixels",
+            "entrywidth": _LETTER_PX * widest,
         },
     )  # fmt: skip

@@ -13,6 +13,11 @@ def case_name(case: dict[str, Any]) -> str:
     return f"{case['law']}{_COMPENSATION[case['compensation']]}"
 
 
+def shown_value(value: Any) -> str:
+    """A swept value; whole numbers without a decimal point."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def margin_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
     """A margin with its unit; that it is beyond the limit, or that there is none."""
     if not case["completed"]:

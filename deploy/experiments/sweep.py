@@ -95,10 +95,10 @@ class Sweep:
         self.definition = definition
         self.axes = {tuple(_keys(text)): values for text, values in definition.grid.items()}
         _check_keys(self.axes, definition.fixed, source)
-        self.scenario = scenario_from(definition.scenario, folder)
         self._fixed = tuple(override(key, value) for key, value in definition.fixed.items())
         self.columns = {k: _kind(values) for keys, values in self.axes.items() for k in keys}
         try:
+            self.scenario = scenario_from(definition.scenario, folder)
             self.base = load_setup(self.scenario, self._fixed)
             for run in self.points():
                 load_setup(run.scenario, run.overrides)

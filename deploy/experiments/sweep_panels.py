@@ -11,10 +11,11 @@ from deploy.experiments.report_page import Panel
 from deploy.experiments.report_tables import number
 from deploy.experiments.study_figures import Curve, curves, heat_map
 from deploy.experiments.study_panels import Rerun, StudyPage, Summary, clickable
+from deploy.experiments.study_text import shown_value
 
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
-_FIELD_CAPTION = "Means over the seeds; pale is good, and white was not run."
+_FIELD_CAPTION = "Means over the seeds; the darker, the worse."
 _METRICS = {
     "violation_fraction": ("Ticks outside the bounds", "ticks outside (%)", 100.0),
     "worst_rms_rad": ("RMS error of the worst joint", "RMS error (mrad)", 1e3),
@@ -32,10 +33,14 @@ def sweep_page(summary: Summary, rerun: Rerun) -> StudyPage:
         level=level,
         headline=f"{kept} of {len(points)} points kept their bounds in every run",
         reasons=[
-            f"{_title(axis)}: {', '.join(map(str, axis['values']))}" for axis in summary["axes"]
+            f"{_title(axis)}: {', '.join(map(shown_value, axis['values']))}"
+            for axis in summary["axes"]
         ],
         tiles=[("Sweep", summary["name"]), ("Scenario", summary["scenario"])],
-        sections={"Curves": _curve_panels(summary, rerun), "Fields": _heat_panels(summary, rerun)},
+        sections={
+            "Curves": _curve_panels(summary, rerun),
+            "Heat maps": _heat_panels(summary, rerun),
+        },
         table_title="Points",
         header=["Point", *axes, "Runs that kept their bounds", "Ticks outside (%)",
                 "Worst run (%)", "Worst joint's RMS (mrad)", "Failed runs"],
@@ -55,7 +60,9 @@ def _curve_panels(summary: Summary, rerun: Rerun) -> list[Panel[Summary]]:
     others = [axis for axis in range(len(summary["axes"])) if axis != x]
     lines: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for point in summary["points"]:
-        lines.setdefault(tuple(str(point["values"][axis]) for axis in others), []).append(point)
+        lines.setdefault(tuple(shown_value(point["values"][axis]) for axis in others), []).append(
+            point
+        )
     drawn = list(lines.items())[:_MOST_CURVES]
     caption = "Lines are means over the seeds, the shades reach from the best run to the worst."
     if len(lines) > len(drawn):
@@ -91,7 +98,7 @@ def _heat_panels(summary: Summary, rerun: Rerun) -> list[Panel[Summary]]:
             )
         ]
         for metric, (title, _, _) in _METRICS.items():
-            name = " · ".join([title, *map(str, chosen)])
+            name = " · ".join([title, *map(shown_value, chosen)])
             figure = _field(summary, points, order, metric, rerun)
             panels.append(clickable(f"field-{metric}-{index}", name, _FIELD_CAPTION, figure))
     return panels
@@ -117,16 +124,17 @@ def _field(
 
 def _row(point: Summary) -> list[str]:
     outside, rms = point["violation_fraction"], point["worst_rms_rad"]
+    kept = f"{point['runs_kept']} of {point['runs']}"
     return [
-        point["point"], *map(str, point["values"]), f"{point['runs_kept']} of {point['runs']}",
+        point["point"], *map(shown_value, point["values"]), kept,
         number(outside["mean"], 100.0), number(outside["highest"], 100.0),
         number(rms["mean"], 1e3), str(point["runs_failed"]),
     ]  # fmt: skip
 
 
 def _name(summary: Summary, point: Summary) -> str:
-    given = zip(summary["axes"], point["values"], strict=True)
-    return ", ".join(f"{_title(axis)} = {value}" for axis, value in given) or "all"
+    given = zip(map(_title, summary["axes"]), point["values"], strict=True)
+    return ", ".join(f"{keys} = {shown_value(value)}" for keys, value in given) or "all"
 
 
 def _title(axis: Summary) -> str:

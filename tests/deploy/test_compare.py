@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from pyarrow import parquet
 
 from controller.laws import LAWS
 from controller.laws.pid import Pid
-from deploy import cli
 from deploy.experiments.compare import load_setups, parse_laws
 from deploy.experiments.run_rows import row, write_rows
 from deploy.experiments.simulate import attempt, simulate
@@ -17,20 +15,6 @@ from deploy.run_folder import load_run
 from deploy.scenario import ScenarioError, load_setup
 
 SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
-
-
-@pytest.fixture
-def funnel_hil(monkeypatch, capsys):
-    def run(*words):
-        """Exit code and output of a command."""
-        monkeypatch.setattr(sys, "argv", ["funnel-hil", *map(str, words)])
-        monkeypatch.setenv("COLUMNS", "200")
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out + said.err
-
-    return run
 
 
 @pytest.fixture
