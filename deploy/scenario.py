@@ -46,6 +46,7 @@ SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
 _CHECKED_PER_SECOND = 100
 _MOST_CHECKED = 20_000
 _SIZED_BY = 100
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where it is there
 
 
 class RobotConfiguration(StrictModel):
@@ -264,7 +265,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ScenarioError: it cannot be read, or holds something else.
     """
     try:
-        values = yaml.safe_load(path.read_text())
+        values = yaml.load(path.read_text(), Loader=_LOADER)
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
     if not isinstance(values, dict):

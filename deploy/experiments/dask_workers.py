@@ -56,6 +56,7 @@ class DaskWorkers:
             processes=True,
             memory_limit=0,
             dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
             silence_logs=logging.CRITICAL,
             preload=["deploy.experiments.dask_worker_setup"],
         )
