@@ -96,7 +96,7 @@ def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
         "ticks": lambda: measure_loop_costs(_SCENARIO, seconds, repetitions),
         "real time": lambda: measure_round_trips(_SCENARIO, seconds, repetitions),
         "recorder": lambda: measure_recorder(_SCENARIO, seconds, repetitions),
-        "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 200, 1)),
+        "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 30, 1)),
     }
 
 

@@ -14,10 +14,11 @@ from controller.laws import LAWS
 from deploy.experiments.margin import Margin, MarginDefinition
 from deploy.experiments.simulate import simulate
 from deploy.experiments.study import carry_out, execute, retrace
+from deploy.experiments.study_definition import find_study, read_definition
 from deploy.experiments.study_folder import StudyFolder, create_folder, find_folder, study_text
 from deploy.experiments.study_report import write_study_report
 from deploy.experiments.study_text import margin_table
-from deploy.experiments.sweep import Sweep, SweepDefinition
+from deploy.experiments.sweep import Sweep, SweepDefinition, load_sweep
 from deploy.scenario import ScenarioError, load_setup
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"
@@ -364,3 +365,14 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     assert "7 ms" in output
     assert json.loads((path / "summary.json").read_text())["cases"][0]["margin"] == 3.0
     assert "| `smc` | 7 ms |" in (path / "table.md").read_text()
+
+
+def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compensation():
+    definition = read_definition(find_study("delay_margin"), MarginDefinition)
+    assert definition.laws == list(LAWS)
+    assert definition.scenarios == ["paper_arm", "iiwa"]
+    assert definition.compensation == [False, True]
+
+
+def test_the_shipped_sweep_can_be_run():
+    assert load_sweep("delay_sweep").expected == 11 * 5 * 2
