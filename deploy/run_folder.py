@@ -73,15 +73,7 @@ class RunFolder:
     def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
         """Write what was run, with what, and where; `grants`: real-time setup, by role."""
         manifest = {
-            "command": sys.argv,
-            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            "host": {
-                "machine": platform.machine(),
-                "kernel": platform.release(),
-                "cpus": os.cpu_count(),
-                "python": platform.python_version(),
-            },
-            "versions": {name: _version(name) for name in _LIBRARIES},
+            **provenance(),
             "realtime": dict(grants),
             "gains": {setup.scenario.controller.law: plain(setup.gains)},
             "scenario": plain(setup.scenario),
@@ -147,6 +139,21 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         complete=contents.complete,
     )
     return data, contents
+
+
+def provenance() -> dict[str, Any]:
+    """What was called, when, where and with which versions, for a manifest."""
+    return {
+        "command": sys.argv,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "host": {
+            "machine": platform.machine(),
+            "kernel": platform.release(),
+            "cpus": os.cpu_count(),
+            "python": platform.python_version(),
+        },
+        "versions": {name: _version(name) for name in _LIBRARIES},
+    }
 
 
 def _unused(path: Path) -> Path:

@@ -8,6 +8,7 @@ import yaml
 
 from deploy.experiments.metrics import summarise
 from deploy.experiments.simulate import simulate
+from deploy.experiments.sweep import load_sweep
 from deploy.scenario import SHIPPED, load_setup
 
 README = (Path(__file__).resolve().parents[2] / "README.md").read_text()
@@ -46,3 +47,9 @@ def test_bad_link_does_what_it_says(tmp_path):
     # Few commands come more than 12 ms late: two delays of 3 ms with a deviation of 1 ms each.
     assert summary["timing"]["round_trip_us"]["p99"] == 12_000.0
     assert summary["transport"]["uplink"]["loss_burst"]["longest"] > 1
+
+
+def test_the_sweep_of_the_readme_can_be_run(tmp_path):
+    (tmp_path / "sweep.yaml").write_text(block("yml"))
+    # 11 delays, 3 model scales, 5 seeds.
+    assert load_sweep(str(tmp_path / "sweep.yaml")).expected == 11 * 3 * 5
