@@ -50,6 +50,6 @@ def test_bad_link_does_what_it_says(tmp_path):
 
 
 def test_the_sweep_of_the_readme_can_be_run(tmp_path):
-    (tmp_path / "sweep.yaml").write_text(block("yml"))
+    (tmp_path / "sweep.yaml").write_text(block("yml", "grid:"))
     # 11 delays, 3 model scales, 5 seeds.
     assert load_sweep(str(tmp_path / "sweep.yaml")).expected == 11 * 3 * 5
