@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bus_schema.can_budget import check_cycle_fits
+from bus_schema.channel_configuration import ChannelConfiguration
 from bus_schema.clock import TickGrid
 from bus_schema.configuration import ConfigurationError
-from bus_schema.link_configuration import ChannelConfiguration, LinkConfiguration
+from bus_schema.link_configuration import LinkConfiguration
 
 
 @dataclass(frozen=True)
@@ -36,10 +37,14 @@ class CanRun:
         """
         joints, rate_hz = len(self.joint_names), 1e9 / self.grid.period_ns
         check_cycle_fits(self.link.can, joints, rate_hz)
-        for name in ("uplink", "downlink"):
-            if getattr(self.link, name) != ChannelConfiguration():
+        unheard_of = {"uplink": ChannelConfiguration(), "downlink": ChannelConfiguration(),
+                      "playout_ms": 0.0}  # fmt: skip
+        for name, default in unheard_of.items():
+            given = getattr(self.link, name)
+            if given != default:
+                shown = given.model_dump(exclude_defaults=True) if name != "playout_ms" else given
                 raise ConfigurationError(
-                    f"link.{name}", getattr(self.link, name).model_dump(exclude_defaults=True),
+                    f"link.{name}", shown,
                     "must be left out with link.kind = can: what a CAN bus does to frames is up to"
                     " link.can.bitrate and link.can.faults",
                 )  # fmt: skip

@@ -101,5 +101,9 @@ class TickGrid:
     def tick_ns(self, tick: int) -> int:
         return tick * self.period_ns
 
+    def last_substep_ns(self, tick: int) -> int:
+        """Start of the last substep before the next tick."""
+        return tick * self.period_ns + self.substep_offsets_ns[-1]
+
     def tick_at_or_before(self, instant_ns: int) -> int:
         return instant_ns // self.period_ns

@@ -73,7 +73,7 @@ class ZenohTelemetry:
 _SENT_BY: dict[Role, Sequence[Topic]] = {
     Role.PLANT: (
         topics.JOINT_STATES, topics.JOINT_COMMANDS, topics.PLANT_STATUS, topics.PLANT_TRUTH,
-        topics.PLANT_TIMING, topics.RUN_EVENTS,
+        topics.RUN_EVENTS,
     ),
-    Role.CONTROLLER: (topics.CONTROL_STATUS, topics.CONTROLLER_TIMING, topics.RUN_EVENTS),
+    Role.CONTROLLER: (topics.CONTROL_STATUS, topics.RUN_EVENTS),
 }  # fmt: skip

@@ -134,6 +134,8 @@ class ZenohNode:
 
     def expect_acknowledgement(self) -> None:
         """Listen for the recorder's word that it has everything."""
+        # The codec of a type is made at its first use, which takes longer than a few ticks do.
+        RunEvent.decode(RunEvent(0, self._role, EventKind.STARTED, "").encode())
         self.subscribe(topics.RUN_EVENTS, self._on_event)
 
     def await_acknowledgement(self, timeout_s: float) -> None:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schema.topics import Role
-from deploy import cli_drives, cli_experiments
+from deploy import cli_drives, cli_experiments, cli_studies
 from deploy import doctor as doctor_module
 from deploy.cli_common import (
     BAD_INPUT,
@@ -167,6 +167,8 @@ def record(
 
 for _command in (
     cli_experiments.compare,
+    cli_studies.sweep,
+    cli_studies.margin,
     cli_experiments.report,
     cli_experiments.replay,
     cli_experiments.bench,

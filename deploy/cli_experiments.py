@@ -20,16 +20,17 @@ from deploy.cli_common import (
     ScenarioArgument,
     on_interrupt,
 )
+from deploy.cli_studies import is_study, report_study
 from deploy.experiments.compare import (
     ComparisonFolder,
     is_comparison,
     load_comparison,
     load_setups,
     parse_laws,
-    run_law,
 )
 from deploy.experiments.comparison import Comparison
 from deploy.experiments.replay import replay as replay_run
+from deploy.experiments.simulate import attempt
 from deploy.run_folder import RunFolder, load_run
 from deploy.scenario import Setup
 from deploy.terminal import show_summary
@@ -75,10 +76,15 @@ def replay(run_dir: RunDirectory) -> None:
 
 
 def report(
-    run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run or comparison.")],
+    run_dir: Annotated[
+        Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
+    ],
 ) -> None:
-    """Judge what was recorded again: summary.json and report.html of a run or comparison."""
+    """Judge what was recorded again: summary.json and report.html of what a folder holds."""
     console = Console()
+    if is_study(run_dir):
+        report_study(run_dir, console)
+        return
     if is_comparison(run_dir):
         comparison_folder = load_comparison(run_dir)
         show_comparison(console, comparison_folder.conclude())
@@ -120,7 +126,7 @@ def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) ->
 
                 on_interrupt(request_stop)
 
-            progress.done(folder.add(run_law(setup, on_start)))
+            progress.done(folder.add(attempt(setup, on_start)))
             if stop.is_set():
                 return True
     return False

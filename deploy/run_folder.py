@@ -17,7 +17,9 @@ from bus_schema.mcap_log import LogContents, read_log
 from deploy.experiments.metrics import summarise
 from deploy.experiments.report import write_report
 from deploy.experiments.run_data import RunData, build_run_data
+from deploy.link_files import DIRECTIONS
 from deploy.recorder import (
+    DELAYS_ATTACHMENT,
     RECORDER_METADATA,
     ROBOT_ATTACHMENT,
     RUN_METADATA,
@@ -72,15 +74,7 @@ class RunFolder:
     def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
         """Write what was run, with what, and where; `grants`: real-time setup, by role."""
         manifest = {
-            "command": sys.argv,
-            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            "host": {
-                "machine": platform.machine(),
-                "kernel": platform.release(),
-                "cpus": os.cpu_count(),
-                "python": platform.python_version(),
-            },
-            "versions": {name: _version(name) for name in _LIBRARIES},
+            **provenance(),
             "realtime": dict(grants),
             "gains": {setup.scenario.controller.law: plain(setup.gains)},
             "scenario": plain(setup.scenario),
@@ -123,8 +117,14 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
         robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
+        overrides = [f"robot.urdf={robot}"]
+        for direction in DIRECTIONS:
+            name = DELAYS_ATTACHMENT.format(direction=direction)
+            if name in contents.attachments:
+                (Path(folder) / name).write_bytes(contents.attachments[name])
+                overrides.append(f"link.{direction}.distribution_file={name}")
         try:
-            setup = load_setup(str(scenario), [f"robot.urdf={robot}"])
+            setup = load_setup(str(scenario), overrides)
         except ScenarioError as error:
             raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
     run, recorder = (
@@ -140,6 +140,21 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         complete=contents.complete,
     )
     return data, contents
+
+
+def provenance() -> dict[str, Any]:
+    """What was called, when, where and with which versions, for a manifest."""
+    return {
+        "command": sys.argv,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "host": {
+            "machine": platform.machine(),
+            "kernel": platform.release(),
+            "cpus": os.cpu_count(),
+            "python": platform.python_version(),
+        },
+        "versions": {name: _version(name) for name in _LIBRARIES},
+    }
 
 
 def _unused(path: Path) -> Path:

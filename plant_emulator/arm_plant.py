@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
@@ -39,6 +39,9 @@ class ArmPlant:
     Attributes:
         mode: what the arm does.
         torques: torques of the last substep.
+        position: true joint positions, rad, shape (joints,).
+        velocity: true joint velocities, rad/s, shape (joints,).
+        motion: both as rows, shape (2, joints).
     """
 
     def __init__(
@@ -67,18 +70,11 @@ class ArmPlant:
         self._arm.place(start_position_rad)
         self._held: NDArray[np.bool_] = np.zeros(robot.joints, dtype=np.bool_)
         self._holds_some = False
+        self.position: Vector = self._arm.position
+        self.velocity: Vector = self._arm.velocity
+        self.motion: Matrix = self._arm.motion
         self._set_brakes(engaged=True)
         self.mode = Mode.BRAKED
-
-    @property
-    def position(self) -> Vector:
-        """True joint positions, rad, shape (joints,)."""
-        return self._arm.position
-
-    @property
-    def velocity(self) -> Vector:
-        """True joint velocities, rad/s, shape (joints,)."""
-        return self._arm.velocity
 
     @staticmethod
     def check(

@@ -22,6 +22,7 @@ from deploy.benchmarks.loop_costs import measure_loop_costs
 from deploy.benchmarks.measure import Costs, Section
 from deploy.benchmarks.recorder_throughput import measure_recorder
 from deploy.benchmarks.round_trip import measure_round_trips
+from deploy.benchmarks.sweep_costs import measure_sweep
 from deploy.scenario import ScenarioError
 
 FAILED = "could not be measured:"
@@ -95,6 +96,7 @@ def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
         "ticks": lambda: measure_loop_costs(_SCENARIO, seconds, repetitions),
         "real time": lambda: measure_round_trips(_SCENARIO, seconds, repetitions),
         "recorder": lambda: measure_recorder(_SCENARIO, seconds, repetitions),
+        "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 30, 1)),
     }
 
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bus_schema.events import EventKind, RunEvent
-from bus_schema.topics import RUN_EVENTS, Role
 from controller.laws import LAWS
 from deploy.experiments.compare_report import write_comparison_report
 from deploy.experiments.comparison import Comparison, LawRun
 from deploy.experiments.metrics import summarise
 from deploy.experiments.run_rows import row, write_rows
-from deploy.experiments.simulate import Simulation, simulate
+from deploy.experiments.simulate import Simulation
 from deploy.run_folder import RunFolder, RunFolderError, load_run
 from deploy.scenario import ScenarioError, Setup, load_setup
-from plant_emulator.plant_loop import PlantLoop
 
 KIND = "comparison"
 
@@ -45,16 +42,6 @@ def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str]) ->
         ScenarioError: anything about it is wrong, such as a law that does not exist.
     """
     return [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
-
-
-def run_law(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:
-    """Simulate one law; whatever it raises becomes a fault of the run."""
-    try:
-        return simulate(setup, on_start)
-    except Exception as error:  # noqa: BLE001 - a law of the user's own may raise anything
-        detail = f"{type(error).__name__}: {error}"
-        event = RunEvent(0, Role.CONTROLLER, EventKind.FAULT, detail)
-        return Simulation(setup, [RUN_EVENTS], [event.encode()], None)
 
 
 @dataclass

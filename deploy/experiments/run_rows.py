@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +56,21 @@ def row(summary: dict[str, Any], seed: int) -> Row:
     return {name: values[name] for name in _COLUMNS}
 
 
-def write_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write rows to a Parquet file; an existing one is replaced."""
+def failed_row(seed: int, error: str) -> Row:
+    """The row of a run that left nothing to judge."""
+    return dict.fromkeys(_COLUMNS) | {"seed": seed, "completed": False, "error": error}
+
+
+def write_rows(
+    rows: Sequence[Row], path: Path, more_columns: Mapping[str, str] | None = None
+) -> None:
+    """Write rows to a Parquet file; an existing one is replaced as a whole or not at all.
+
+    Args:
+        rows: what to write.
+        path: the file.
+        more_columns: names and types of columns in front of those that every run has.
+    """
     import pyarrow as pa  # heavy, and needed by few commands
     from pyarrow import parquet
 
@@ -69,5 +82,16 @@ def write_rows(rows: Sequence[Row], path: Path) -> None:
         "list<string>": pa.list_(pa.string()),
         "list<double>": pa.list_(pa.float64()),
     }
-    schema = pa.schema([(name, kinds[kind]) for name, kind in _COLUMNS.items()])
-    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), path)
+    columns = {**(more_columns or {}), **_COLUMNS}
+    schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
+    unfinished = path.with_suffix(".unfinished")
+    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), unfinished)
+    unfinished.replace(path)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a Parquet file."""
+    from pyarrow import parquet
+
+    rows: list[Row] = parquet.read_table(path).to_pylist()
+    return rows

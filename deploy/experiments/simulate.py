@@ -95,3 +95,13 @@ def simulate(
     finally:
         arm.close()
     return Simulation(setup, bus.topics, bus.payloads, failure)
+
+
+def attempt(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:
+    """Simulate; whatever is raised becomes a fault of the run."""
+    try:
+        return simulate(setup, on_start)
+    except Exception as error:  # noqa: BLE001 - a law of the user's own may raise anything
+        detail = f"{type(error).__name__}: {error}"
+        event = RunEvent(0, Role.CONTROLLER, EventKind.FAULT, detail)
+        return Simulation(setup, [RUN_EVENTS], [event.encode()], None)

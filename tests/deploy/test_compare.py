@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -9,28 +8,13 @@ from pyarrow import parquet
 
 from controller.laws import LAWS
 from controller.laws.pid import Pid
-from deploy import cli
-from deploy.experiments.compare import load_setups, parse_laws, run_law
+from deploy.experiments.compare import load_setups, parse_laws
 from deploy.experiments.run_rows import row, write_rows
-from deploy.experiments.simulate import simulate
+from deploy.experiments.simulate import attempt, simulate
 from deploy.run_folder import load_run
 from deploy.scenario import ScenarioError, load_setup
 
 SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
-
-
-@pytest.fixture
-def funnel_hil(monkeypatch, capsys):
-    def run(*words):
-        """Exit code and output of a command."""
-        monkeypatch.setattr(sys, "argv", ["funnel-hil", *map(str, words)])
-        monkeypatch.setenv("COLUMNS", "200")
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out + said.err
-
-    return run
 
 
 @pytest.fixture
@@ -144,7 +128,7 @@ def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, funnel_hil, tmp_p
 def test_a_law_that_fails_before_the_first_tick_is_a_row_with_its_error(monkeypatch, tmp_path):
     monkeypatch.setattr(Pid, "torque", lambda *_: [][1])
     (setup,) = load_setups("paper_arm", ["duration_s=0.3"], ["pid"])
-    data = run_law(setup).data()
+    data = attempt(setup).data()
     assert "IndexError" in data.faults()[0]
 
 
