@@ -37,7 +37,7 @@ _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD = struct.Struct("<H")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
 _MODE = "CYCLIC SYNCHRONOUS TORQUE"
-_POLL_S = 0.05
+_POLL_S = 0.005
 _BOOT_S = 1.0
 
 
@@ -84,6 +84,8 @@ class Cia402Master:
                 except (SdoError, RuntimeError, ValueError) as error:
                     raise DriveError(f"drive {node.id} does not follow: {error}") from error
             for node in self._nodes:
+                # From now on torques must keep coming; the last one came long ago.
+                node.rpdo[1].transmit()
                 self._set(node, 0x1400, 5, self._can.command_timeout_ms)
         self._is_powered = [True] * len(self._nodes)
         return True
