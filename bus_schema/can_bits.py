@@ -18,6 +18,7 @@ _CRC15 = 0x4599
 _CRC15_BITS = 15
 _STUFFED_RUN = 5
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+_LONGEST_CLASSICAL_BYTES = 8
 _LARGEST_CRC17_BYTES = 16
 # CRC delimiter, ACK slot and delimiter, end of frame (7), interframe space (3)
 _CLASSICAL_TAIL_BITS = 13
@@ -44,11 +45,15 @@ class WireBits(NamedTuple):
 
 
 def wire_bits(frame: CanFrame) -> WireBits:
-    """Bits that `frame` occupies, including the stuff bits that its content makes necessary."""
+    """Bits that `frame` occupies, including the stuff bits that its content makes necessary.
+
+    What no controller could send, a virtual bus may carry all the same; bits and bytes beyond the
+    format are not counted.
+    """
     if frame.is_fd:
-        return _fd_bits(frame)
+        return _fd_bits(frame._replace(data=frame.data[: _FD_LENGTHS[-1]]))
     head, head_bits = _arbitration(frame, remote_bit=int(frame.is_remote))
-    length = 0 if frame.is_remote else len(frame.data)
+    length = 0 if frame.is_remote else min(len(frame.data), _LONGEST_CLASSICAL_BYTES)
     # IDE and r0, or r1 and r0 of an extended frame, and the DLC
     bits = _unpacked(head << 6 | length, head_bits + 6, frame.data[:length])
     stuffed = int(_stuffed_classical_bits(bits))
@@ -76,9 +81,9 @@ def arbitration_key(frame: CanFrame) -> tuple[int, int]:
 def _arbitration(frame: CanFrame, *, remote_bit: int) -> tuple[int, int]:
     """Start of frame to the remote bit, and how many bits these are."""
     if frame.is_extended:
-        base, rest = frame.identifier >> 18, frame.identifier & 0x3FFFF
+        base, rest = frame.identifier >> 18 & 0x7FF, frame.identifier & 0x3FFFF
         return (base << 2 | 0b11) << 19 | rest << 1 | remote_bit, 1 + 11 + 2 + 18 + 1
-    return frame.identifier << 1 | remote_bit, 1 + 11 + 1
+    return (frame.identifier & 0x7FF) << 1 | remote_bit, 1 + 11 + 1
 
 
 def _fd_bits(frame: CanFrame) -> WireBits:

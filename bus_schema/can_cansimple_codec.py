@@ -12,7 +12,7 @@ import struct
 from collections.abc import Sequence
 
 from bus_schema.arrays import Vector
-from bus_schema.can_frame import CanFrame
+from bus_schema.can_frame import CanFrame, is_classical_data
 
 COMMAND_BITS = 5
 HEARTBEAT, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 0x01, 0x07, 0x09
@@ -50,7 +50,7 @@ class CanSimpleCodec:
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint_of_estimates.get(frame.identifier)
-        if joint is None or len(frame.data) != _ESTIMATES.size or frame.is_extended:
+        if joint is None or not is_classical_data(frame, _ESTIMATES.size):
             return None
         turns, turns_per_s = _ESTIMATES.unpack(frame.data)
         position[joint] = turns * _TURN_RAD
@@ -65,7 +65,7 @@ class CanSimpleCodec:
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_torque.get(frame.identifier)
-        if joint is None or len(frame.data) != _TORQUE.size or frame.is_extended:
+        if joint is None or not is_classical_data(frame, _TORQUE.size):
             return None
         (torque_nm[joint],) = _TORQUE.unpack(frame.data)
         return joint

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 
 from bus_schema.arrays import Vector
-from bus_schema.can_frame import CanFrame
+from bus_schema.can_frame import CanFrame, is_classical_data
 from bus_schema.can_units import DriveUnits
 
 SYNC = 0x080
@@ -45,11 +45,11 @@ class Cia402Codec:
         return _SYNC_FRAMES
 
     def is_sampling(self, frame: CanFrame) -> bool:
-        return frame.identifier == SYNC and not (frame.is_extended or frame.is_error)
+        return frame.identifier == SYNC and is_classical_data(frame, 0)
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint_of_tpdo.get(frame.identifier)
-        if joint is None or len(frame.data) != _STATE.size or frame.is_extended or frame.is_error:
+        if joint is None or not is_classical_data(frame, _STATE.size):
             return None
         counts, counts_per_s = _STATE.unpack(frame.data)
         position[joint] = counts * self.units.rad_per_count
@@ -65,7 +65,7 @@ class Cia402Codec:
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_rpdo.get(frame.identifier)
-        if joint is None or len(frame.data) != _COMMAND.size or frame.is_extended or frame.is_error:
+        if joint is None or not is_classical_data(frame, _COMMAND.size):
             return None
         _, word = _COMMAND.unpack(frame.data)
         torque_nm[joint] = self.units.torque_nm(joint, word)

@@ -24,7 +24,7 @@ from bus_schema.arrays import Vector
 from bus_schema.can_cia402_codec import QUICK_STOP, Cia402Codec
 from bus_schema.can_configuration import CanConfiguration
 from bus_schema.can_files import CIA402_EDS
-from bus_schema.can_frame import CanBus, CanFrame
+from bus_schema.can_frame import CanBus, CanFrame, is_classical_data
 from bus_schema.can_master import DriveError, Roll, bus_fault
 
 logger = logging.getLogger(__name__)
@@ -33,6 +33,7 @@ logging.getLogger("canopen").setLevel(logging.CRITICAL)
 
 MASTER_NODE = 127
 _EMCY, _TPDO_2, _HEARTBEAT = 0x080, 0x280, 0x700
+_FROM_DRIVES = (_EMCY, 0x180, _TPDO_2, 0x380, 0x480, 0x580, _HEARTBEAT)
 _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD = struct.Struct("<H")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
@@ -69,6 +70,7 @@ class Cia402Master:
         self._faults: list[str] = []
         self._is_powered = [False] * len(node_ids)
         self._heard_ns = [0] * len(node_ids)
+        self._emergencies = [""] * len(node_ids)
         self._now_ns = 0
         self._next_heartbeat_ns = 0
         self._is_stopping = False
@@ -199,7 +201,7 @@ class Cia402Master:
         if joint is None or frame.is_extended or frame.is_remote:
             return
         if function == _EMCY and len(frame.data) == _EMERGENCY.size:
-            self._hear_emergency(node_id, frame.data)
+            self._hear_emergency(joint, frame.data)
         elif function == _TPDO_2 and len(frame.data) >= _STATUSWORD.size:
             self._hear_status(joint, node_id, *_STATUSWORD.unpack_from(frame.data))
         elif function == _HEARTBEAT and frame.data:
@@ -207,18 +209,18 @@ class Cia402Master:
             if frame.data[0] != _OPERATIONAL:
                 self._faults.append(f"drive {node_id} is no longer operational")
 
-    def _hear_emergency(self, node_id: int, data: bytes) -> None:
+    def _hear_emergency(self, joint: int, data: bytes) -> None:
+        """Remember why a drive may be about to stop; that it does so its statusword tells."""
         code, register, _ = _EMERGENCY.unpack(data)
-        if code:
-            meaning = EmcyError(code, register, b"", 0.0).get_desc()
-            self._faults.append(f"drive {node_id}: emergency 0x{code:04X} ({meaning})")
+        meaning = EmcyError(code, register, b"", 0.0).get_desc()
+        self._emergencies[joint] = f", emergency 0x{code:04X} ({meaning})" if code else ""
 
     def _hear_status(self, joint: int, node_id: int, word: int) -> None:
         states = [name for name, (mask, bits) in State402.SW_MASK.items() if word & mask == bits]
         state = states[0] if states else f"unknown state 0x{word:04X}"
         self._is_powered[joint] = state in _POWERED
         if state != "OPERATION ENABLED":
-            self._faults.append(f"drive {node_id}: {state.lower()}")
+            self._faults.append(f"drive {node_id}: {state.lower()}{self._emergencies[joint]}")
 
     def _watch(self) -> None:
         """Raise what is wrong."""
@@ -233,6 +235,21 @@ class Cia402Master:
         if faults and not self._is_stopping:
             raise DriveError("; ".join(dict.fromkeys(faults)))
 
+    def _hand_over(self, frame: CanFrame) -> None:
+        """Give canopen a frame that a drive may send; what it cannot read is ignored.
+
+        canopen would also take in torques that a stranger sends, and go on with those.
+
+        It goes without a time stamp: from two of them canopen would take an event-driven PDO for a
+        periodic one, and wait for more.
+        """
+        if frame.identifier & ~0x7F not in _FROM_DRIVES:
+            return
+        try:
+            self._network.notify(frame.identifier, bytearray(frame.data), None)  # type: ignore[arg-type]
+        except Exception as error:  # noqa: BLE001 (nothing that comes from a bus may stop us)
+            logger.warning("frame ignored: %s: %s", frame, error)
+
     @contextlib.contextmanager
     def _listening(self) -> Iterator[None]:
         """Hand frames to canopen, on a thread, since its requests wait for their answers."""
@@ -241,10 +258,8 @@ class Cia402Master:
         def hand_over() -> None:
             while not over.is_set():
                 frame = self._bus.receive(_POLL_S)
-                if frame is not None and not (frame.is_error or frame.is_extended):
-                    # Without a time stamp: from two of them canopen would take an event-driven PDO
-                    # for a periodic one, and wait for more.
-                    self._network.notify(frame.identifier, bytearray(frame.data), None)  # type: ignore[arg-type]
+                if frame is not None and is_classical_data(frame, len(frame.data)):
+                    self._hand_over(frame)
 
         thread = threading.Thread(target=hand_over, daemon=True)
         thread.start()

@@ -32,6 +32,12 @@ class CanFrame(NamedTuple):
     is_fd: bool = False
 
 
+def is_classical_data(frame: CanFrame, data_bytes: int) -> bool:
+    """Whether it is a classical data frame with an 11-bit identifier and so many bytes."""
+    is_plain = not (frame.is_extended or frame.is_remote or frame.is_error or frame.is_fd)
+    return is_plain and len(frame.data) == data_bytes
+
+
 class CanBus(Protocol):
     """A node's access to a bus."""
 

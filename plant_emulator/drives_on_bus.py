@@ -57,7 +57,8 @@ class DrivesOnBus:
         self.answers.clear()
         if self.is_off:
             return
-        self._note([frame], now_ns)
+        if not frame.is_error:  # else it never was on the bus
+            self._note([frame], now_ns)
         self.bank.receive(frame, self._began_ns + now_ns)
         self._note(self.answers, now_ns)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,10 @@ import numpy as np
 import pytest
 
 from bus_schema.arrays import Vector
+from bus_schema.can_configuration import CanConfiguration
 from bus_schema.can_files import CANSIMPLE_DBC, CIA402_EDS
+from bus_schema.can_frame import CanFrame
+from bus_schema.can_session import open_can_bus
 from bus_schema.topics import PLANT_TRUTH
 from deploy.experiments.metrics import summarise
 from deploy.experiments.run_data import RunData
@@ -168,6 +172,50 @@ def test_axes_stop_when_the_masters_heartbeat_stops(tmp_path: Path) -> None:
     assert "node 1: heartbeat of the master lost (0x8130)" in run.faults
     assert "081#3081" in run.can_log.read_text()
     assert run.at_rest_from_s() <= 0.07 + SLOW_DOWN_S + 4 * TICK_S
+
+
+def test_hostile_frames_are_counted_and_change_nothing(cia402: CanRun, tmp_path: Path) -> None:
+    """A stranger fills the bus with what is malformed, oversized, unknown or for other nodes."""
+    channel = CanConfiguration(interface="udp_multicast", port=43_777, fd=True)
+    over = threading.Event()
+    rubbish = [
+        CanFrame(0x201, b"\x0f\x00\xff"),  # an RPDO that is too short
+        CanFrame(0x202, b"\x0f\x00\xff\x7f\x00"),  # too long
+        CanFrame(0x203, b"\x0f\x00\xff\x7f", is_fd=True),
+        CanFrame(0x201, b"\x0f\x00\xff\x7f", is_extended=True),
+        CanFrame(0x204, b"\x0f\x00\xff\x7f"),  # node 4 is not there
+        CanFrame(0x080, b"\x01"),  # a SYNC with a counter
+        CanFrame(0x601, b"\x40"),  # an SDO request of one byte
+        CanFrame(0x000, b"\x63\x00"),  # an NMT command that there is not
+        CanFrame(0x181, is_remote=True),
+        CanFrame(0x1FFFFFFF, bytes(64), is_extended=True, is_fd=True),
+        CanFrame(0x20000040, bytes(8), is_error=True),
+    ]
+
+    def send_rubbish() -> None:
+        bus = open_can_bus(channel)
+        while not over.wait(0.02):
+            for frame in rubbish:
+                bus.send(frame)
+        bus.close()
+
+    stranger = threading.Thread(target=send_rubbish)
+    stranger.start()
+    try:
+        run = run_over_can(
+            tmp_path, "duration_s=1", "link.can.interface=udp_multicast", "link.can.port=43777",
+            "link.can.fd=true",
+        )  # fmt: skip
+    finally:
+        over.set()
+        stranger.join()
+    assert run.faults == ""
+    assert run.data.digest == cia402.data.digest
+    rejected = summarise(run.data)["transport"]["can"]["rejected"]
+    assert {"pdo_too_short", "pdo_too_long", "no_classical_frame", "unknown_identifier"} <= set(
+        rejected
+    )
+    assert sum(rejected.values()) > 50
 
 
 def test_error_frames_lengthen_latencies_and_change_nothing_else(
