@@ -193,7 +193,7 @@ class Axis:
 
     def _start(self) -> None:
         self.state = AxisState.IDLE
-        self._errors = self._disarm_reason = AxisError.NONE
+        self.clear_errors()
         self._result = ProcedureResult.SUCCESS
         self._mode = (POSITION_CONTROL, PASSTHROUGH)
         self._torque_nm = 0.0

@@ -31,6 +31,7 @@ class Cia402Drive:
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         self._send = send
         self._is_off_bus = False
+        self._is_hot = False
         self._node = DriveNode(settings.node_id, self._send_if_on_bus)
         self._errors = ErrorLog(self._node, lambda: self._network.has_sdo)
         self._network = NetworkState(
@@ -88,6 +89,8 @@ class Cia402Drive:
             self._network.boot()
             if self.state is State.NOT_READY_TO_SWITCH_ON:
                 self._motor.automaton.power_on()
+                if self._is_hot:
+                    self.inject(DriveFault.OVER_TEMPERATURE, now_ns)
         self._network.advance()
         if self._is_operational():
             self._process_data.watch()
@@ -97,6 +100,7 @@ class Cia402Drive:
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         self._node.now_ns = now_ns
         is_hot = fault is DriveFault.OVER_TEMPERATURE
+        self._is_hot |= is_hot
         code = ErrorCode.OVER_TEMPERATURE if is_hot else ErrorCode.SHORT_CIRCUIT
         self._motor.fail(code, power_off=not is_hot)
         self._errors.note(code, lasting=is_hot)
@@ -104,6 +108,7 @@ class Cia402Drive:
 
     def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         if fault is DriveFault.OVER_TEMPERATURE:
+            self._is_hot = False
             self._errors.cause_gone(ErrorCode.OVER_TEMPERATURE)
 
     def lose_bus(self, now_ns: int) -> None:

@@ -145,11 +145,11 @@ def test_faults_disarm_and_are_cleared_when_their_cause_is_gone(axis, fault, err
     assert axis.ask(GET_ERROR, "II") == (error, error)
     axis.tell(SET_STATE, "I", CLOSED_LOOP)
     assert axis.heartbeat == (error, IDLE, 3, 0)  # DISARMED
-    axis.tell(CLEAR, "B", 0)
+    axis.tell(CLEAR if fault is DriveFault.DRIVE else REBOOT, "B", 0)
     assert (axis.heartbeat[0] == 0) == (fault is DriveFault.DRIVE)
     axis.drive.heal(fault, 0)
     axis.tell(CLEAR, "B", 0)
-    axis.tell(SET_STATE, "I", CLOSED_LOOP)
+    axis.arm()
     assert axis.heartbeat == (0, CLOSED_LOOP, 0, 0)
 
 

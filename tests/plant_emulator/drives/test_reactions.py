@@ -266,6 +266,24 @@ def test_reset_node_is_like_power_on(enabled):
     assert enabled.read(0x6060) == 0
 
 
+def test_reset_node_forgets_errors_but_not_a_cause_that_is_still_there(enabled):
+    enabled.drive.inject(DriveFault.DRIVE, enabled.now_ns)
+    enabled.hear(0, 129, NODE)
+    enabled.wait(1)
+    assert enabled.state == "SWITCH_ON_DISABLED"
+    assert enabled.read(0x1003, 0) == 0
+    assert enabled.read(0x1001) == 0
+    enabled.drive.inject(DriveFault.OVER_TEMPERATURE, enabled.now_ns)
+    enabled.hear(0, 129, NODE)
+    enabled.wait(1)
+    assert enabled.state == "FAULT"
+    assert enabled.read(0x603F) == 0x4310
+    enabled.drive.heal(DriveFault.OVER_TEMPERATURE, enabled.now_ns)
+    enabled.hear(0, 129, NODE)
+    enabled.wait(1)
+    assert enabled.state == "SWITCH_ON_DISABLED"
+
+
 def test_errors_are_kept_newest_first_and_can_be_cleared(enabled):
     enabled.drive.inject(DriveFault.OVER_TEMPERATURE, enabled.now_ns)
     enabled.drive.inject(DriveFault.DRIVE, enabled.now_ns)
