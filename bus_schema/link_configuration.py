@@ -44,6 +44,7 @@ class LinkConfiguration(StrictModel):
         router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
         uplink: plant to controller.
         downlink: controller to plant.
+        playout_ms: a torque acts no earlier than this after the state it answers was measured.
         deadline_ms: largest age of the state that the command in force answers; by default one
             period beyond the link's own mean delay.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
@@ -57,6 +58,7 @@ class LinkConfiguration(StrictModel):
     router_endpoint: Endpoint | None = None
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
+    playout_ms: NonNegative = 0.0
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0

@@ -22,6 +22,7 @@ from bus_schema.configuration import (
 )
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ControlLaw
+from controller.delay_compensation import DelayCompensation
 from controller.laws import LAWS
 from controller.laws.custom import build_custom, is_custom
 from controller.laws.fixed_time_model_based import FixedTimeModelBasedGains
@@ -186,6 +187,13 @@ class GainsConfiguration(StrictModel):
     custom: dict[str, Any] = Field(default_factory=dict)
 
 
+class DelayCompensationConfiguration(StrictModel):
+    """Delay compensation."""
+
+    enabled: bool = False
+    observer_bandwidth_rad_s: Positive = 60.0
+
+
 class ControllerConfiguration(StrictModel):
     """The controller.
 
@@ -200,6 +208,7 @@ class ControllerConfiguration(StrictModel):
     gains: GainsConfiguration = GainsConfiguration()
     model_scale: Positive = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
+    delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
 
     @field_validator("law")
     @classmethod
@@ -238,6 +247,12 @@ class ControllerConfiguration(StrictModel):
     def nominal_model(self, robot: RobotDescription) -> ManipulatorModel:
         """What the controller believes about the arm."""
         return ManipulatorModel(robot, scale=self.model_scale)
+
+    def build_compensation(self, robot: RobotDescription, playout_ms: float):
+        settings = self.delay_compensation
+        if not settings.enabled:
+            return None
+        return DelayCompensation(self.nominal_model(robot), settings.observer_bandwidth_rad_s, round(playout_ms * 1e6))
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Bound on the law's settling time, s; None for a law that has none."""

@@ -20,7 +20,9 @@ from bus_schema.finite import all_finite
 from bus_schema.link import ControllerLink
 from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
+from controller.command_timeline import Echo
 from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
+from controller.delay_compensation import DelayCompensation
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference
 from controller.torque_guard import TorqueGuard
@@ -37,6 +39,7 @@ class ControlTask:
     funnel: Funnel
     law: ControlLaw
     guard: TorqueGuard
+    compensation: DelayCompensation | None = None
 
 
 class ControlLoop:
@@ -63,6 +66,7 @@ class ControlLoop:
         self._timing = Record(topics.layout(topics.CONTROLLER_TIMING, names))
         self.tracking = self._tracking_in_status()
         self._start_ns: int | None = None
+        self._echo: Echo | None = None
         self.stamp_ns = -1
         self._cycle_started_ns = 0
         self.cycles = 0
@@ -99,12 +103,12 @@ class ControlLoop:
             self.rejections.note(error)
             return False
         stamp_ns = self._state.stamp_ns
-        if self._start_ns is None:
-            self._start_ns = self._start_of_run(plant_status, stamp_ns)
+        if self._start_ns is None or self._task.compensation is not None:
+            self._heed(plant_status, stamp_ns)
         if stamp_ns <= self.stamp_ns:
             self.late += 1
             self._command.stamp_ns = stamp_ns
-            self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+            self._send()
             return False
         step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
         self.stamp_ns = stamp_ns
@@ -115,14 +119,22 @@ class ControlLoop:
         return True
 
     def _update(self) -> Vector:
-        torque = self._task.law.torque(self.tracking)
+        situation = self.tracking
+        if self._task.compensation is not None:
+            situation = self._task.compensation.foresee(situation, self.stamp_ns, self._echo, self._task.reference, self._task.funnel)
+        torque = self._task.law.torque(situation)
         return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
 
     def _write(self, torque: Vector) -> None:
         self._command.stamp_ns = self.stamp_ns
         self._command.fields["effort"][:] = torque
+        self._status.fields["sequence"][0] = self._send()
+
+    def _send(self) -> int:
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        self._status.fields["sequence"][0] = sequence
+        if self._task.compensation is not None:
+            self._task.compensation.note_command(sequence, self._command.stamp_ns, self._command.fields["effort"])
+        return sequence
 
     def _report(self, started_ns: int) -> None:
         """Publish what the law thought and how long it took; the torque is already on its way."""
@@ -146,17 +158,22 @@ class ControlLoop:
         if not (all_finite(fields["position"]) and all_finite(fields["velocity"])):
             raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
-    def _start_of_run(self, plant_status: bytes | None, first_stamp_ns: int) -> int:
-        """When the run began on the plant's clock; for a foreign plant, with its first state."""
-        if plant_status is None:
-            return first_stamp_ns
-        try:
-            self._plant_status_layout.decode(plant_status, self._plant_status)
-        except InvalidMessageError as error:
-            self.rejections.note(error)
-            return first_stamp_ns
-        fields = self._plant_status.fields
-        return int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])
+    def _heed(self, plant_status: bytes | None, stamp_ns: int) -> None:
+        """Take in what the plant says of itself: start of the run, command in force.
+
+        For a foreign plant, which says nothing, the run begins with its first state.
+        """
+        start_ns, self._echo = stamp_ns, None
+        if plant_status is not None:
+            try:
+                self._plant_status_layout.decode(plant_status, self._plant_status)
+                fields = self._plant_status.fields
+                start_ns = int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])
+                self._echo = Echo(int(fields["command_sequence"][0]), int(fields["command_delay_ns"][0]))
+            except InvalidMessageError as error:
+                self.rejections.note(error)
+        if self._start_ns is None:
+            self._start_ns = start_ns
 
     def _tracking_in_status(self) -> Tracking:
         """The tracking situation and the law's diagnostics, laid into the messages they go by."""

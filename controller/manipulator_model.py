@@ -52,6 +52,13 @@ class ManipulatorModel:
         symmetric = upper + np.triu(full, 1).T
         return np.ascontiguousarray(symmetric[np.ix_(self._order, self._order)])
 
+    def inverse_mass_matrix(self, position: Vector) -> Matrix:
+        """M(q)⁻¹, shape (joints, joints), 1/(kg m²)."""
+        full = pinocchio.computeMinverse(self._model, self._data, self._at(position))
+        upper = np.triu(full)
+        symmetric = upper + np.triu(full, 1).T
+        return np.ascontiguousarray(symmetric[np.ix_(self._order, self._order)])
+
     def governing_inertia(self, positions: Matrix) -> Vector:
         """Inertia by which joint gains may be sized on a motion, shape (joints,), kg m².
 

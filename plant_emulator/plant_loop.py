@@ -97,6 +97,7 @@ class PlantLoop:
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._in_force: Command | None = None
+        self._command_delay_ns = -1
         self._newest_sent_ns = -1
         self._controller_is_lost = False
         self._end_tick = task.ticks
@@ -226,6 +227,7 @@ class PlantLoop:
                 self._announce(EventKind.TRACKING, "first valid command: brakes released")
             if self._arm.mode in _COMMANDABLE:
                 self._in_force = command
+                self._command_delay_ns = now_ns - command.stamp_ns
                 self._arm.command(command.torque_nm)
 
     def _stop_safely(self) -> None:
@@ -248,6 +250,7 @@ class PlantLoop:
         status.fields["mode"][0] = self._arm.mode
         status.fields["command_sequence"][0] = self._in_force.sequence if self._in_force else 0
         status.fields["command_age_ns"][0] = self._command_age_ns()
+        status.fields["command_delay_ns"][0] = self._command_delay_ns
         measurement = _Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns)
 
