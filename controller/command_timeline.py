@@ -49,6 +49,10 @@ class Schedule(NamedTuple):
     newest: int
     delay_ns: int
 
+    def acts_ns(self, number: int) -> int:
+        """When a command comes into force."""
+        return int(self.stamps_ns[number % CAPACITY]) + self.delay_ns
+
 
 class CommandTimeline:
     """The commands a controller sent, and the horizon at which they act.

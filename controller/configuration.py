@@ -188,10 +188,17 @@ class GainsConfiguration(StrictModel):
 
 
 class DelayCompensationConfiguration(StrictModel):
-    """Delay compensation."""
+    """Prediction of the state in which a command will act, for any law.
+
+    Attributes:
+        enabled: whether the law sees the predicted state instead of the measured one.
+        observer_bandwidth_rad_s: how fast disturbances are learned that the nominal model misses.
+        learn_friction: whether Coulomb friction is told apart from other disturbances.
+    """
 
     enabled: bool = False
     observer_bandwidth_rad_s: Positive = 60.0
+    learn_friction: bool = True
 
 
 class ControllerConfiguration(StrictModel):
@@ -248,11 +255,24 @@ class ControllerConfiguration(StrictModel):
         """What the controller believes about the arm."""
         return ManipulatorModel(robot, scale=self.model_scale)
 
-    def build_compensation(self, robot: RobotDescription, playout_ms: float):
+    def build_compensation(
+        self, robot: RobotDescription, least_horizon_ms: float
+    ) -> DelayCompensation | None:
+        """The configured delay compensation; None for none.
+
+        Args:
+            robot: the arm.
+            least_horizon_ms: no torque acts sooner than this after the state it answers.
+        """
         settings = self.delay_compensation
         if not settings.enabled:
             return None
-        return DelayCompensation(self.nominal_model(robot), settings.observer_bandwidth_rad_s, round(playout_ms * 1e6))
+        return DelayCompensation(
+            self.nominal_model(robot),
+            observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
+            learn_friction=settings.learn_friction,
+            least_horizon_ns=round(least_horizon_ms * 1e6),
+        )
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Bound on the law's settling time, s; None for a law that has none."""

@@ -1,70 +1,117 @@
-"""Delay compensation."""
+"""Delay compensation: a wrapper that shows a control law the future it will act in.
+
+A torque sent now acts one horizon after the state it answers was measured: the round trip of the
+bus, or the plant's play-out time if that is longer. So the law is given not the measured state but
+the one that the arm will be in by then, with reference and funnel of that time. Any law can be
+wrapped, as it sees nothing but another `Tracking`.
+"""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from controller.command_timeline import HELD, CommandTimeline, Echo
 from controller.control_law import Tracking
+from controller.disturbance_observer import DisturbanceObserver
 from controller.manipulator_model import ManipulatorModel
-from controller.motion_predictor import MotionPredictor
+from controller.motion_predictor import SMOOTHING_RAD_S, MotionPredictor
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference
 
 
 class DelayCompensation:
-    def __init__(self, model, observer_bandwidth_rad_s, least_horizon_ns):
+    """Predicts the state in which a command will act.
+
+    Args:
+        model: the nominal model.
+        observer_bandwidth_rad_s: how fast disturbances are learned.
+        learn_friction: whether Coulomb friction is learned too, so that its flip is foreseen.
+        least_horizon_ns: no torque acts sooner than this after the state it answers.
+
+    Attributes:
+        timeline: the commands sent.
+        missing: what the nominal model was found to miss.
+    """
+
+    def __init__(
+        self,
+        model: ManipulatorModel,
+        *,
+        observer_bandwidth_rad_s: float,
+        learn_friction: bool,
+        least_horizon_ns: int,
+    ) -> None:
         joints = model.joints
         self._model = model
-        self._bandwidth = observer_bandwidth_rad_s
         self.timeline = CommandTimeline(joints, least_horizon_ns)
-        self.predictor = MotionPredictor(model)
+        self.missing = DisturbanceObserver(
+            joints, observer_bandwidth_rad_s, learn_friction=learn_friction
+        )
+        self._predictor = MotionPredictor(model, self.missing)
         self._foreseen = Tracking(joints)
-        self._foreseen.position = self.predictor.position
-        self._foreseen.velocity = self.predictor.velocity
+        self._foreseen.position = self._predictor.position
+        self._foreseen.velocity = self._predictor.velocity
         self._last_position: Vector = np.zeros(joints)
         self._last_velocity: Vector = np.zeros(joints)
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
+        """Forget all commands and all that was learned."""
         self.timeline.reset()
-        self.predictor.disturbance[:] = 0.0
-        self._last_in_force = HELD
-        self._last_ns = -1
+        self.missing.reset()
+        self._last_in_force, self._last_ns = HELD, 0
 
-    def note_command(self, number, stamp_ns, torque):
-        self.timeline.note(number, stamp_ns, torque)
+    def note_command(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
+        """A command was sent in answer to the state of `stamp_ns`; numbers increase."""
+        self.timeline.note(number, stamp_ns, torque_nm)
 
-    def foresee(self, tracking: Tracking, stamp_ns: int, echo: Echo | None, reference, funnel):
+    def foresee(
+        self,
+        measured: Tracking,
+        stamp_ns: int,
+        echo: Echo | None,
+        reference: Reference,
+        funnel: Funnel,
+    ) -> Tracking:
+        """The situation in which the answer to a state will act.
+
+        Args:
+            measured: the situation at the state; states come in order.
+            stamp_ns: stamp of the state.
+            echo: the command in force at it; None if the plant does not say.
+            reference: the reference of `measured`.
+            funnel: the funnel of `measured`.
+        """
         timeline = self.timeline
-        if echo is None or not timeline.knows(echo.sequence):
-            echo = Echo(timeline.assumed_in_force(stamp_ns), timeline.horizon_ns)
-        else:
+        if echo is not None and timeline.knows(echo.sequence):
             timeline.observe(echo, stamp_ns)
+        else:
+            echo = Echo(timeline.assumed_in_force(stamp_ns), timeline.horizon_ns)
         if self._last_in_force != HELD:
-            self._learn(tracking, stamp_ns, echo)
+            self._learn(measured, stamp_ns, echo)
         self._last_in_force, self._last_ns = echo.sequence, stamp_ns
-        self._last_position[:], self._last_velocity[:] = tracking.position, tracking.velocity
-        horizon_ns = timeline.horizon_ns
-        self.predictor.predict(
-            tracking.position, tracking.velocity, timeline.ahead(echo.sequence, stamp_ns),
-            stamp_ns, stamp_ns + horizon_ns,
+        self._last_position[:], self._last_velocity[:] = measured.position, measured.velocity
+
+        horizon_ns, predictor = timeline.horizon_ns, self._predictor
+        ahead = timeline.ahead(echo.sequence, stamp_ns)
+        predictor.predict(
+            measured.position, measured.velocity, ahead, stamp_ns, stamp_ns + horizon_ns
         )
-        self._foreseen.update(
-            tracking.time_s + horizon_ns * 1e-9, tracking.step_s, reference, funnel
-        )
+        time_s = measured.time_s + horizon_ns * 1e-9
+        self._foreseen.update(time_s, measured.step_s, reference, funnel)
         return self._foreseen
 
-    def _learn(self, tracking, stamp_ns, echo):
-        self.predictor.predict(
-            self._last_position, self._last_velocity,
-            self.timeline.between(self._last_in_force, echo, self._last_ns),
-            self._last_ns, stamp_ns,
+    def _learn(self, measured: Tracking, stamp_ns: int, echo: Echo) -> None:
+        """Compare how the arm moved since the last state with how it should have moved."""
+        predictor, step_s = self._predictor, (stamp_ns - self._last_ns) * 1e-9
+        acted = self.timeline.between(self._last_in_force, echo, self._last_ns)
+        predictor.predict(
+            self._last_position, self._last_velocity, acted, self._last_ns, stamp_ns
         )
-        step_s = (stamp_ns - self._last_ns) * 1e-9
-        gain = 1.0 - math.exp(-self._bandwidth * step_s)
-        missed = (tracking.velocity - self.predictor.velocity) * (gain / step_s)
-        self.predictor.disturbance += self._model.mass_matrix(tracking.position) @ missed
+        mass = self._model.mass_matrix(measured.position)
+        missed_nm = mass @ (measured.velocity - predictor.velocity) / step_s
+        mean_velocity = 0.5 * (self._last_velocity + measured.velocity)
+        self.missing.learn(
+            missed_nm, np.diag(mass), np.tanh(mean_velocity / SMOOTHING_RAD_S), step_s
+        )
