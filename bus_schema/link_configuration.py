@@ -44,7 +44,8 @@ class LinkConfiguration(StrictModel):
         router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
         uplink: plant to controller.
         downlink: controller to plant.
-        playout_ms: a torque acts no earlier than this after the state it answers was measured.
+        playout_ms: a command comes into force no earlier than this after the stamp of the state it
+            answers, on the plant's clock; 0 for at once.
         deadline_ms: largest age of the state that the command in force answers; by default one
             period beyond the link's own mean delay.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.

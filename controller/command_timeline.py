@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.compiled import compiled
 
-CAPACITY = 2048
-"""Commands remembered; at 1 kHz, two seconds of them."""
+CAPACITY = 8192
+"""Commands remembered: all that can be in flight, even at 10 kHz."""
+LONGEST_HORIZON_NS = 500_000_000
+"""No prediction reaches further, whatever a plant says of its delays."""
 HELD = 0
 """Number of no command: before the first one acts, brakes hold the arm."""
 _FOLLOW = 0.1
@@ -77,30 +79,34 @@ class CommandTimeline:
         self._numbers[:] = HELD
         self._first, self._newest = HELD, HELD
         self._in_force, self._mean_delay_ns = HELD, 0.0
-        self.horizon_ns = self._least_horizon_ns
+        self._expect(0)
 
     def note(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
         """A command was sent, whose number is above those of all before."""
         slot = number % CAPACITY
         self._numbers[slot], self._stamps_ns[slot] = number, stamp_ns
         self._torques_nm[slot] = torque_nm
-        self._first = self._first or number
+        self._first = max(self._first or number, number - CAPACITY + 1)
         self._newest = number
 
-    def knows(self, number: int) -> bool:
-        """Whether this is a command that was sent, and is still remembered; or `HELD`."""
-        return number == HELD or int(self._numbers[number % CAPACITY]) == number
+    def explains(self, echo: Echo, now_ns: int) -> bool:
+        """Whether a state that left the plant at `now_ns` can bear this echo."""
+        slot = echo.sequence % CAPACITY
+        return echo.sequence == HELD or (
+            int(self._numbers[slot]) == echo.sequence
+            and 0 <= echo.delay_ns <= now_ns - int(self._stamps_ns[slot])
+        )
 
     def observe(self, echo: Echo, now_ns: int) -> None:
         """Learn the horizon from a state that left the plant at `now_ns`."""
         if echo.sequence == HELD:
             # Nothing acts yet, so the first command has been on its way for at least as long.
             waited_ns = now_ns - int(self._stamps_ns[self._first % CAPACITY]) if self._first else 0
-            self.horizon_ns = max(self.horizon_ns, waited_ns)
+            self._expect(max(self.horizon_ns, waited_ns))
         elif echo.sequence != self._in_force:
             share = _FOLLOW if self._in_force != HELD else 1.0
             self._mean_delay_ns += share * (echo.delay_ns - self._mean_delay_ns)
-            self.horizon_ns = max(round(self._mean_delay_ns), self._least_horizon_ns)
+            self._expect(round(self._mean_delay_ns))
         self._in_force = echo.sequence
 
     def between(self, in_force: int, then: Echo, from_ns: int) -> Schedule:
@@ -115,13 +121,14 @@ class CommandTimeline:
         """The command that should be in force by now, for want of an echo."""
         return self._schedule(HELD, self._newest, self.horizon_ns, now_ns).upcoming - 1
 
+    def _expect(self, horizon_ns: int) -> None:
+        self.horizon_ns = min(max(horizon_ns, self._least_horizon_ns), LONGEST_HORIZON_NS)
+
     def _schedule(self, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Schedule:
         upcoming = _first_after(
             self._stamps_ns, max(in_force + 1, self._first), newest, from_ns - delay_ns
         )
-        return Schedule(
-            self._stamps_ns, self._torques_nm, in_force, upcoming, newest, delay_ns
-        )
+        return Schedule(self._stamps_ns, self._torques_nm, in_force, upcoming, newest, delay_ns)
 
 
 @compiled

@@ -56,6 +56,7 @@ class ControlLoop:
     def __init__(self, task: ControlTask, link: ControllerLink) -> None:
         names = task.robot.joint_names
         self._task = task
+        self._compensation = task.compensation
         self._link = link
         self._state_layout = topics.layout(topics.JOINT_STATES, names)
         self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
@@ -76,7 +77,10 @@ class ControlLoop:
 
     def warm_up(self) -> None:
         """Compile the law before time counts, and leave no trace of it."""
-        self.tracking.update(0.0, 0.0, self._task.reference, self._task.funnel)
+        reference, funnel = self._task.reference, self._task.funnel
+        self.tracking.update(0.0, 0.0, reference, funnel)
+        if self._compensation is not None:
+            self._compensation.warm_up(self.tracking, reference, funnel)
         self._task.guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
         self._require_finite()
         self._task.law.reset()
@@ -103,7 +107,7 @@ class ControlLoop:
             self.rejections.note(error)
             return False
         stamp_ns = self._state.stamp_ns
-        if self._start_ns is None or self._task.compensation is not None:
+        if self._start_ns is None or self._compensation is not None:
             self._heed(plant_status, stamp_ns)
         if stamp_ns <= self.stamp_ns:
             self.late += 1
@@ -120,8 +124,11 @@ class ControlLoop:
 
     def _update(self) -> Vector:
         situation = self.tracking
-        if self._task.compensation is not None:
-            situation = self._task.compensation.foresee(situation, self.stamp_ns, self._echo, self._task.reference, self._task.funnel)
+        if self._compensation is not None:
+            situation = self._compensation.foresee(
+                situation, self.stamp_ns, self._echo, self._task.reference, self._task.funnel
+            )
+            self._status.fields["horizon_ns"][0] = self._compensation.timeline.horizon_ns
         torque = self._task.law.torque(situation)
         return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
 
@@ -131,9 +138,11 @@ class ControlLoop:
         self._status.fields["sequence"][0] = self._send()
 
     def _send(self) -> int:
-        sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        if self._task.compensation is not None:
-            self._task.compensation.note_command(sequence, self._command.stamp_ns, self._command.fields["effort"])
+        """Send the command as it stands; its number."""
+        command = self._command
+        sequence = self._link.publish(topics.JOINT_COMMANDS, command.payload())
+        if self._compensation is not None:
+            self._compensation.note_command(sequence, command.stamp_ns, command.fields["effort"])
         return sequence
 
     def _report(self, started_ns: int) -> None:
@@ -167,11 +176,12 @@ class ControlLoop:
         if plant_status is not None:
             try:
                 self._plant_status_layout.decode(plant_status, self._plant_status)
-                fields = self._plant_status.fields
-                start_ns = int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])
-                self._echo = Echo(int(fields["command_sequence"][0]), int(fields["command_delay_ns"][0]))
             except InvalidMessageError as error:
                 self.rejections.note(error)
+            else:
+                values = {name: int(value[0]) for name, value in self._plant_status.fields.items()}
+                start_ns = values["start.sec"] * 1_000_000_000 + values["start.nanosec"]
+                self._echo = Echo(values["command_sequence"], values["command_delay_ns"])
         if self._start_ns is None:
             self._start_ns = start_ns
 
@@ -185,4 +195,12 @@ class ControlLoop:
         for name, values in vars(diagnostics).items():
             self._status.fields[name][:] = values
             setattr(diagnostics, name, self._status.fields[name])
+        foresight = [
+            self._status.fields[name]
+            for name in ("foreseen_error", "learned_disturbance", "learned_friction")
+        ]
+        for values in foresight:
+            values[:] = np.nan
+        if self._compensation is not None:
+            self._compensation.report_into(*foresight)
         return tracking
