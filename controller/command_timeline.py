@@ -19,6 +19,9 @@ HELD = 0
 _FOLLOW = 0.1
 """Share of a new observation in the horizon: jitter is averaged over about ten commands."""
 
+_PATIENCE = 2.0
+"""A command is waited for beyond its time, in mean deviations of the horizon."""
+
 
 class Echo(NamedTuple):
     """What a plant status says about commands.
@@ -78,7 +81,7 @@ class CommandTimeline:
         """Forget all commands."""
         self._numbers[:] = HELD
         self._first, self._newest = HELD, HELD
-        self._in_force, self._mean_delay_ns = HELD, 0.0
+        self._in_force, self._mean_delay_ns, self._spread_ns = HELD, 0.0, 0.0
         self._expect(0)
 
     def note(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
@@ -105,7 +108,10 @@ class CommandTimeline:
             self._expect(max(self.horizon_ns, waited_ns))
         elif echo.sequence != self._in_force:
             share = _FOLLOW if self._in_force != HELD else 1.0
-            self._mean_delay_ns += share * (echo.delay_ns - self._mean_delay_ns)
+            surprise_ns = echo.delay_ns - self._mean_delay_ns
+            self._mean_delay_ns += share * surprise_ns
+            if self._in_force != HELD:
+                self._spread_ns += share * (abs(surprise_ns) - self._spread_ns)
             self._expect(round(self._mean_delay_ns))
         self._in_force = echo.sequence
 
@@ -114,11 +120,16 @@ class CommandTimeline:
         return self._schedule(in_force, then.sequence, then.delay_ns, from_ns)
 
     def ahead(self, in_force: int, now_ns: int) -> Schedule:
-        """What will act from now on. Commands that are overdue by now are taken for lost."""
-        return self._schedule(in_force, self._newest, self.horizon_ns, now_ns)
+        """What will act from now on.
+
+        A command that should have come by now is just about to, or it is lost if it is overdue by
+        more than the horizon's usual variation.
+        """
+        patience_ns = round(_PATIENCE * self._spread_ns)
+        return self._schedule(in_force, self._newest, self.horizon_ns, now_ns - patience_ns)
 
     def assumed_in_force(self, now_ns: int) -> int:
-        """The command that should be in force by now, for want of an echo."""
+        """The command that should have come into force before now, for want of an echo."""
         return self._schedule(HELD, self._newest, self.horizon_ns, now_ns).upcoming - 1
 
     def _expect(self, horizon_ns: int) -> None:
@@ -132,8 +143,8 @@ class CommandTimeline:
 
 
 @compiled
-def _first_after(stamps_ns: NDArray[np.int64], number: int, newest: int, after_ns: int) -> int:
-    """The first command from `number` on that answers a state after an instant."""
-    while number <= newest and stamps_ns[number % stamps_ns.size] <= after_ns:
+def _first_after(stamps_ns: NDArray[np.int64], number: int, newest: int, since_ns: int) -> int:
+    """The first command from `number` on that answers a state since an instant."""
+    while number <= newest and stamps_ns[number % stamps_ns.size] < since_ns:
         number += 1
     return number
