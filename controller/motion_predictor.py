@@ -19,7 +19,7 @@ from controller.manipulator_model import ManipulatorModel
 
 SMOOTHING_RAD_S = 0.02
 """Velocity at which friction has most of its size; below, it is all but viscous."""
-_STRETCH_NS = 8_000_000
+_STRETCH_NS = 16_000_000
 _STEP_NS = 1_000_000
 
 
