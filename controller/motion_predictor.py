@@ -50,7 +50,8 @@ class MotionPredictor:
         self._acceleration[:] = 0.0
         now_ns, in_force, upcoming = from_ns, schedule.in_force, schedule.upcoming
         if in_force == HELD:
-            now_ns = until_ns if upcoming > schedule.newest else schedule.acts_ns(upcoming)
+            is_waiting = upcoming > schedule.newest
+            now_ns = until_ns if is_waiting else max(from_ns, schedule.acts_ns(upcoming))
         while now_ns < until_ns:
             end_ns = min(now_ns + _STRETCH_NS, until_ns)
             half_s = 0.5e-9 * (end_ns - now_ns)

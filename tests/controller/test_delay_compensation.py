@@ -1,4 +1,4 @@
-"""The predictor against motions that are known, and the commands in flight against all that befalls them."""
+"""The predictor against motions that are known, and commands in flight against what befalls them."""
 
 from pathlib import Path
 
@@ -65,10 +65,9 @@ class Bench:
 
     def _let_act(self, answered, now):
         numbers = {tick: number for number, tick in enumerate(self.sent, start=1)}
-        if answered in numbers and answered not in self.lost:
-            if numbers[answered] > self.in_force[0]:
-                delay_ns = (now - answered) * MS
-                self.in_force = numbers[answered], delay_ns, self.sent[answered]
+        number = 0 if answered in self.lost else numbers.get(answered, 0)
+        if number > self.in_force[0]:
+            self.in_force = number, (now - answered) * MS, self.sent[answered]
 
     def _move(self):
         if self.in_force[2] is None:
