@@ -1,4 +1,4 @@
-"""The predictor against motions that are known, and commands in flight against what befalls them."""
+"""The predictor against known motions, and commands in flight against what befalls them."""
 
 from pathlib import Path
 
