@@ -103,7 +103,8 @@ class DelayCompensation:
             timeline.observe(echo, stamp_ns)
         else:
             echo = Echo(timeline.assumed_in_force(stamp_ns), timeline.horizon_ns)
-        if self._last_in_force != HELD and stamp_ns - self._last_ns <= LONGEST_HORIZON_NS:
+        is_moving = HELD < self._last_in_force <= echo.sequence
+        if is_moving and stamp_ns - self._last_ns <= LONGEST_HORIZON_NS:
             self._learn(measured, stamp_ns, echo)
         self._last_in_force, self._last_ns = echo.sequence, stamp_ns
         self._last_position[:], self._last_velocity[:] = measured.position, measured.velocity
