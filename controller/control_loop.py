@@ -112,7 +112,8 @@ class ControlLoop:
             return False
         stamp_ns = self._state.stamp_ns
         if self._start_ns is None or self._compensation is not None:
-            self._heed(plant_status, stamp_ns)
+            start_ns = self._heed(plant_status, stamp_ns)
+            self._start_ns = start_ns if self._start_ns is None else self._start_ns
         if stamp_ns <= self.stamp_ns:
             self.late += 1
             self._command.stamp_ns = stamp_ns
@@ -165,8 +166,8 @@ class ControlLoop:
         if not all_finite(self._motion):
             raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
-    def _heed(self, plant_status: bytes | None, stamp_ns: int) -> None:
-        """Take in what the plant says of itself: start of the run, command in force.
+    def _heed(self, plant_status: bytes | None, stamp_ns: int) -> int:
+        """Take in what the plant says of the command in force; when it says the run began.
 
         For a foreign plant, which says nothing, the run begins with its first state.
         """
@@ -180,8 +181,7 @@ class ControlLoop:
                 values = {name: int(value[0]) for name, value in self._plant_status.fields.items()}
                 start_ns = values["start.sec"] * 1_000_000_000 + values["start.nanosec"]
                 self._echo = Echo(values["command_sequence"], values["command_delay_ns"])
-        if self._start_ns is None:
-            self._start_ns = start_ns
+        return start_ns
 
     def _tracking_in_status(self) -> Tracking:
         """The tracking situation and the law's diagnostics, laid into the messages they go by."""

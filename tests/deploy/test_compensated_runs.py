@@ -74,9 +74,10 @@ def test_control_status_tells_what_was_foreseen():
     data = run(ON, up_ms=10, down_ms=10, duration_s=1.0).data()
     status = data.tables["control_status"]
     assert set(status["horizon_ns"][60:].tolist()) == {20_000_000}
-    # error foreseen for a tick against the error measured at that tick
-    foreseen, measured = status["foreseen_error"][500:900], status["error"][520:920]
-    assert np.abs(foreseen - measured).max() < 1e-4 < np.abs(measured[:-20] - measured[20:]).max()
+    # the error foreseen against the one measured 20 ticks later, while the arm comes in
+    foreseen, then = status["foreseen_error"][100:300], status["error"][120:320]
+    change = np.abs(then - status["error"][100:300]).max()
+    assert np.abs(foreseen - then).max() < 0.1 * change
     assert np.isfinite(status["learned_disturbance"]).all()
     assert np.isfinite(status["learned_friction"]).all()
 
