@@ -39,6 +39,17 @@ def test_uncompensated_neural_law_loses_its_bounds_at_8_ms():
     assert not judged(up_ms=4, down_ms=4, duration_s=2)["bounds"]["kept"]
 
 
+@pytest.mark.parametrize("seed", [1, 2, 18])
+def test_play_out_and_compensation_withstand_jitter_and_bursts_of_loss(seed):
+    burst = "burst_loss: {mean_loss: 0.02, mean_burst: 3}"
+    jitter = "delay_ms: 8, jitter_ms: 3, distribution: normal"
+    channels = [f"link.{way}={{{jitter}, {burst}}}" for way in ("uplink", "downlink")]
+    overrides = [ON, *channels, f"seed={seed}", "link.playout_ms=24", "duration_s=3"]
+    summary = summarise(simulate(load_setup("paper_arm", overrides)).data())
+    assert min(summary["transport"][way]["lost"] for way in ("uplink", "downlink")) > 20
+    assert summary["bounds"]["kept"]
+
+
 def test_from_other_offsets_too():
     for offset in ([-0.15, 0.12, -0.1], [0.3, -0.3, 0.3]):
         assert judged(ON, f"robot.initial_offset_rad={offset}", up_ms=24, down_ms=24, duration_s=2)[
