@@ -130,6 +130,7 @@ class Setup:
             guard=TorqueGuard(
                 controller.law, limits, controller.torque_rate_limits(self.robot.joints)
             ),
+            compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
         )
 
     def plant_task(self, *, lockstep: bool) -> PlantTask:

@@ -108,6 +108,7 @@ class PlantLoop:
         )
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._in_force: Command | None = None
+        self._command_delay_ns = -1
         self._newest_sent_ns = -1
         self._controller_is_lost = False
         self._end_tick = task.ticks
@@ -251,6 +252,7 @@ class PlantLoop:
                 self._announce(EventKind.TRACKING, "first valid command: brakes released")
             if self._arm.mode in _COMMANDABLE:
                 self._in_force = command
+                self._command_delay_ns = now_ns - command.stamp_ns
                 self._arm.command(command.torque_nm)
 
     def _stop_safely(self) -> None:
@@ -271,7 +273,9 @@ class PlantLoop:
         self._arm.read_encoders(self._position, self._velocity)
         self._effort[:] = self._arm.torques.actuator
         sequence = self._in_force.sequence if self._in_force else 0
-        status.put_scalars(*_START, self._arm.mode, sequence, self._command_age_ns())
+        status.put_scalars(
+            *_START, self._arm.mode, sequence, self._command_age_ns(), self._command_delay_ns
+        )
         measurement = _Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
 
