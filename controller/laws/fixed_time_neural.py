@@ -24,6 +24,7 @@ from bus_schema.configuration import (
     PowerAboveOne,
     PowerBelowOne,
 )
+from controller.anti_windup import may_accumulate
 from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
 from controller.prescribed_performance import clip_into_funnel, transform, transformation_rates
 from controller.rbf_network import NODES, activate, adapt, node_centres
@@ -67,9 +68,10 @@ class FixedTimeNeuralGains(NamedTuple):
 class FixedTimeNeural:
     """The law with its network weights."""
 
-    def __init__(self, gains: FixedTimeNeuralGains) -> None:
+    def __init__(self, gains: FixedTimeNeuralGains, torque_limits_nm: Vector) -> None:
         joints = gains.k_1.size
         self.gains = gains
+        self._limits = torque_limits_nm
         self.diagnostics = Diagnostics(joints)
         self._centres = node_centres()
         self._activation: Vector = np.zeros(NODES)
@@ -78,6 +80,7 @@ class FixedTimeNeural:
 
     def reset(self) -> None:
         self._weights[:] = 0.0
+        self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
         _torque(
@@ -86,6 +89,7 @@ class FixedTimeNeural:
             tracking.bounds,
             tracking.step_s,
             self.gains,
+            self._limits,
             self._weights,
             self._centres,
             self._activation,
@@ -101,7 +105,7 @@ class FixedTimeNeural:
 @compiled
 def _torque(
     error: Vector, error_rate: Vector, bounds: Matrix, step_s: float, gains: FixedTimeNeuralGains,
-    weights: Matrix, centres: Matrix, activation: Vector,
+    limits: Vector, weights: Matrix, centres: Matrix, activation: Vector,
     transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
 ) -> None:  # fmt: skip
     g = gains
@@ -116,10 +120,11 @@ def _torque(
         s = (d_epsilon + pull) / r
 
         activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), centres, g.node_width, activation)
-        adapt(
-            weights[i], activation, s, step_s,
-            g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
-        )  # fmt: skip
+        if may_accumulate(torque[i], s, limits[i]):
+            adapt(
+                weights[i], activation, s, step_s,
+                g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
+            )  # fmt: skip
         output = 0.0
         for k in range(centres.shape[0]):
             output -= weights[i, k] * activation[k]

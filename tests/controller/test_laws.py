@@ -52,7 +52,9 @@ def law_of(name, order=(0, 1, 2), model=None):
         for key, value in gains._asdict().items()
         if isinstance(value, np.ndarray)
     }
-    return LAWS[name].build(gains._replace(**vectors), model or DecoupledModel(order))
+    return LAWS[name].build(
+        gains._replace(**vectors), model or DecoupledModel(order), np.full(JOINTS, np.inf)
+    )
 
 
 def situation(errors, error_rates, time_s=0.0, step_s=1e-3, order=(0, 1, 2)):
