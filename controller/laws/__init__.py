@@ -15,7 +15,6 @@ from controller.laws.smc import Smc, SmcGains
 from controller.laws.tsmc import Tsmc, TsmcGains
 from controller.settling import LargestInertia, settling_bound_s
 
-
 _Build = Callable[[Any, Dynamics, Vector], ControlLaw]
 
 
