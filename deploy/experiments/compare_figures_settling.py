@@ -78,7 +78,8 @@ def _starts(test: SettlingTest, top_s: float, colour: str, group: str) -> go.Sca
         y=[top_s if row.settling_time_s is None else row.settling_time_s for row in test.rows],
         name=html.escape(test.law), legendgroup=group, mode="lines+markers",
         line={"color": colour, "width": 1.6},
-        marker={"symbol": symbols, "size": 9, "color": colour, "line": {"color": colour, "width": 2}},
+        marker={"symbol": symbols, "size": 9, "color": colour,
+                "line": {"color": colour, "width": 2}},
         text=["" if done else " (not settled)" for done in settled],
         hovertemplate="%{x:.3g} rad: %{y:.3g} s%{text}",
     )  # fmt: skip
