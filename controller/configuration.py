@@ -249,7 +249,7 @@ class ControllerConfiguration(StrictModel):
         model = self.nominal_model(robot)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
-        return LAWS[self.law].build(gains, model)
+        return LAWS[self.law].build(gains, model, robot.effort_limits_nm)
 
     def nominal_model(self, robot: RobotDescription) -> ManipulatorModel:
         """What the controller believes about the arm."""

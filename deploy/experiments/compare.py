@@ -14,6 +14,7 @@ from deploy.experiments.compare_report import write_comparison_report
 from deploy.experiments.comparison import Comparison, LawRun
 from deploy.experiments.metrics import summarise
 from deploy.experiments.run_rows import row, write_rows
+from deploy.experiments.settling import SettlingTest
 from deploy.experiments.simulate import Simulation
 from deploy.run_folder import RunFolder, RunFolderError, load_run
 from deploy.scenario import ScenarioError, Setup, load_setup
@@ -54,6 +55,7 @@ class ComparisonFolder:
 
     path: Path
     _runs: list[LawRun] = field(default_factory=list)
+    _settling: list[SettlingTest] = field(default_factory=list)
 
     @staticmethod
     def create(name: str, out: Path | None) -> ComparisonFolder:
@@ -96,9 +98,13 @@ class ComparisonFolder:
         self._runs.append(run)
         return run
 
+    def add_settling(self, test: SettlingTest) -> None:
+        """Take in how a law settled from near and far."""
+        self._settling.append(test)
+
     def conclude(self) -> Comparison:
         """Write rows, summary, manifest and report of all runs so far."""
-        comparison = Comparison(list(self._runs))
+        comparison = Comparison(list(self._runs), list(self._settling))
         write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
         self.summary.write_text(json.dumps(_summary(comparison), indent=2) + "\n")
         self._write_manifest(comparison)
@@ -141,6 +147,8 @@ def load_comparison(path: Path) -> ComparisonFolder:
     for law in _laws_in(summary, path):
         data, _ = load_run(path / _folder_name(law))
         folder._runs.append(LawRun(law, data, summarise(data)))
+    for values in summary.get("settling", []):
+        folder.add_settling(SettlingTest.from_values(values))
     return folder
 
 
@@ -160,6 +168,7 @@ def _summary(comparison: Comparison) -> dict[str, Any]:
         "seed": common.seed if common else None,
         "clock": common.summary["clock"] if common else None,
         "laws": {run.law: run.summary for run in comparison.runs},
+        "settling": [test.values() for test in comparison.settling],
     }
 
 
