@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from bus_schema.configuration import NonNegative, Positive, StrictModel
+from bus_schema.key_files import DEFAULT_FOLDER, KeyFolder
 
 
 def _check_endpoint(text: str) -> str:
@@ -17,6 +18,28 @@ def _check_endpoint(text: str) -> str:
 
 
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+
+
+def _check_folder(text: str) -> str:
+    if not text.startswith(("/", "~")):
+        raise ValueError("an absolute path, or one that begins with ~")
+    return text
+
+
+class SecurityConfiguration(StrictModel):
+    """Mutual TLS, and access to topics by role.
+
+    Attributes:
+        enabled: speak only to peers with a certificate of our authority, and only in their role.
+        folder: where keys and certificates lie (`funnel-hil keys`); absolute, or from ``~``.
+    """
+
+    enabled: bool = False
+    folder: Annotated[str, AfterValidator(_check_folder)] = DEFAULT_FOLDER
+
+    @property
+    def keys(self) -> KeyFolder:
+        return KeyFolder.at(self.folder)
 
 
 class ChannelConfiguration(StrictModel):
@@ -33,12 +56,13 @@ class ChannelConfiguration(StrictModel):
         return round(self.delay_ms * 1e6)
 
 
-class LinkConfiguration(StrictModel):
+class LinkConfiguration(StrictModel, validate_default=True):
     """The link between controller and plant.
 
     Attributes:
         kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``).
         domain: ROS domain, the first part of every key.
+        security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
         router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
@@ -52,6 +76,7 @@ class LinkConfiguration(StrictModel):
 
     kind: Literal["zenoh", "in_process"] = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
+    security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
     router_endpoint: Endpoint | None = None
@@ -60,6 +85,22 @@ class LinkConfiguration(StrictModel):
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
+
+    @field_validator("plant_endpoint", "controller_endpoint", "router_endpoint")
+    @classmethod
+    def _secure(cls, endpoint: str | None, info: ValidationInfo) -> str | None:
+        """Endpoints follow the switch, so that there is one switch and not four."""
+        security = info.data.get("security")
+        if endpoint is None or security is None:
+            return endpoint
+        protocol, address = endpoint.split("/", maxsplit=1)
+        if security.enabled:
+            if protocol not in ("tcp", "tls"):
+                raise ValueError("a tls/ or tcp/ endpoint where link.security.enabled is true")
+            return f"tls/{address}"
+        if protocol in ("tls", "quic"):
+            raise ValueError("of another protocol, or link.security.enabled true")
+        return endpoint
 
     def deadline_ns(self, period_ns: int) -> int:
         """The deadline for this tick period."""

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schema.topics import Role
-from deploy import cli_experiments
+from deploy import cli_experiments, cli_keys
 from deploy import doctor as doctor_module
 from deploy.cli_common import (
     BAD_INPUT,
@@ -30,10 +30,11 @@ from deploy.cli_common import (
     on_interrupt,
 )
 from deploy.experiments.simulate import simulate as simulate_setup
+from deploy.keys import check_keys
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
 from deploy.processes import Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import ScenarioError, Setup, load_setup
 from deploy.terminal import RunProgress, show_summary
 from plant_emulator.plant_loop import PlantLoop
 
@@ -66,6 +67,7 @@ def run(
             f"{setup.source}: link.kind = 'in_process': must be zenoh for run; simulate runs in one"
             " process"
         )
+    _require_keys(setup, *Role)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
@@ -123,6 +125,7 @@ def controller(
 ) -> None:
     """Be the controller: answer the joint states of a plant on the bus."""
     setup = load_setup(scenario, overrides or [])
+    _require_keys(setup, Role.CONTROLLER)
     voice = Voice(Role.CONTROLLER, to_parent=to_parent)
     raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
 
@@ -136,6 +139,7 @@ def plant(
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
     setup = load_setup(scenario, overrides or [])
+    _require_keys(setup, Role.PLANT)
     voice = Voice(Role.PLANT, to_parent=to_parent)
     raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder))
 
@@ -150,6 +154,7 @@ def record(
 ) -> None:
     """Be the recorder: write every message on the bus to a run folder."""
     setup = load_setup(scenario, overrides or [])
+    _require_keys(setup, Role.RECORDER)
     voice = Voice(Role.RECORDER, to_parent=to_parent)
     if log is not None:
         raise typer.Exit(run_recorder(setup, log, voice))
@@ -162,6 +167,7 @@ def record(
     raise typer.Exit(code)
 
 
+app.add_typer(cli_keys.app, name="keys")
 for _command in (
     cli_experiments.compare,
     cli_experiments.report,
@@ -186,6 +192,13 @@ def main() -> None:
     except (ScenarioError, RunFolderError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
+
+
+def _require_keys(setup: Setup, *roles: Role) -> None:
+    """Bad keys are bad input, told before anything starts."""
+    security = setup.scenario.link.security
+    if security.enabled:
+        check_keys(security.keys, roles)
 
 
 def _finish(

@@ -77,7 +77,6 @@ class Recorder:
         self.messages = 0
         self.lost = 0
         self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=True)
-        self._node.advertise(topics.RUN_EVENTS)
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG)
         self._node.announce()
 
@@ -134,13 +133,11 @@ class Recorder:
             delivery.payload,
         )  # fmt: skip
         self.messages += 1
-        if topic is topics.RUN_EVENTS:
+        if topic is topics.RUN_EVENTS and attachment.gid:
             self._acknowledge(delivery.payload, attachment.gid)
 
     def _acknowledge(self, payload: bytes, gid: bytes) -> None:
         """Tell a process that said its last word that all of it is recorded."""
         with contextlib.suppress(InvalidMessageError):
-            event = RunEvent.decode(payload)
-            if event.kind == EventKind.ENDED:
-                answer = RunEvent(event.stamp_ns, Role.RECORDER, EventKind.RECORDED, gid.hex())
-                self._node.publish(topics.RUN_EVENTS, answer.encode())
+            if RunEvent.decode(payload).kind == EventKind.ENDED:
+                self._node.acknowledge(gid)
