@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from bus_schema.configuration import NonNegative, Positive, StrictModel
 from bus_schema.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.topics import Role
 
 
 def _check_endpoint(text: str) -> str:
@@ -101,6 +102,10 @@ class LinkConfiguration(StrictModel, validate_default=True):
         if protocol in ("tls", "quic"):
             raise ValueError("of another protocol, or link.security.enabled true")
         return endpoint
+
+    def listen_endpoint(self, role: Role) -> str:
+        """Where plant or controller listen; recorders connect to both, and do not listen."""
+        return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
 
     def deadline_ns(self, period_ns: int) -> int:
         """The deadline for this tick period."""

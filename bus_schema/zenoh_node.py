@@ -21,6 +21,7 @@ from bus_schema.rmw_wire import (
     node_name,
     node_token,
 )
+from bus_schema.silence import SilenceWatch
 from bus_schema.topics import Rate, Role, Topic
 from bus_schema.zenoh_access import recorded_key_expression, secure_settings
 from bus_schema.zenoh_session import Delivery, Mailbox, ZenohPublisher, ZenohSession
@@ -53,6 +54,7 @@ class ZenohNode:
             if link.security.enabled
             else None,
         )
+        self._link = link
         self._domain = link.domain
         self._role = role
         self._node = node_name(role)
@@ -123,10 +125,16 @@ class ZenohNode:
             PeerSilentError: it did not come.
         """
         give_up_s = time.monotonic() + timeout_s
+        silence = self.watch_silence(role)
         while not self.sees(role) and not is_stop_requested():
+            silence.look()
             if time.monotonic() > give_up_s:
                 raise PeerSilentError(role, timeout_s, "sign of life")
             time.sleep(POLL_S)
+
+    def watch_silence(self, role: Role) -> SilenceWatch:
+        """What says why one of our own processes may be missing."""
+        return SilenceWatch(self._link, self._role, role)
 
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""

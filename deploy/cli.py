@@ -186,6 +186,7 @@ def doctor() -> None:
 def main() -> None:
     """Entry point; bad input ends here with one message and exit code 2."""
     logging.basicConfig(level=logging.ERROR, format="%(message)s", stream=sys.stderr)
+    logging.getLogger("bus_schema").setLevel(logging.WARNING)
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
     try:
         app()

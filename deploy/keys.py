@@ -7,7 +7,7 @@ nowhere but in their own files.
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 import ipaddress
 import os
 import stat
@@ -25,7 +25,7 @@ from bus_schema.topics import Role
 from deploy.scenario import ScenarioError
 
 AUTHORITY_NAME = "funnel-hil authority"
-_CLOCKS_DIFFER_BY = datetime.timedelta(minutes=5)
+_CLOCKS_DIFFER_BY = dt.timedelta(minutes=5)
 _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
@@ -159,7 +159,7 @@ def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> Non
     certificate = read_certificate(path, remedy)
     if common_name(certificate) != role:
         said = common_name(certificate)
-        raise ScenarioError(f"{path}: is a certificate for {said!r}, not for {role!r}: {remedy}")
+        raise ScenarioError(f"{path}: is a certificate for {said!r}, not for {role.value!r}: {remedy}")
     _require_valid_now(path, certificate, remedy)
     try:
         certificate.verify_directly_issued_by(authority)
@@ -171,7 +171,7 @@ def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> Non
 
 
 def _require_valid_now(path: Path, certificate: x509.Certificate, remedy: str) -> None:
-    now = datetime.datetime.now(datetime.UTC)
+    now = dt.datetime.now(dt.UTC)
     if now > certificate.not_valid_after_utc:
         raise ScenarioError(f"{path}: expired at {certificate.not_valid_after_utc}: {remedy}")
     if now < certificate.not_valid_before_utc:
@@ -236,10 +236,10 @@ def _builder(
     issuer: x509.Name,
     key: ec.EllipticCurvePrivateKey,
     days: float,
-    until: datetime.datetime | None = None,
+    until: dt.datetime | None = None,
 ) -> x509.CertificateBuilder:
-    now = datetime.datetime.now(datetime.UTC)
-    end = now + datetime.timedelta(days=days)
+    now = dt.datetime.now(dt.UTC)
+    end = now + dt.timedelta(days=days)
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -253,8 +253,10 @@ def _builder(
 
 
 def _usage(**allowed: bool) -> x509.KeyUsage:
-    uses = ("digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
-            "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only")  # fmt: skip
+    uses = (
+        "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
+        "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only",
+    )  # fmt: skip
     return x509.KeyUsage(**{use: allowed.get(use, False) for use in uses})
 
 

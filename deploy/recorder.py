@@ -88,6 +88,7 @@ class Recorder:
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
         has_heard = False
+        silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
         while not is_stop_requested():
             somebody_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
             time.sleep(_PAUSE_S)
@@ -95,6 +96,9 @@ class Recorder:
             has_heard = has_heard or wrote
             if has_heard and not somebody_is_there and not wrote:
                 return
+            if not has_heard and not somebody_is_there:
+                for silence in silences:
+                    silence.look()
             if not has_heard and not somebody_is_there and time.monotonic() > give_up_s:
                 raise PeerSilentError(
                     "plant", self._setup.scenario.link.connect_timeout_s, "message"
