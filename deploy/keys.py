@@ -158,8 +158,8 @@ def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> Non
     remedy = f"run `funnel-hil keys issue {role} --folder {keys.path}`"
     certificate = read_certificate(path, remedy)
     if common_name(certificate) != role:
-        said = common_name(certificate)
-        raise ScenarioError(f"{path}: is a certificate for {said!r}, not for {role.value!r}: {remedy}")
+        said = f"is a certificate for {common_name(certificate)!r}, not for {role.value!r}"
+        raise ScenarioError(f"{path}: {said}: {remedy}")
     _require_valid_now(path, certificate, remedy)
     try:
         certificate.verify_directly_issued_by(authority)
