@@ -82,9 +82,9 @@ class ZenohNode:
         self._session.subscribe(topic.key_expression(self._domain), on_delivery)
         self._announce(EntityKind.SUBSCRIBER, topic)
 
-    def listen_to_all(self, capacity: int) -> Mailbox:
+    def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox:
         """Subscribe to everything in the domain, in one mailbox."""
-        mailbox = self._session.mailbox(f"{self._domain}/**", capacity)
+        mailbox = self._session.mailbox(f"{self._domain}/**", capacity, lossless=lossless)
         for topic in topics.TOPICS:
             self._announce(EntityKind.SUBSCRIBER, topic)
         return mailbox

@@ -133,10 +133,10 @@ class ZenohSession:
         handler = zenoh.handlers.Callback(handle, indirect=False)
         self._kept.append(self._session.declare_subscriber(key, handler))
 
-    def mailbox(self, key: str, capacity: int) -> Mailbox:
-        """Subscribe with a mailbox; once it is full, senders have to wait."""
-        handler: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(capacity)
-        return Mailbox(self._session.declare_subscriber(key, handler))
+    def mailbox(self, key: str, capacity: int, *, lossless: bool) -> Mailbox:
+        """Subscribe with a mailbox; once it is full, senders wait, or the oldest is dropped."""
+        kind = zenoh.handlers.FifoChannel if lossless else zenoh.handlers.RingChannel
+        return Mailbox(self._session.declare_subscriber(key, kind(capacity)))
 
     def announce(self, token: str) -> None:
         """Declare a liveliness token, which lives as long as the session."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import threading
@@ -193,6 +192,9 @@ def main() -> None:
     except (ScenarioError, RunFolderError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
+    except OSError as error:  # a disk that is full or gone
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(FAULT)
 
 
 def _require_keys(setup: Setup, *roles: Role) -> None:
@@ -212,7 +214,7 @@ def _finish(
         faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
         for fault in faults or ["stopped before the run began"]:
             console.print(escape(fault))
-        folder.summary.write_text(json.dumps({"completed": False, "faults": faults}) + "\n")
+        folder.write_summary({"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
     summary = folder.conclude(data, outcome.failures)
     show_summary(console, summary)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from bus_schema.whole_files import complete, partial_path
+
 _COLUMNS = {
     "scenario": "string",
     "law": "string",
@@ -70,4 +72,5 @@ def write_rows(rows: Sequence[Row], path: Path) -> None:
         "list<double>": pa.list_(pa.float64()),
     }
     schema = pa.schema([(name, kinds[kind]) for name, kind in _COLUMNS.items()])
-    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), path)
+    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+    complete(path)
