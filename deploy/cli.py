@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schema.topics import Role
+from bus_schema.whole_files import partial_path
 from deploy import cli_experiments, cli_keys
 from deploy import doctor as doctor_module
 from deploy.cli_common import (
@@ -31,7 +32,7 @@ from deploy.cli_common import (
 from deploy.experiments.simulate import simulate as simulate_setup
 from deploy.keys import check_keys
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
-from deploy.processes import Voice, run_controller, run_plant, run_recorder
+from deploy.processes import StopRequest, Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
 from deploy.scenario import ScenarioError, Setup, load_setup
 from deploy.terminal import RunProgress, show_summary
@@ -155,14 +156,16 @@ def record(
     setup = load_setup(scenario, overrides or [])
     _require_keys(setup, Role.RECORDER)
     voice = Voice(Role.RECORDER, to_parent=to_parent)
+    stop = StopRequest()
     if log is not None:
-        raise typer.Exit(run_recorder(setup, log, voice))
+        raise typer.Exit(run_recorder(setup, log, voice, stop))
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
     folder.write_manifest(setup, {})
-    code = run_recorder(setup, folder.log, voice)
-    if code == FINISHED:
-        _finish(Console(), folder, RunOutcome(), require_bounds=False)
+    code = run_recorder(setup, folder.log, voice, stop)
+    if code == FINISHED or partial_path(folder.log).exists():
+        outcome = RunOutcome(interrupted=stop.is_set)
+        _finish(Console(), folder, outcome, require_bounds=False)
     raise typer.Exit(code)
 
 

@@ -27,7 +27,6 @@ from deploy.scenario import ScenarioError
 AUTHORITY_NAME = "funnel-hil authority"
 _CLOCKS_DIFFER_BY = dt.timedelta(minutes=5)
 _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
-_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,8 @@ def _require_valid_now(path: Path, certificate: x509.Certificate, remedy: str) -
 def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
     pem = _read(path, remedy)
     mode = path.stat().st_mode
-    if mode & _OTHERS:
+    # A group may be the one of a service, and where systemd hands keys over it is always shown.
+    if mode & stat.S_IRWXO:
         shown = stat.filemode(mode)
         raise ScenarioError(f"{path}: others may read it ({shown}): run `chmod 600 {path}`")
     try:

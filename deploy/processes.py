@@ -155,9 +155,8 @@ def _control(loop: ControlLoop, link: ZenohControllerLink, stop: StopRequest, vo
     return code
 
 
-def run_recorder(setup: Setup, path: Path, voice: Voice) -> int:
+def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> int:
     """Be the recorder for one run; the exit code."""
-    stop = StopRequest()
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
