@@ -12,8 +12,10 @@ Byte order and alignment: OMG Data Distribution Service, RTPS 2.5 clause 10 (enc
 
 from __future__ import annotations
 
+import struct
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,11 @@ _NUMPY_TYPES = {
     "uint32": "<u4", "int32": "<i4", "uint64": "<u8", "int64": "<i8",
     "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
+_STRUCT_CODES = {
+    "u1": "B", "i1": "b", "u2": "H", "i2": "h", "u4": "I", "i4": "i", "u8": "Q", "i8": "q",
+    "f4": "f", "f8": "d",
+}  # fmt: skip
+_HEADER = ("header.stamp.sec", "header.stamp.nanosec")
 _NANOSECONDS = 1_000_000_000
 _WORD, _SIGN = 0xFFFF_FFFF, 0x8000_0000
 
@@ -47,6 +54,7 @@ class Record:
 
     Attributes:
         fields: one writable view per variable field, by dotted name; scalars have shape (1,).
+        put_scalars: sets all scalars between the header and the first array, in wire order.
     """
 
     def __init__(self, layout: MessageLayout) -> None:
@@ -62,6 +70,7 @@ class Record:
             name: payload[name][0] if payload[name].ndim == 2 else payload[name]
             for name in layout.dtype.names or ()
         }
+        self.put_scalars = partial(layout.scalars.pack_into, self._memory, layout.scalars_offset)
         # Seconds and nanoseconds of the stamp as one little-endian word: one access for both.
         self._stamp: NDArray[np.uint64] = np.ndarray(
             (1,), "<u8", storage.data, 2 * ENCAPSULATION_BYTES
@@ -81,6 +90,21 @@ class Record:
     def put_stamp(self, word: int) -> None:
         """Set the stamp from a `stamp_word`, which several messages of one instant can share."""
         self._stamp[0] = word
+
+    def matrix(self, first: str, last: str) -> NDArray[np.float64]:
+        """Consecutive arrays of doubles as the rows of one writable view, shape (arrays, length).
+
+        CDR puts arrays of equal length at equal distances.
+        """
+        names = list(self.fields)
+        views = [self.fields[name] for name in names[names.index(first) : names.index(last) + 1]]
+        addresses = [view.ctypes.data for view in views]
+        strides = set(np.diff(addresses).tolist())
+        if len(strides) != 1 or len({view.shape for view in views}) != 1:
+            raise ValueError(f"{first} to {last} are not arrays of one length")
+        return np.lib.stride_tricks.as_strided(
+            views[0], (len(views), views[0].size), (strides.pop(), views[0].itemsize)
+        )
 
     def has_valid_stamp(self) -> bool:
         """Whether the nanoseconds are what builtin_interfaces/Time allows."""
@@ -121,6 +145,7 @@ class MessageLayout:
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         self.size = len(self.template)
         self.dtype = self._numpy_type()
+        self.scalars_offset, self.scalars = self._scalars_after_header()
         mask = self._mask_of_fixed_bytes()
         self._fixed_mask = int.from_bytes(mask, "little")
         self._fixed_bits = int.from_bytes(self.template, "little") & self._fixed_mask
@@ -196,6 +221,21 @@ class MessageLayout:
             elif count := self._lengths[path] if kind == Nodetype.SEQUENCE else argument[1]:
                 start = cursor.take(scalar.itemsize * count, scalar.itemsize)
                 yield path, (scalar, (count,)), start
+
+    def _scalars_after_header(self) -> tuple[int, struct.Struct]:
+        """Where the scalars between header and first array lie, and their packing."""
+        code, start, position = "<", 0, 0
+        fields: Mapping[str, Any] = self.dtype.fields or {}
+        for name, (kind, offset, *_) in fields.items():
+            if kind.shape:
+                break
+            if name in _HEADER:
+                continue
+            start = start or offset
+            padding = offset - position if position else 0
+            code += "x" * padding + _STRUCT_CODES[kind.str[1:]]
+            position = offset + kind.itemsize
+        return start, struct.Struct(code)
 
     def _mask_of_fixed_bytes(self) -> bytes:
         mask = bytearray(b"\xff" * self.size)

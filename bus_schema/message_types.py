@@ -13,7 +13,6 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 PLANT_STATUS = f"{PACKAGE}/msg/PlantStatus"
 PLANT_TRUTH = f"{PACKAGE}/msg/PlantTruth"
 CONTROL_STATUS = f"{PACKAGE}/msg/ControlStatus"
-LOOP_TIMING = f"{PACKAGE}/msg/LoopTiming"
 RUN_EVENT = f"{PACKAGE}/msg/RunEvent"
 
 

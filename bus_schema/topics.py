@@ -62,10 +62,6 @@ JOINT_COMMANDS = Topic(
 PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK, urgent=True)
 PLANT_TRUTH = Topic("plant_truth", message_types.PLANT_TRUTH, Role.PLANT, Rate.TICK)
 CONTROL_STATUS = Topic("control_status", message_types.CONTROL_STATUS, Role.CONTROLLER, Rate.TICK)
-PLANT_TIMING = Topic("plant_timing", message_types.LOOP_TIMING, Role.PLANT, Rate.TICK)
-CONTROLLER_TIMING = Topic(
-    "controller_timing", message_types.LOOP_TIMING, Role.CONTROLLER, Rate.TICK
-)
 RUN_EVENTS = Topic("run_events", message_types.RUN_EVENT, None, Rate.EVENT)
 
 TOPICS = (
@@ -74,8 +70,6 @@ TOPICS = (
     PLANT_STATUS,
     PLANT_TRUTH,
     CONTROL_STATUS,
-    PLANT_TIMING,
-    CONTROLLER_TIMING,
     RUN_EVENTS,
 )
 

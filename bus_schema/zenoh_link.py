@@ -205,10 +205,6 @@ class ZenohControllerLink:
 
 
 _TELEMETRY: dict[Role, Sequence[Topic]] = {
-    Role.PLANT: (
-        topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.PLANT_TIMING, topics.RUN_EVENTS
-    ),
-    Role.CONTROLLER: (
-        topics.CONTROL_STATUS, topics.CONTROLLER_TIMING, topics.RUN_EVENTS
-    ),
-}  # fmt: skip
+    Role.PLANT: (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS),
+    Role.CONTROLLER: (topics.CONTROL_STATUS, topics.RUN_EVENTS),
+}

@@ -60,7 +60,10 @@ class ControlLoop:
         self._plant_status = Record(self._plant_status_layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
         self._status = Record(topics.layout(topics.CONTROL_STATUS, names))
-        self._timing = Record(topics.layout(topics.CONTROLLER_TIMING, names))
+        self._motion = self._state.matrix("position", "velocity")
+        self._effort = self._command.fields["effort"]
+        self._upper_bound = self._status.fields["upper_bound"]
+        self._lower_bound = self._status.fields["lower_bound"]
         self.tracking = self._tracking_in_status()
         self._start_ns: int | None = None
         self.stamp_ns = -1
@@ -87,8 +90,8 @@ class ControlLoop:
         started_ns = time.perf_counter_ns()
         if self._read(state, plant_status):
             torque = self._update()
-            self._write(torque)
-            self._report(started_ns)
+            sequence = self._write(torque)
+            self._report(sequence, started_ns)
 
     def _read(self, state: bytes, plant_status: bytes | None) -> bool:
         """Take in a state; whether it calls for a new torque."""
@@ -118,32 +121,26 @@ class ControlLoop:
         torque = self._task.law.torque(self.tracking)
         return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
 
-    def _write(self, torque: Vector) -> None:
-        self._command.stamp_ns = self.stamp_ns
-        self._command.fields["effort"][:] = torque
-        sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        self._status.fields["sequence"][0] = sequence
+    def _write(self, torque: Vector) -> int:
+        self._command.put_stamp(stamp_word(self.stamp_ns))
+        self._effort[:] = torque
+        return self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
 
-    def _report(self, started_ns: int) -> None:
+    def _report(self, sequence: int, started_ns: int) -> None:
         """Publish what the law thought and how long it took; the torque is already on its way."""
-        done_ns = time.perf_counter_ns()
-        status, timing, bounds = self._status, self._timing, self.tracking.bounds
-        word = stamp_word(self.stamp_ns)
-        status.put_stamp(word)
-        timing.put_stamp(word)
-        status.fields["upper_bound"][:] = bounds[UPPER]
-        np.negative(bounds[LOWER], out=status.fields["lower_bound"])
-        timing.fields["cycle"][0] = self.cycles
-        timing.fields["period_ns"][0] = started_ns - self._cycle_started_ns if self.cycles else 0
-        timing.fields["step_ns"][0] = done_ns - started_ns
+        step_ns = time.perf_counter_ns() - started_ns
+        period_ns = started_ns - self._cycle_started_ns if self.cycles else 0
+        status, bounds = self._status, self.tracking.bounds
+        status.put_stamp(stamp_word(self.stamp_ns))
+        status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence)
+        self._upper_bound[:] = bounds[UPPER]
+        np.negative(bounds[LOWER], out=self._lower_bound)
         self._link.publish(topics.CONTROL_STATUS, status.payload())
-        self._link.publish(topics.CONTROLLER_TIMING, timing.payload())
         self._cycle_started_ns = started_ns
         self.cycles += 1
 
     def _require_finite(self) -> None:
-        fields = self._state.fields
-        if not (all_finite(fields["position"]) and all_finite(fields["velocity"])):
+        if not all_finite(self._motion):
             raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
     def _start_of_run(self, plant_status: bytes | None, first_stamp_ns: int) -> int:

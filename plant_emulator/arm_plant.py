@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
@@ -38,6 +38,9 @@ class ArmPlant:
     Attributes:
         mode: what the arm does.
         torques: torques of the last substep.
+        position: true joint positions, rad, shape (joints,).
+        velocity: true joint velocities, rad/s, shape (joints,).
+        motion: both as rows, shape (2, joints).
     """
 
     def __init__(
@@ -64,18 +67,11 @@ class ArmPlant:
             robot, substep_s, payload_kg=configuration.payload_kg, gui=configuration.gui
         )
         self._arm.place(start_position_rad)
+        self.position: Vector = self._arm.position
+        self.velocity: Vector = self._arm.velocity
+        self.motion: Matrix = self._arm.motion
         self._set_brakes(engaged=True)
         self.mode = Mode.BRAKED
-
-    @property
-    def position(self) -> Vector:
-        """True joint positions, rad, shape (joints,)."""
-        return self._arm.position
-
-    @property
-    def velocity(self) -> Vector:
-        """True joint velocities, rad/s, shape (joints,)."""
-        return self._arm.velocity
 
     @staticmethod
     def check(

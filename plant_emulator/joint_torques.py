@@ -21,6 +21,7 @@ class JointTorques:
         friction: friction, opposing, N m.
         disturbance: disturbance, opposing, N m.
         total: actuator − friction − disturbance, N m. All of shape (joints,).
+        acting: actuator, friction and disturbance as rows, shape (3, joints).
         saturated: whether the last command asked for all that an actuator has, or more.
     """
 
@@ -43,6 +44,7 @@ class JointTorques:
         self.friction: Vector = self._torques[1]
         self.disturbance: Vector = self._torques[2]
         self.total: Vector = self._torques[3]
+        self.acting: Matrix = self._torques[:3]
         self.saturated = False
 
     def act(self, commanded_nm: Vector, velocity: Vector, time_s: float) -> Vector:

@@ -1,16 +1,20 @@
-"""What the plant tells of itself: truth at every tick, timing of every cycle, events.
+"""What the plant tells of itself: truth and timing at every tick, and events.
 
 Entries are collected and sent when the loop has time for them: after a state is on its way.
 """
 
 from __future__ import annotations
 
+import time
+
 from bus_schema import topics
-from bus_schema.cdr_layout import Record
+from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.link import PlantLink
 from bus_schema.topics import Role
 from plant_emulator.arm_plant import ArmPlant
+
+_NO_CYCLE_NS = -1
 
 
 class PlantJournal:
@@ -19,7 +23,6 @@ class PlantJournal:
     Attributes:
         round_trip_ns: round trip of the newest command since the last tick, -1 without one.
         state_age_ns: age of the newest state delivered since the last tick, -1 without one.
-        lateness_ns: how late the loop woke up for this cycle.
         skipped: ticks at which nothing was measured, because the loop came too late.
         deadline_misses: ticks at which the command in force was too old.
     """
@@ -27,58 +30,65 @@ class PlantJournal:
     def __init__(self, joint_names: tuple[str, ...], deadline_ns: int) -> None:
         self._deadline_ns = deadline_ns
         self._truth = Record(topics.layout(topics.PLANT_TRUTH, joint_names))
-        self._timing = Record(topics.layout(topics.PLANT_TIMING, joint_names))
+        self._motion = self._truth.matrix("position", "velocity")
+        self._torques = self._truth.matrix("torque", "disturbance")
         self._entries: list[tuple[topics.Topic, bytes]] = []
         self._cycle_started_ns = 0
+        self._period_ns = 0
+        self._lateness_ns = 0
+        self._step_ns = 0
         self.round_trip_ns = -1
         self.state_age_ns = -1
-        self.lateness_ns = 0
         self.skipped = 0
         self.deadline_misses = 0
 
+    def begin_cycle(self, lateness_ns: int) -> None:
+        """A cycle begins, so late after the instant it was to begin at."""
+        now_ns = time.perf_counter_ns()
+        self._period_ns = now_ns - self._cycle_started_ns if self._cycle_started_ns else 0
+        self._lateness_ns = lateness_ns
+        self._cycle_started_ns = now_ns
+
+    def end_cycle(self) -> None:
+        """The work of the cycle is done."""
+        self._step_ns = time.perf_counter_ns() - self._cycle_started_ns
+
     def note_truth(
-        self, stamp_ns: int, arm: ArmPlant, command_sequence: int, command_age_ns: int
+        self,
+        stamp_ns: int,
+        tick: int,
+        arm: ArmPlant,
+        command_sequence: int,
+        command_age_ns: int,
+        *,
+        was_skipped: bool,
     ) -> None:
         """Note what is true at a tick, also at one that was skipped.
 
         Args:
             stamp_ns: instant of the tick.
+            tick: its number.
             arm: the arm.
             command_sequence: number of the command in force, 0 before the first.
             command_age_ns: age of the state it answers, -1 before the first.
+            was_skipped: the loop came too late to measure at this tick.
         """
-        fields, torques = self._truth.fields, arm.torques
         # Before the first command nothing in force can be older than the run itself.
         age_ns = command_age_ns if command_age_ns >= 0 else stamp_ns
         is_in_time = age_ns <= self._deadline_ns
         self.deadline_misses += not is_in_time
-        self._truth.stamp_ns = stamp_ns
-        fields["mode"][0] = arm.mode
-        fields["command_sequence"][0] = command_sequence
-        fields["command_age_ns"][0] = command_age_ns
-        fields["round_trip_ns"][0] = self.round_trip_ns
-        fields["state_age_ns"][0] = self.state_age_ns
-        fields["deadline_met"][0] = is_in_time
-        fields["saturated"][0] = torques.saturated
-        fields["position"][:] = arm.position
-        fields["velocity"][:] = arm.velocity
-        fields["torque"][:] = torques.actuator
-        fields["friction"][:] = torques.friction
-        fields["disturbance"][:] = torques.disturbance
-        self._entries.append((topics.PLANT_TRUTH, self._truth.payload()))
+        truth = self._truth
+        truth.put_stamp(stamp_word(stamp_ns))
+        truth.put_scalars(
+            tick, self._period_ns, _NO_CYCLE_NS if was_skipped else self._lateness_ns,
+            self._step_ns, self.skipped,
+            command_sequence, command_age_ns, self.round_trip_ns, self.state_age_ns,
+            arm.mode, is_in_time, arm.torques.saturated,
+        )  # fmt: skip
+        self._motion[:] = arm.motion
+        self._torques[:] = arm.torques.acting
+        self._entries.append((topics.PLANT_TRUTH, truth.payload()))
         self.round_trip_ns = self.state_age_ns = -1
-
-    def note_timing(self, stamp_ns: int, cycle: int, started_ns: int, done_ns: int) -> None:
-        """Note how a cycle went; the last two are instants of a monotonic clock."""
-        fields = self._timing.fields
-        self._timing.stamp_ns = stamp_ns
-        fields["cycle"][0] = cycle
-        fields["period_ns"][0] = started_ns - self._cycle_started_ns if cycle > 1 else 0
-        fields["lateness_ns"][0] = self.lateness_ns
-        fields["step_ns"][0] = done_ns - started_ns
-        fields["skipped"][0] = self.skipped
-        self._entries.append((topics.PLANT_TIMING, self._timing.payload()))
-        self._cycle_started_ns = started_ns
 
     def note_event(self, stamp_ns: int, kind: EventKind, detail: str) -> None:
         """Note that something happened."""

@@ -95,6 +95,9 @@ class PlantLoop:
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
         self._journal = PlantJournal(names, task.link.deadline_ns(task.grid.period_ns))
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
+        self._position, self._velocity, self._effort = (
+            self._state.fields[name] for name in ("position", "velocity", "effort")
+        )
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._in_force: Command | None = None
         self._newest_sent_ns = -1
@@ -102,6 +105,7 @@ class PlantLoop:
         self._end_tick = task.ticks
         self._outcome = PlantOutcome()
         self._stop_requested = False
+        self._lateness_ns = 0
         self.tick = 0
 
     @property
@@ -123,7 +127,8 @@ class PlantLoop:
         started_s = time.monotonic()
         self._clock.start()
         self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
-        self._note_truth()
+        self._journal.begin_cycle(0)
+        self._note_truth(was_skipped=False)
         self._measure()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
@@ -138,13 +143,11 @@ class PlantLoop:
     def _cycle(self) -> None:
         tick = self._next_tick()
         self._exchange_until(self._grid.tick_ns(tick))
-        started_ns = time.perf_counter_ns()
+        self._journal.begin_cycle(self._lateness_ns)
         self._advance_to(tick)
         if tick < self._end_tick:
             self._measure()
-        self._journal.note_timing(
-            self._grid.tick_ns(tick), tick, started_ns, time.perf_counter_ns()
-        )
+        self._journal.end_cycle()
 
     def _next_tick(self) -> int:
         """The next tick of the grid, or the one that the clock has reached if that is later."""
@@ -163,7 +166,7 @@ class PlantLoop:
             self._clock.wait_until(due_ns)
             self._deliver(measurement, due_ns)
         self._journal.send(self._link)
-        self._journal.lateness_ns = self._clock.wait_until(until_ns)
+        self._lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
 
     def _deliver(self, measurement: _Measurement, now_ns: int) -> None:
@@ -215,7 +218,7 @@ class PlantLoop:
                 arm.step(now_ns * 1e-9)
             self.tick += 1
             self._put_into_force(self._grid.tick_ns(self.tick))
-            self._note_truth()
+            self._note_truth(was_skipped=self.tick < tick)
 
     def _put_into_force(self, now_ns: int) -> None:
         while self._downlink.next_due_ns <= now_ns:
@@ -243,19 +246,19 @@ class PlantLoop:
         word = stamp_word(stamp_ns)
         state.put_stamp(word)
         status.put_stamp(word)
-        self._arm.read_encoders(state.fields["position"], state.fields["velocity"])
-        state.fields["effort"][:] = self._arm.torques.actuator
-        status.fields["mode"][0] = self._arm.mode
-        status.fields["command_sequence"][0] = self._in_force.sequence if self._in_force else 0
-        status.fields["command_age_ns"][0] = self._command_age_ns()
+        self._arm.read_encoders(self._position, self._velocity)
+        self._effort[:] = self._arm.torques.actuator
+        sequence = self._in_force.sequence if self._in_force else 0
+        status.put_scalars(*_START, self._arm.mode, sequence, self._command_age_ns())
         measurement = _Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns)
 
-    def _note_truth(self) -> None:
+    def _note_truth(self, *, was_skipped: bool) -> None:
         sequence = self._in_force.sequence if self._in_force else 0
         self._journal.note_truth(
-            self._grid.tick_ns(self.tick), self._arm, sequence, self._command_age_ns()
-        )
+            self._grid.tick_ns(self.tick), self.tick, self._arm, sequence, self._command_age_ns(),
+            was_skipped=was_skipped,
+        )  # fmt: skip
 
     def _command_age_ns(self) -> int:
         if self._in_force is None:
@@ -285,5 +288,7 @@ class PlantLoop:
         self._journal.send(self._link)
 
 
+_START = (0, 0)
+"""Seconds and nanoseconds at which a run starts on its own clock."""
 _PATIENCE_S = 0.1
 _COMMANDABLE = (Mode.BRAKED, Mode.TRACKING)

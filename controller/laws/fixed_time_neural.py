@@ -13,6 +13,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.compiled import compiled
@@ -25,8 +26,9 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
+from controller.packed_gains import pack
 from controller.prescribed_performance import clip_into_funnel, transform, transformation_rates
-from controller.rbf_network import NODES, activate, adapt, node_centres
+from controller.rbf_network import NODES, activate, adapt, node_axis
 from controller.sliding_surface import sig, surface_pull
 
 
@@ -69,9 +71,9 @@ class FixedTimeNeural:
 
     def __init__(self, gains: FixedTimeNeuralGains) -> None:
         joints = gains.k_1.size
-        self.gains = gains
+        self._gains = pack(gains)
         self.diagnostics = Diagnostics(joints)
-        self._centres = node_centres()
+        self._axis = node_axis()
         self._activation: Vector = np.zeros(NODES)
         self._weights: Matrix = np.zeros((joints, NODES))
         self._torque: Vector = np.zeros(joints)
@@ -85,9 +87,9 @@ class FixedTimeNeural:
             tracking.error_rate,
             tracking.bounds,
             tracking.step_s,
-            self.gains,
+            self._gains,
             self._weights,
-            self._centres,
+            self._axis,
             self._activation,
             self.diagnostics.transformed_error,
             self.diagnostics.sliding_variable,
@@ -100,11 +102,11 @@ class FixedTimeNeural:
 
 @compiled
 def _torque(
-    error: Vector, error_rate: Vector, bounds: Matrix, step_s: float, gains: FixedTimeNeuralGains,
-    weights: Matrix, centres: Matrix, activation: Vector,
+    error: Vector, error_rate: Vector, bounds: Matrix, step_s: float, gains: NDArray[np.void],
+    weights: Matrix, axis: Vector, activation: Vector,
     transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
 ) -> None:  # fmt: skip
-    g = gains
+    g = gains[0]
     squared_norm = 0.0
     for i in range(error.size):
         upper, lower = bounds[UPPER, i], bounds[LOWER, i]
@@ -115,13 +117,13 @@ def _torque(
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
         s = (d_epsilon + pull) / r
 
-        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), centres, g.node_width, activation)
+        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), axis, g.node_width, activation)
         adapt(
             weights[i], activation, s, step_s,
             g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
         )  # fmt: skip
         output = 0.0
-        for k in range(centres.shape[0]):
+        for k in range(activation.size):
             output -= weights[i, k] * activation[k]
             squared_norm += weights[i, k] * weights[i, k]
 

@@ -71,8 +71,8 @@ def timing_quantities_us(run: RunData) -> dict[str, Vector]:
         "round trip": truth["round_trip_ns"],
         "command age": truth["command_age_ns"],
         "state age": truth["state_age_ns"],
-        "control step": run.tables[topics.CONTROLLER_TIMING.name]["step_ns"],
-        "wake-up lateness": run.tables[topics.PLANT_TIMING.name]["lateness_ns"],
+        "control step": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
+        "wake-up lateness": truth["timing.lateness_ns"],
     }
     known = {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
     return {name: values for name, values in known.items() if len(values)}

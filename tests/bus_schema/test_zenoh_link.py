@@ -168,7 +168,6 @@ def test_foreign_client_sees_our_topics(foreign: tuple[ZenohPlantLink, Client]) 
         "/joint_commands": ["sensor_msgs/msg/JointState"],
         "/joint_states": ["sensor_msgs/msg/JointState"],
         "/plant_status": ["funnel_hil_msgs/msg/PlantStatus"],
-        "/plant_timing": ["funnel_hil_msgs/msg/LoopTiming"],
         "/plant_truth": ["funnel_hil_msgs/msg/PlantTruth"],
         "/run_events": ["funnel_hil_msgs/msg/RunEvent"],
     }

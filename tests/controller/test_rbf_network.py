@@ -5,28 +5,30 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.rbf_network import NODES, activate, adapt, node_centres
+from controller.rbf_network import NODES, activate, adapt, node_axis
 
 INPUT = st.floats(-1.0, 1.0)
 
 
+CENTRES = np.array([(x, y) for x in node_axis() for y in node_axis()])
+
+
 def activation(x, y, width=0.3):
     out = np.empty(NODES)
-    activate(x, y, node_centres(), width, out)
+    activate(x, y, node_axis(), width, out)
     return out
 
 
 def test_nodes_are_a_grid_of_25_over_the_square_of_inputs():
-    centres = node_centres()
     assert NODES == 25
-    assert centres.shape == (25, 2)
-    assert {tuple(centre) for centre in centres} == {
+    assert CENTRES.shape == (25, 2)
+    assert {tuple(centre) for centre in CENTRES} == {
         (x, y) for x in (-1.0, -0.5, 0.0, 0.5, 1.0) for y in (-1.0, -0.5, 0.0, 0.5, 1.0)
     }
 
 
 def test_node_answers_one_at_its_centre_and_one_over_root_e_at_one_width():
-    for k, (x, y) in enumerate(node_centres()):
+    for k, (x, y) in enumerate(CENTRES):
         assert activation(x, y)[k] == 1.0
         assert activation(x + 0.3, y)[k] == pytest.approx(math.exp(-0.5), rel=1e-12)
         assert activation(x, y - 0.3)[k] == pytest.approx(math.exp(-0.5), rel=1e-12)
@@ -35,7 +37,7 @@ def test_node_answers_one_at_its_centre_and_one_over_root_e_at_one_width():
 @settings(deadline=None)
 @given(x=INPUT, y=INPUT, width=st.floats(0.1, 2.0))
 def test_activation_is_gaussian_in_the_distance(x, y, width):
-    distance = np.hypot(node_centres()[:, 0] - x, node_centres()[:, 1] - y)
+    distance = np.hypot(CENTRES[:, 0] - x, CENTRES[:, 1] - y)
     expected = np.exp(-(distance**2) / (2.0 * width**2))
     np.testing.assert_allclose(activation(x, y, width), expected, rtol=1e-10, atol=1e-300)
 

@@ -21,7 +21,8 @@ class PinocchioArm:
     def __init__(self, robot, substep_s, *, payload_kg=0.0, gui=False):
         self._model = ManipulatorModel(robot, payload_kg=payload_kg)
         self._substep_s = substep_s
-        self.position, self.velocity = np.zeros(robot.joints), np.zeros(robot.joints)
+        self.motion = np.zeros((2, robot.joints))
+        self.position, self.velocity = self.motion
 
     def place(self, position):
         self.position[:], self.velocity[:] = position, 0.0

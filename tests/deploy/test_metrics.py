@@ -16,9 +16,8 @@ import pytest
 from bus_schema.cdr_layout import Record
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.topics import (
-    CONTROLLER_TIMING,
+    CONTROL_STATUS,
     JOINT_COMMANDS,
-    PLANT_TIMING,
     PLANT_TRUTH,
     RUN_EVENTS,
     Topic,
@@ -177,13 +176,14 @@ def test_percentiles_are_values_that_occurred() -> None:
 
 
 def test_timing_leaves_out_what_is_not_known(setup: Setup) -> None:
-    unknown = {"command_age_ns": -1, "round_trip_ns": -1, "state_age_ns": -1}
+    skipped = {"timing.lateness_ns": -1}
+    unknown = {"command_age_ns": -1, "round_trip_ns": -1, "state_age_ns": -1, **skipped}
     known = {"command_age_ns": 6_000_000, "round_trip_ns": 5_000_000, "state_age_ns": 2_000_000}
+    known["timing.lateness_ns"] = 1_500
     summary = judged(
         setup,
         [at(0.0, **unknown), at(0.0, **known), at(0.0, **unknown)],
-        controller_timing=rows(CONTROLLER_TIMING, {"step_ns": 40_000}, {"step_ns": 60_000}),
-        plant_timing=rows(PLANT_TIMING, {"lateness_ns": 1_500}),
+        control_status=rows(CONTROL_STATUS, {"timing.step_ns": 40_000}, {"timing.step_ns": 60_000}),
     )["timing"]
     assert set(summary["command_age_us"].values()) == {6000.0}
     assert set(summary["round_trip_us"].values()) == {5000.0}
