@@ -164,7 +164,7 @@ def test_false_plant_is_not_heard(keys: KeyFolder) -> None:
         plant_endpoint=f"tcp/127.0.0.1:{port}",
     )
     recorder = ZenohNode(link, Role.RECORDER, lossless=True)
-    mailbox = recorder.listen_to_all(100)
+    mailbox = recorder.listen_to_all(100, lossless=True)
     give_up_s = time.monotonic() + 1.5
     while time.monotonic() < give_up_s:
         states.put(STATE, b"")
