@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
+from bus_schema.channel_configuration import ChannelConfiguration
 from bus_schema.configuration import NonNegative, Positive, StrictModel
 from bus_schema.key_files import DEFAULT_FOLDER, KeyFolder
 from bus_schema.topics import Role
@@ -43,20 +44,6 @@ class SecurityConfiguration(StrictModel):
         return KeyFolder.at(self.folder)
 
 
-class ChannelConfiguration(StrictModel):
-    """One direction of the link.
-
-    Attributes:
-        delay_ms: constant delay of every message.
-    """
-
-    delay_ms: NonNegative = 0.0
-
-    @property
-    def delay_ns(self) -> int:
-        return round(self.delay_ms * 1e6)
-
-
 class LinkConfiguration(StrictModel, validate_default=True):
     """The link between controller and plant.
 
@@ -69,8 +56,10 @@ class LinkConfiguration(StrictModel, validate_default=True):
         router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
         uplink: plant to controller.
         downlink: controller to plant.
+        playout_ms: a command comes into force no earlier than this after the stamp of the state it
+            answers, on the plant's clock; 0 for at once.
         deadline_ms: largest age of the state that the command in force answers; by default one
-            period beyond the link's own mean delay.
+            period beyond the link's own mean delay, or beyond the play-out where that is longer.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
         reply_timeout_s: how long a silent peer is waited for during a run, wall time.
     """
@@ -83,6 +72,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     router_endpoint: Endpoint | None = None
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
+    playout_ms: NonNegative = 0.0
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
@@ -107,8 +97,12 @@ class LinkConfiguration(StrictModel, validate_default=True):
         """Where plant or controller listen; recorders connect to both, and do not listen."""
         return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
 
-    def deadline_ns(self, period_ns: int) -> int:
-        """The deadline for this tick period."""
+    @property
+    def playout_ns(self) -> int:
+        return round(self.playout_ms * 1e6)
+
+    def deadline_ns(self, period_ns: int, mean_round_trip_ns: int) -> int:
+        """The deadline for this tick period and what a round trip takes on average."""
         if self.deadline_ms is not None:
             return round(self.deadline_ms * 1e6)
-        return period_ns + self.uplink.delay_ns + self.downlink.delay_ns
+        return period_ns + mean_round_trip_ns

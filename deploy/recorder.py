@@ -18,11 +18,13 @@ from bus_schema.rmw_wire import Attachment
 from bus_schema.topics import Role, Topic
 from bus_schema.zenoh_node import ZenohNode
 from bus_schema.zenoh_session import Delivery
+from deploy.link_files import delay_files
 from deploy.scenario import Setup
 from deploy.scenario_text import effective_scenario
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
+DELAYS_ATTACHMENT = "{direction}_delays.txt"
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
@@ -52,6 +54,9 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     scenario = setup.scenario
     log.attach(SCENARIO_ATTACHMENT, "application/yaml", effective_scenario(setup).encode())
     log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
+    for direction, file in delay_files(scenario.link).items():
+        name = DELAYS_ATTACHMENT.format(direction=direction)
+        log.attach(name, "text/plain", file.read_bytes())
     log.add_metadata(
         RUN_METADATA,
         {"scenario": scenario.name, "law": scenario.controller.law, "clock": clock, "link": link},

@@ -18,7 +18,9 @@ from bus_schema.whole_files import partial_path, write_whole
 from deploy.experiments.metrics import summarise
 from deploy.experiments.report import write_report
 from deploy.experiments.run_data import RunData, build_run_data
+from deploy.link_files import DIRECTIONS
 from deploy.recorder import (
+    DELAYS_ATTACHMENT,
     LOST_METADATA,
     ROBOT_ATTACHMENT,
     RUN_METADATA,
@@ -130,8 +132,14 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
         robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
+        overrides = [f"robot.urdf={robot}"]
+        for direction in DIRECTIONS:
+            name = DELAYS_ATTACHMENT.format(direction=direction)
+            if name in contents.attachments:
+                (Path(folder) / name).write_bytes(contents.attachments[name])
+                overrides.append(f"link.{direction}.distribution_file={name}")
         try:
-            setup = load_setup(str(scenario), [f"robot.urdf={robot}"])
+            setup = load_setup(str(scenario), overrides)
         except ScenarioError as error:
             raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
     run, lost = contents.metadata.get(RUN_METADATA, {}), contents.metadata.get(LOST_METADATA)

@@ -37,6 +37,7 @@ from controller.control_loop import ControlTask
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference, sample_positions
 from controller.torque_guard import TorqueGuard
+from deploy.link_files import find_delay_files
 from deploy.robot_files import find_urdf
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
@@ -139,6 +140,7 @@ class Setup:
             grid=self.grid,
             ticks=self.ticks,
             lockstep=lockstep,
+            seed=self.scenario.seed,
         )
 
     def arm(self) -> ArmPlant:
@@ -209,10 +211,8 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     reference = scenario.reference.build(robot)
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
     if scenario.duration_s * 1e9 < grid.period_ns:
-        period_s = grid.period_ns * 1e-9
-        raise ConfigurationError(
-            "duration_s", scenario.duration_s, f"at least a tick, {period_s} s"
-        )
+        allowed = f"at least a tick, {grid.period_ns * 1e-9} s"
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed)
     key = "robot.initial_offset_rad"
     offset = expand(scenario.robot.initial_offset_rad, robot.joints, key)
     motion = _reachable_motion(reference, robot, scenario)
@@ -220,8 +220,9 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
         raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
+    link = find_delay_files(scenario.link, source.parent)
     setup = Setup(
-        scenario=scenario,
+        scenario=scenario.model_copy(update={"link": link}),
         source=source,
         robot=robot,
         reference=reference,

@@ -1,65 +1,139 @@
-"""What the emulated transport does to the messages of one direction."""
+"""What the emulated transport does to the messages of one direction.
+
+All is decided when a message is sent: random numbers are drawn per message in the order of sending,
+each feature from a stream of its own, whether it is in use or not. So switching one feature on
+leaves what the others draw as it was, and runs that differ in one value are comparable.
+"""
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+import heapq
+from typing import NamedTuple
 
-from bus_schema.link_configuration import ChannelConfiguration
+import numpy as np
 
-Item = TypeVar("Item")
+from bus_schema.channel_configuration import ChannelConfiguration
+from bus_schema.link_configuration import LinkConfiguration
+from plant_emulator.channel import NEVER_NS, Channel, Item
+from plant_emulator.command_gate import Command
+from plant_emulator.jitter import Jitter
+from plant_emulator.loss import Loss
+from plant_emulator.playout import PlayoutBuffer
+from plant_emulator.random_numbers import uniform_numbers
+from plant_emulator.schedule import Conditions, Schedule
+from plant_emulator.transport_statistics import TransportStatistics
 
-NEVER_NS = 1 << 62
-"""Later than any run ends."""
+
+class _Flight(NamedTuple):
+    """A message on its way: its number in the order of sending, and when that was."""
+
+    number: int
+    sent_ns: int
+    is_copy: bool
 
 
-@dataclass
-class TransportCounts:
-    """What became of the messages of one direction.
+class ImpairedChannel(Channel[Item]):
+    """A channel with everything that a `ChannelConfiguration` can ask for.
 
-    Attributes:
-        sent: handed to the channel.
-        delivered: came out of it.
-        lost: will never come out.
-        duplicated: came out more than once.
-        reordered: came out behind a younger one.
+    Args:
+        configuration: a section ``link.uplink`` or ``link.downlink``.
+        seed: seed of everything random here.
     """
 
-    sent: int = 0
-    delivered: int = 0
-    lost: int = 0
-    duplicated: int = 0
-    reordered: int = 0
+    def __init__(self, configuration: ChannelConfiguration, seed: np.random.SeedSequence) -> None:
+        super().__init__(configuration.delay_ns)
+        randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
+        self._jitter, self._copys_jitter = (Jitter(configuration, r) for r in randoms[:2])
+        self._loss = Loss(randoms[2], randoms[3])
+        self._duplicate_numbers = uniform_numbers(randoms[4])
+        self._schedule = Schedule(configuration)
+        self._may_overtake = configuration.reorder
+        self._flying: list[tuple[int, int, _Flight, Item]] = []
+        self._entered = self._latest_due_ns = self._bandwidth_free_ns = 0
+        self._newest_out = -1
+        self._statistics = TransportStatistics()
+        start = self._schedule.at(0)
+        self.mean_delay_ns = round(start.delay_ns + self._jitter.mean * start.jitter_ns)
 
-
-class Channel(Generic[Item]):
-    """One direction of the link: what goes in at one instant comes out at another.
-
-    Attributes:
-        next_due_ns: when the next item comes out; `NEVER_NS` if nothing is on its way.
-        counts: what became of the items.
-    """
-
-    def __init__(self, configuration: ChannelConfiguration) -> None:
-        self._delay_ns = configuration.delay_ns
-        self._in_flight: deque[tuple[int, Item]] = deque()
-        self.next_due_ns = NEVER_NS
-        self.counts = TransportCounts()
-
-    def send(self, item: Item, now_ns: int) -> None:
-        """Put `item` on its way at `now_ns`."""
-        self.counts.sent += 1
-        self._in_flight.append((now_ns + self._delay_ns, item))
-        self.next_due_ns = self._in_flight[0][0]
+    def send(self, item: Item, now_ns: int, size_bytes: int) -> None:
+        conditions = self._schedule.at(now_ns)
+        jitter = self._jitter.draw(conditions.correlation)
+        is_lost = self._loss.takes(conditions)
+        is_doubled = next(self._duplicate_numbers) < conditions.duplicate
+        flight = _Flight(self._statistics.sent, now_ns, is_copy=False)
+        self._statistics.note_sent(is_lost=is_lost)
+        if is_lost:
+            return
+        self._launch(item, flight, self._due_ns(conditions, jitter, now_ns, size_bytes))
+        if is_doubled:
+            jitter = self._copys_jitter.draw(0.0)
+            copy = flight._replace(is_copy=True)
+            self._launch(item, copy, self._due_ns(conditions, jitter, now_ns, size_bytes))
 
     def receive(self) -> tuple[int, Item]:
-        """The next item to come out and when it does so.
+        due_ns, _, flight, item = heapq.heappop(self._flying)
+        self.next_due_ns = self._flying[0][0] if self._flying else NEVER_NS
+        statistics = self._statistics
+        statistics.note_delivered(due_ns - flight.sent_ns)
+        if flight.is_copy:
+            statistics.duplicated += 1
+        elif flight.number < self._newest_out:
+            statistics.reordered += 1
+        self._newest_out = max(self._newest_out, flight.number)
+        return due_ns, item
 
-        Raises:
-            IndexError: nothing is on its way.
-        """
-        arrival = self._in_flight.popleft()
-        self.counts.delivered += 1
-        self.next_due_ns = self._in_flight[0][0] if self._in_flight else NEVER_NS
-        return arrival
+    def statistics(self) -> TransportStatistics:
+        return self._statistics
+
+    def _launch(self, item: Item, flight: _Flight, due_ns: int) -> None:
+        heapq.heappush(self._flying, (due_ns, self._entered, flight, item))
+        self._entered += 1
+        self.next_due_ns = self._flying[0][0]
+
+    def _due_ns(self, conditions: Conditions, jitter: float, now_ns: int, size_bytes: int) -> int:
+        """When a message comes out; it passes the limited bandwidth first, then it is delayed."""
+        passed_ns = max(now_ns, self._bandwidth_free_ns)
+        passed_ns += round(size_bytes * conditions.ns_per_byte)
+        self._bandwidth_free_ns = passed_ns
+        delay_ns = max(0, round(conditions.delay_ns + conditions.jitter_ns * jitter))
+        due_ns = passed_ns + delay_ns
+        if not self._may_overtake:
+            due_ns = self._latest_due_ns = max(due_ns, self._latest_due_ns)
+        return due_ns
+
+
+def open_uplink(link: LinkConfiguration, seed: int) -> Channel[Item]:
+    """The way of states to the controller.
+
+    Args:
+        link: section of the scenario.
+        seed: the scenario's seed.
+
+    Raises:
+        ValueError: its file of delays cannot be used.
+    """
+    return _open(link.uplink, seed, _UPLINK)
+
+
+def open_downlink(link: LinkConfiguration, seed: int) -> Channel[Command] | PlayoutBuffer:
+    """The way of commands to the joints, with a play-out buffer where one is asked for.
+
+    Args:
+        link: section of the scenario.
+        seed: the scenario's seed.
+
+    Raises:
+        ValueError: its file of delays cannot be used.
+    """
+    channel: Channel[Command] = _open(link.downlink, seed, _DOWNLINK)
+    return PlayoutBuffer(channel, link.playout_ns) if link.playout_ns else channel
+
+
+def _open(configuration: ChannelConfiguration, seed: int, stream: int) -> Channel[Item]:
+    if configuration.is_constant:
+        return Channel(configuration.delay_ns)
+    return ImpairedChannel(configuration, np.random.SeedSequence(seed, spawn_key=(stream,)))
+
+
+_UPLINK, _DOWNLINK = 100, 101
+"""Keys that keep the random streams of the directions apart from each other and from the arm's."""

@@ -11,7 +11,8 @@ from __future__ import annotations
 import json
 import logging
 import time
-from dataclasses import asdict, dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from bus_schema import topics
@@ -25,9 +26,10 @@ from bus_schema.link_configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.topics import Role
 from plant_emulator.arm_plant import ArmPlant, Mode
+from plant_emulator.channel import Channel
 from plant_emulator.command_gate import Command, CommandGate
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.impairment import Channel
+from plant_emulator.impairment import open_downlink, open_uplink
 from plant_emulator.plant_journal import PlantJournal
 from plant_emulator.watchdog import Watchdog
 
@@ -41,6 +43,7 @@ class PlantTask:
     Attributes:
         lockstep: wait for the reply to every state that is delivered.
         ticks: length of the run.
+        seed: seed of everything random on the link.
     """
 
     robot: RobotDescription
@@ -49,6 +52,7 @@ class PlantTask:
     grid: TickGrid
     ticks: int
     lockstep: bool
+    seed: int
 
 
 class _Measurement(NamedTuple):
@@ -87,13 +91,17 @@ class PlantLoop:
         names = task.robot.joint_names
         self._task, self._arm, self._link, self._clock = task, arm, link, clock
         self._grid = task.grid
-        self._uplink: Channel[_Measurement] = Channel(task.link.uplink)
-        self._downlink: Channel[Command] = Channel(task.link.downlink)
+        self._uplink: Channel[_Measurement] = open_uplink(task.link, task.seed)
+        self._downlink = open_downlink(task.link, task.seed)
         self._gate = CommandGate(names)
+        self._overtaken = 0
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
-        round_trip_ns = task.link.uplink.delay_ns + task.link.downlink.delay_ns
+        mean_ns = self._uplink.mean_delay_ns + self._downlink.mean_delay_ns
+        round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
-        self._journal = PlantJournal(names, task.link.deadline_ns(task.grid.period_ns))
+        self._journal = PlantJournal(
+            names, task.link.deadline_ns(self._grid.period_ns, round_trip_ns)
+        )
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
         self._position, self._velocity, self._effort = (
             self._state.fields[name] for name in ("position", "velocity", "effort")
@@ -164,14 +172,14 @@ class PlantLoop:
         while self._uplink.next_due_ns < until_ns:
             due_ns, measurement = self._uplink.receive()
             self._clock.wait_until(due_ns)
-            self._deliver(measurement, due_ns)
+            self._deliver(measurement)
         self._journal.send(self._link)
         self._lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
 
-    def _deliver(self, measurement: _Measurement, now_ns: int) -> None:
+    def _deliver(self, measurement: _Measurement) -> None:
         self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
-        self._journal.state_age_ns = now_ns - measurement.stamp_ns
+        self._journal.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
         self._journal.send(self._link)
         if self._task.lockstep and not self._controller_is_lost:
@@ -202,7 +210,7 @@ class PlantLoop:
         for arrival in arrivals:
             command = self._gate.admit(arrival, self._newest_sent_ns)
             if command is not None:
-                self._downlink.send(command, arrival.arrival_ns)
+                self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
 
     def _advance_to(self, tick: int) -> None:
         """Let the physics catch up with the clock, substep by substep."""
@@ -217,12 +225,15 @@ class PlantLoop:
                     self._stop_safely()
                 arm.step(now_ns * 1e-9)
             self.tick += 1
-            self._put_into_force(self._grid.tick_ns(self.tick))
+            if downlink.next_due_ns <= (end_ns := self._grid.tick_ns(self.tick)):
+                self._put_into_force(end_ns)
             self._note_truth(was_skipped=self.tick < tick)
 
     def _put_into_force(self, now_ns: int) -> None:
-        while self._downlink.next_due_ns <= now_ns:
-            effective_ns, command = self._downlink.receive()
+        for effective_ns, command in self._downlink.take_due(now_ns):
+            if self._in_force is not None and command.stamp_ns <= self._in_force.stamp_ns:
+                self._overtaken += 1
+                continue
             self._watchdog.feed(effective_ns)
             self._journal.round_trip_ns = effective_ns - command.stamp_ns
             if self._arm.mode is Mode.BRAKED:
@@ -251,7 +262,7 @@ class PlantLoop:
         sequence = self._in_force.sequence if self._in_force else 0
         status.put_scalars(*_START, self._arm.mode, sequence, self._command_age_ns())
         measurement = _Measurement(stamp_ns, state.payload(), status.payload())
-        self._uplink.send(measurement, stamp_ns)
+        self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
 
     def _note_truth(self, *, was_skipped: bool) -> None:
         sequence = self._in_force.sequence if self._in_force else 0
@@ -275,10 +286,10 @@ class PlantLoop:
 
     def _say_goodbye(self) -> None:
         outcome = self._outcome
-        rejected = dict(self._gate.rejections.counts)
+        rejected = self._gate.rejections.counts + Counter(overtaken=self._overtaken)
         counts = {
-            "uplink": asdict(self._uplink.counts) | {"rejected": {}},
-            "downlink": asdict(self._downlink.counts) | {"rejected": rejected},
+            "uplink": self._uplink.statistics().summary() | {"rejected": {}},
+            "downlink": self._downlink.statistics().summary() | {"rejected": rejected},
         }
         if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")

@@ -115,13 +115,13 @@ def _torque(run: RunData) -> dict[str, Any]:
     commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
     effort = commands["effort"]
-    if len(effort) < 2:
+    duration_s = np.ptp(stamps_s(commands)) if len(commands) else 0.0  # answers may be out of order
+    if not duration_s:
         return dict.fromkeys(
             ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm",
              "saturated_fraction")
         )  # fmt: skip
-    stamps = stamps_s(commands)
-    variation = np.abs(np.diff(effort, axis=0)).sum(axis=0) / (stamps[-1] - stamps[0])
+    variation = np.abs(np.diff(effort, axis=0)).sum(axis=0) / duration_s
     return {
         "total_variation_nm_per_s": variation.tolist(),
         "share_above_50_hz": chatter_shares(effort, run.setup.scenario.rate_hz),
@@ -159,5 +159,9 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
 def _transport(run: RunData) -> dict[str, Any]:
     event = run.plant_event(EventKind.COUNTS)
     counts = event.values() if event is not None else {}
-    unknown: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
+    unknown: dict[str, Any] = {
+        **dict.fromkeys(_CHANNEL), "rejected": {},
+        "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),
+        "loss_burst": dict.fromkeys(("mean", "longest")),
+    }  # fmt: skip
     return {name: counts.get(name, unknown) for name in ("uplink", "downlink")}

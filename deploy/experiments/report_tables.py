@@ -20,6 +20,20 @@ _TIMING = {
     "control_step_us": "Control step",
     "wakeup_lateness_us": "Wake-up lateness",
 }
+_TRANSPORT = {
+    "sent": "Sent",
+    "delivered": "Delivered",
+    "lost": "Lost",
+    "loss_burst.mean": "Lost in a row, mean",
+    "loss_burst.longest": "Lost in a row, most",
+    "duplicated": "Duplicated",
+    "reordered": "Reordered",
+    "delay_ms.mean": "Delay, mean (ms)",
+    "delay_ms.p50": "Delay, 50\u00a0% (ms)",
+    "delay_ms.p99": "Delay, 99\u00a0% (ms)",
+    "delay_ms.p99_9": "Delay, 99.9\u00a0% (ms)",
+    "delay_ms.max": "Delay, largest (ms)",
+}
 
 
 def number(value: float | None, factor: float = 1.0, unit: str = "") -> str:
@@ -152,14 +166,23 @@ def health_table(summary: dict[str, Any]) -> str:
 def transport_table(summary: dict[str, Any]) -> str:
     """What became of the messages, a column per direction."""
     channels = [summary["transport"][name] for name in ("uplink", "downlink")]
-    names = [name for name in channels[0] if name != "rejected"]
-    rows = [[name.capitalize(), *(number(channel[name]) for channel in channels)] for name in names]
+    rows = [
+        [title, *(number(_value(channel, key)) for channel in channels)]
+        for key, title in _TRANSPORT.items()
+    ]
     for reason in sorted({reason for channel in channels for reason in channel["rejected"]}):
         counts = (number(channel["rejected"].get(reason, 0)) for channel in channels)
         rows.append([f"Rejected: {reason.replace('_', ' ')}", *counts])
     if not any(channel["rejected"] for channel in channels):
         rows.append(["Rejected", *("0" if channel["sent"] else _ABSENT for channel in channels)])
     return table(["Messages", "Uplink (states)", "Downlink (commands)"], rows)
+
+
+def _value(values: dict[str, Any], dotted_key: str) -> float | None:
+    """A value of nested tables; None where a recording of another version has none."""
+    name, _, inner = dotted_key.partition(".")
+    found = values.get(name)
+    return _value(found or {}, inner) if inner else found
 
 
 def event_table(run: RunData) -> str:

@@ -70,6 +70,24 @@ IMPOSSIBLE = [
     ("link.kind", "pigeon", "'pigeon'", "zenoh"),
     ("link.uplink.delay_ms", "-1", "-1", "greater than or equal to 0"),
     ("link.downlink.delay_ms", "[1]", "[1]", "a valid number"),
+    ("link.uplink.jitter_ms", "-3", "-3", "greater than or equal to 0"),
+    ("link.uplink.loss", "1.5", "1.5", "less than or equal to 1"),
+    ("link.downlink.duplicate", "-0.1", "-0.1", "greater than or equal to 0"),
+    ("link.uplink.correlation", "1.1", "1.1", "less than or equal to 1"),
+    ("link.uplink.distribution", "cauchy", "'cauchy'", "'uniform', 'normal', 'pareto' or 'emp"),
+    ("link.uplink.rate_kbit_s", "0", "0", "greater than 0"),
+    ("link.uplink.burst_loss", "{p: 0.1}", "{'p': 0.1}", "p and r, or mean_loss and mean_burst"),
+    ("link.uplink.burst_loss", "{r: 0.1}", "{'r': 0.1}", "p and r, or mean_loss and mean_burst"),
+    ("link.uplink.burst_loss.r", "0", "0", "greater than 0"),
+    ("link.uplink.burst_loss.mean_burst", "0.5", "0.5", "greater than or equal to 1"),
+    (
+        "link.uplink.burst_loss",
+        "{mean_loss: 0.9, mean_burst: 2}",
+        "{'mean_loss': 0.9, 'mean_burst': 2}",
+        "at most mean_burst / (mean_burst + 1)",
+    ),
+    ("link.uplink.distribution_file", "a.txt", "'a.txt'", "unless distribution is 'empirical'"),
+    ("link.playout_ms", "-1", "-1", "greater than or equal to 0"),
     ("link.router_endpoint", "nowhere", "'nowhere'", "tcp/127.0.0.1:7451"),
     ("robot.urdf", "nowhere.urdf", "'nowhere.urdf'", "no such file"),
     ("robot.initial_offset_rad", "[0, 0, -2]", "[0.0, 0.0, -2.0]", "opens to 1.5 rad"),
@@ -99,6 +117,20 @@ DISTURBANCES = [
     ("{joint: all, kind: drum}", "0", "'sine'"),
     ("{joint: all, kind: constant}", "0.constant.torque_nm", "is missing"),
 ]
+SCHEDULES = [
+    ("{kind: step, at_s: -1}", "schedule.0.step.at_s = -1: must be greater than or equal to 0"),
+    ("{kind: step, at_s: 1, loss: 2}", "schedule.0.step.loss = 2: must be less than or equal to 1"),
+    ("{kind: outage, at_s: 1}", "schedule.0.outage.for_s: is missing"),
+    ("{kind: jump, at_s: 1}", "'step', 'ramp', 'outage'"),
+    (
+        "{kind: step, at_s: 2, loss: 0}, {kind: step, at_s: 1, loss: 0}",
+        "must be in increasing order of at_s; 1.0 follows 2.0",
+    ),
+    (
+        "{kind: ramp, at_s: 1, for_s: 2, loss: 1}, {kind: step, at_s: 2, loss: 0}",
+        "must be without a change before the ramp ends at 3.0 s",
+    ),
+]
 
 
 @pytest.mark.parametrize(("key", "given", "shown", "allowed"), IMPOSSIBLE)
@@ -124,6 +156,41 @@ def test_impossible_disturbance_is_refused(
     message = refuse("run", "paper_arm", "--set", f"plant.disturbance.terms=[{term}]")
     assert f"plant.disturbance.terms.{named}" in message
     assert allowed in message
+
+
+@pytest.mark.parametrize(("entries", "complaint"), SCHEDULES)
+def test_impossible_schedule_is_refused(refuse: Refusal, entries: str, complaint: str) -> None:
+    message = refuse("run", "paper_arm", "--set", f"link.uplink.schedule=[{entries}]")
+    assert message.startswith(f"{SHIPPED / 'paper_arm.yaml'}: link.uplink.schedule")
+    assert complaint in message
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (None, "cannot be read"),
+        ("", "holds no delay"),
+        ("1\n-2\n", "line 2: a delay is at least 0"),
+    ],
+    ids=["missing", "empty", "negative"],
+)
+def test_impossible_file_of_delays_is_refused(
+    refuse: Refusal, tmp_path: Path, text: str | None, complaint: str
+) -> None:
+    file = tmp_path / "delays.txt"
+    if text is not None:
+        file.write_text(text)
+    section = f"{{distribution: empirical, distribution_file: {file}}}"
+    message = refuse("run", "paper_arm", "--set", f"link.downlink={section}")
+    assert f"link.downlink.distribution_file = '{file}': {file}" in message
+    assert complaint in message
+
+
+def test_empirical_distribution_needs_a_file_and_has_no_jitter(refuse: Refusal) -> None:
+    words = ["run", "paper_arm", "--set", "link.uplink.distribution=empirical"]
+    message = refuse(*words, "--set", "link.uplink.jitter_ms=2")
+    assert "link.uplink.distribution_file = None: must be a file of delays in ms" in message
+    assert "link.uplink.jitter_ms = 2: must be left at 0" in message
 
 
 def test_reference_out_of_reach_is_refused(refuse: Refusal) -> None:

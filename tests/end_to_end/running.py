@@ -16,7 +16,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.lib.recfunctions import repack_fields
 
 from bus_schema import topics
 from bus_schema.mcap_log import LogContents, read_log
@@ -29,7 +31,18 @@ ROOT = Path(__file__).resolve().parents[2]
 HANG_S = 120.0
 """Longer than anything here takes on a slow machine; only a hang lasts so long."""
 
+PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
 _ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400"}
+
+
+def bits(log: LogContents, topic: str) -> list[bytes]:
+    """What must be equal in equal runs: all of a topic's messages, but for times on the wall."""
+    if topic != topics.PLANT_TRUTH.name:
+        return log.payloads[topic]
+    layout = topics.layout(topics.PLANT_TRUTH, PAPER_ARM_JOINTS)
+    truth = np.frombuffer(b"".join(log.payloads[topic]), layout.dtype)
+    kept = [name for name in layout.dtype.names or () if not name.startswith("timing.")]
+    return [row.tobytes() for row in repack_fields(truth[kept])]
 
 
 @dataclass(frozen=True)

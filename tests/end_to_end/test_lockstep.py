@@ -9,10 +9,11 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from running import Finished, funnel_hil, settings
+from running import Finished, bits, funnel_hil, settings
 
 from deploy.cli import main
 from deploy.experiments.metrics import summarise
+from deploy.experiments.replay import replay
 from deploy.experiments.run_data import RunData
 from deploy.experiments.simulate import simulate
 from deploy.scenario import SHIPPED, load_setup
@@ -54,7 +55,7 @@ def test_run_equals_simulation_bit_for_bit(run: Finished, simulation: Finished) 
     assert simulation.code == 0
     assert run.digest == simulation.digest
     for topic in ("joint_states", "joint_commands", "plant_status", "plant_truth"):
-        assert run.log.payloads[topic] == simulation.log.payloads[topic]
+        assert bits(run.log, topic) == bits(simulation.log, topic)
 
 
 def test_run_equals_itself_a_second_time(run: Finished, tmp_path: Path) -> None:
@@ -123,6 +124,23 @@ def test_delayed_states_and_commands_are_accounted_for(delayed_run: Finished) ->
         assert channel["rejected"] == {}
 
 
+def test_impaired_run_equals_simulation_and_replay_bit_for_bit(tmp_path: Path) -> None:
+    impaired = settings(
+        duration_s=0.6, clock="lockstep", link__playout_ms=6,
+        link__uplink={"delay_ms": 2, "jitter_ms": 2, "distribution": "pareto", "reorder": True,
+                      "duplicate": 0.1, "burst_loss": {"p": 0.05, "r": 0.4}},
+        link__downlink={"delay_ms": 1, "jitter_ms": 2, "distribution": "normal", "reorder": True,
+                        "correlation": 0.5, "duplicate": 0.1, "loss": 0.05},
+    )  # fmt: skip
+    run = funnel_hil("run", "paper_arm", *impaired, out=tmp_path / "run")
+    assert run.code == 0, run.output
+    for way in ("uplink", "downlink"):
+        counts = run.summary["transport"][way]
+        assert min(counts[name] for name in ("lost", "duplicated", "reordered")) > 0
+    assert run.digest == simulated(run.folder).digest
+    assert replay(run.data.setup, run.log).is_identical
+
+
 def test_recording_is_readable_by_other_peoples_tools(run: Finished) -> None:
     with (run.folder / "run.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -169,8 +187,10 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
                if isinstance(value, dict))  # fmt: skip
     assert set(summary["transport"]) == {"uplink", "downlink"}
     assert set(summary["transport"]["uplink"]) == {
-        "sent", "delivered", "lost", "duplicated", "reordered", "rejected"
+        "sent", "delivered", "lost", "duplicated", "reordered", "rejected", "delay_ms", "loss_burst"
     }  # fmt: skip
+    assert set(summary["transport"]["uplink"]["delay_ms"]) == percentiles | {"mean"}
+    assert set(summary["transport"]["uplink"]["loss_burst"]) == {"mean", "longest"}
     assert (summary["scenario"], summary["law"]) == ("paper_arm", "fixed_time_neural")
     assert (summary["clock"], summary["link"]) == ("lockstep", "zenoh")
 

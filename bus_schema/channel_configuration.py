@@ -1,0 +1,185 @@
+"""Sections ``link.uplink`` and ``link.downlink`` of a scenario: what a direction does to messages.
+
+Parameters mean what they mean in Linux's netem; where a definition is ours, it stands here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from bus_schema.configuration import NonNegative, Positive, StrictModel
+
+Probability = Annotated[float, Field(ge=0, le=1)]
+Distribution = Literal["uniform", "normal", "pareto", "empirical"]
+
+
+class BurstLossConfiguration(StrictModel):
+    """Gilbert–Elliott loss: a chain of a good and a bad state that takes a step per message.
+
+    Given either by the chain or by what it does: ``mean_loss`` and ``mean_burst`` stand for a chain
+    that loses everything in its bad state and nothing in its good one.
+
+    Attributes:
+        p: probability of going from good to bad.
+        r: probability of going from bad to good; 1 / r is the mean stay in the bad state.
+        loss_in_bad: share lost in the bad state (netem's 1-h).
+        loss_in_good: share lost in the good state (netem's 1-k).
+        mean_loss: share of all messages that are lost.
+        mean_burst: mean number of messages lost one after the other, at least 1.
+    """
+
+    p: Probability | None = None
+    r: Annotated[float, Field(gt=0, le=1)] | None = None
+    loss_in_bad: Probability = 1.0
+    loss_in_good: Probability = 0.0
+    mean_loss: Annotated[float, Field(ge=0, lt=1)] | None = None
+    mean_burst: Annotated[float, Field(ge=1)] | None = None
+
+    @model_validator(mode="after")
+    def _check_form(self) -> BurstLossConfiguration:
+        chain, means = (self.p, self.r), (self.mean_loss, self.mean_burst)
+        given = [None not in pair for pair in (chain, means)]
+        if sum(given) != 1 or any(value is not None for value in (chain if given[1] else means)):
+            raise ValueError("p and r, or mean_loss and mean_burst")
+        if given[1] and (self.loss_in_bad, self.loss_in_good) != (1.0, 0.0):
+            raise ValueError("without loss_in_bad and loss_in_good where it has mean_loss")
+        if self.chain[0] > 1.0:
+            raise ValueError("a mean_loss of at most mean_burst / (mean_burst + 1)")
+        return self
+
+    @property
+    def chain(self) -> tuple[float, float, float, float]:
+        """p, r, loss in the bad state, loss in the good state."""
+        if self.p is not None and self.r is not None:
+            return self.p, self.r, self.loss_in_bad, self.loss_in_good
+        loss, burst = self.mean_loss or 0.0, self.mean_burst or 1.0
+        return loss / (1.0 - loss) / burst, 1.0 / burst, 1.0, 0.0
+
+
+class ChangeableConditions(StrictModel):
+    """What a schedule can change; None leaves it as it was."""
+
+    delay_ms: NonNegative | None = None
+    jitter_ms: NonNegative | None = None
+    correlation: Probability | None = None
+    loss: Probability | None = None
+    burst_loss: BurstLossConfiguration | None = None
+    duplicate: Probability | None = None
+    rate_kbit_s: Positive | None = None
+
+
+class Step(ChangeableConditions):
+    """A sudden change."""
+
+    kind: Literal["step"]
+    at_s: NonNegative
+
+    @property
+    def end_s(self) -> float:
+        return self.at_s
+
+
+class Ramp(ChangeableConditions):
+    """A gradual change, linear in time (for a rate: in the time that a bit takes)."""
+
+    kind: Literal["ramp"]
+    at_s: NonNegative
+    for_s: Positive
+
+    @property
+    def end_s(self) -> float:
+        return self.at_s + self.for_s
+
+
+class Outage(StrictModel):
+    """A time in which everything is lost that is sent; it may fall into a ramp."""
+
+    kind: Literal["outage"]
+    at_s: NonNegative
+    for_s: Positive
+
+
+ScheduleEntry = Annotated[Step | Ramp | Outage, Field(discriminator="kind")]
+
+
+class ChannelConfiguration(StrictModel):
+    """One direction of the link.
+
+    Attributes:
+        delay_ms: delay of every message.
+        distribution: of what jitter adds to the delay. ``uniform``: ± jitter_ms; ``normal`` and
+            ``pareto`` (of shape 3, shifted to mean zero): standard deviation jitter_ms;
+            ``empirical``: a delay drawn from `distribution_file`. A negative sum is no delay.
+        distribution_file: delays in ms, one per line or in the first column; a path relative to
+            the scenario file.
+        jitter_ms: scale of the distribution.
+        correlation: of what jitter adds to one message and to the next.
+        loss: probability that a message is lost, whatever becomes of the others.
+        burst_loss: loss in bursts.
+        duplicate: probability that a message comes twice, the second time with a delay of its own.
+        reorder: let messages overtake each other; otherwise one waits for those sent before it.
+        rate_kbit_s: messages pass one after the other, payloads at 1000 bit/s times this.
+        schedule: changes on the run's clock, in the order of ``at_s``.
+    """
+
+    delay_ms: NonNegative = 0.0
+    distribution: Distribution = "uniform"
+    distribution_file: Annotated[str | None, Field(validate_default=True)] = None
+    jitter_ms: NonNegative = 0.0
+    correlation: Probability = 0.0
+    loss: Probability = 0.0
+    burst_loss: BurstLossConfiguration | None = None
+    duplicate: Probability = 0.0
+    reorder: bool = False
+    rate_kbit_s: Positive | None = None
+    schedule: tuple[ScheduleEntry, ...] = ()
+
+    @property
+    def delay_ns(self) -> int:
+        return round(self.delay_ms * 1e6)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it does nothing but delay all messages alike."""
+        return not (
+            self.jitter_ms or self.loss or self.burst_loss or self.duplicate or self.rate_kbit_s
+            or self.schedule or self.distribution == "empirical"
+        )  # fmt: skip
+
+    @field_validator("distribution_file")
+    @classmethod
+    def _check_file(cls, file: str | None, info: ValidationInfo) -> str | None:
+        is_empirical = info.data.get("distribution") == "empirical"
+        if is_empirical and file is None:
+            raise ValueError("a file of delays in ms where distribution is 'empirical'")
+        if file is not None and "distribution" in info.data and not is_empirical:
+            raise ValueError("left out unless distribution is 'empirical'")
+        return file
+
+    @field_validator("jitter_ms")
+    @classmethod
+    def _check_jitter(cls, jitter_ms: float, info: ValidationInfo) -> float:
+        if jitter_ms and info.data.get("distribution") == "empirical":
+            raise ValueError("left at 0 where distribution is 'empirical': the file has the jitter")
+        return jitter_ms
+
+    @field_validator("schedule")
+    @classmethod
+    def _check_schedule(
+        cls, schedule: tuple[ScheduleEntry, ...], info: ValidationInfo
+    ) -> tuple[ScheduleEntry, ...]:
+        previous_s, changed_until_s = -1.0, 0.0
+        for entry in schedule:
+            if entry.at_s <= previous_s:
+                raise ValueError(f"in increasing order of at_s; {entry.at_s} follows {previous_s}")
+            previous_s = entry.at_s
+            if isinstance(entry, Outage):
+                continue
+            if entry.at_s < changed_until_s:
+                raise ValueError(f"without a change before the ramp ends at {changed_until_s} s")
+            if entry.jitter_ms is not None and info.data.get("distribution") == "empirical":
+                raise ValueError("without jitter_ms where distribution is 'empirical'")
+            changed_until_s = entry.end_s
+        return schedule

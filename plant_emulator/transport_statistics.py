@@ -1,0 +1,79 @@
+"""What became of the messages of one direction."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+_QUANTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
+
+
+@dataclass
+class TransportStatistics:
+    """Counts of one direction.
+
+    Attributes:
+        sent: messages handed to the channel.
+        delivered: messages that came out of it, copies included.
+        lost: messages that never come out.
+        duplicated: copies that came out.
+        reordered: messages that came out behind a younger one.
+        loss_bursts: unbroken runs of lost messages.
+        longest_loss_burst: messages in the longest of them.
+        delays_us: number of deliveries by delay, in whole µs.
+    """
+
+    sent: int = 0
+    delivered: int = 0
+    lost: int = 0
+    duplicated: int = 0
+    reordered: int = 0
+    loss_bursts: int = 0
+    longest_loss_burst: int = 0
+    delays_us: Counter[int] = field(default_factory=Counter)
+    _burst: int = 0
+
+    def note_sent(self, *, is_lost: bool) -> None:
+        """Count a message that was handed to the channel."""
+        self.sent += 1
+        if not is_lost:
+            self._burst = 0
+            return
+        self.lost += 1
+        self.loss_bursts += self._burst == 0
+        self._burst += 1
+        self.longest_loss_burst = max(self.longest_loss_burst, self._burst)
+
+    def note_delivered(self, delay_ns: int) -> None:
+        """Count a message that came out."""
+        self.delivered += 1
+        self.delays_us[(delay_ns + 500) // 1000] += 1
+
+    def summary(self) -> dict[str, Any]:
+        """The part of ``summary.json`` that tells of this direction; null where there is nothing.
+
+        ``delay_ms`` is the time from entering the channel to coming out of it.
+        """
+        mean_burst = self.lost / self.loss_bursts if self.loss_bursts else None
+        return {
+            "sent": self.sent,
+            "delivered": self.delivered,
+            "lost": self.lost,
+            "duplicated": self.duplicated,
+            "reordered": self.reordered,
+            "delay_ms": self._delay_ms(),
+            "loss_burst": {"mean": mean_burst, "longest": self.longest_loss_burst},
+        }
+
+    def _delay_ms(self) -> dict[str, float | None]:
+        if not self.delivered:
+            return dict.fromkeys(("mean", *_QUANTILES))
+        delays_us = np.array(sorted(self.delays_us))
+        counts = np.array([self.delays_us[delay] for delay in delays_us.tolist()])
+        ranks = np.ceil(np.array(list(_QUANTILES.values())) * self.delivered)
+        quantiles = delays_us[np.searchsorted(np.cumsum(counts), ranks)] / 1000
+        mean = float(delays_us @ counts) / self.delivered / 1000
+        return {"mean": mean, **dict(zip(_QUANTILES, quantiles.tolist(), strict=True))}

@@ -1,0 +1,121 @@
+"""When the plant's loop delivers states and puts commands into force, where it waits for nobody."""
+
+import numpy as np
+import pytest
+
+from bus_schema import topics
+from bus_schema.cdr_layout import Record
+from bus_schema.clock import VirtualClock
+from bus_schema.link import CommandArrival
+from deploy.scenario import load_setup
+from plant_emulator.plant_loop import PlantLoop
+
+MS = 1_000_000
+SUBSTEP_NS = 250_000
+
+
+class Station:
+    """A link whose other end sends what it is told to, when it is told to."""
+
+    def __init__(self, joint_names, clock):
+        self._clock = clock
+        self._layout = topics.layout(topics.JOINT_STATES, joint_names)
+        self._command = Record(topics.layout(topics.JOINT_COMMANDS, joint_names))
+        self.to_come = []
+        self.delivered = []
+
+    def expect(self, stamp_ns, arrival_ns):
+        """A command answering the state of `stamp_ns` will arrive; torques tell which one it is."""
+        self._command.stamp_ns = stamp_ns
+        self._command.fields["effort"][:] = stamp_ns / MS
+        arrival = CommandArrival(self._command.payload(), len(self.to_come) + 1, b"", arrival_ns)
+        self.to_come.append(arrival)
+
+    def publish(self, topic, payload):
+        return 0
+
+    def send_state(self, state, status):
+        record = Record(self._layout)
+        self._layout.decode(state, record)
+        self.delivered.append((self._clock.now_ns(), record.stamp_ns))
+
+    def take_commands(self):
+        now_ns = self._clock.now_ns()
+        here = [arrival for arrival in self.to_come if arrival.arrival_ns <= now_ns]
+        self.to_come = [arrival for arrival in self.to_come if arrival.arrival_ns > now_ns]
+        return here
+
+
+@pytest.fixture
+def run():
+    """Runs a plant for 20 ms; the station, and (start of a substep, torque of joint 1) of each."""
+    arms = []
+
+    def start(*overrides, expected=()):
+        setup = load_setup("paper_arm", ["duration_s=0.02", *overrides])
+        clock, arm = VirtualClock(), setup.arm()
+        arms.append(arm)
+        station = Station(setup.robot.joint_names, clock)
+        for stamp_ns, arrival_ns in expected:
+            station.expect(stamp_ns, arrival_ns)
+        in_force, steps = [0.0], []
+        command, step = arm.command, arm.step
+
+        def note_command(torque_nm):
+            in_force[0] = float(torque_nm[0])
+            command(torque_nm)
+
+        def note_step(time_s):
+            steps.append((round(time_s * 1e9), in_force[0]))
+            step(time_s)
+
+        arm.command, arm.step = note_command, note_step
+        PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()
+        return station, steps
+
+    yield start
+    for arm in arms:
+        arm.close()
+
+
+def test_states_are_delivered_when_they_fall_due_between_ticks(run):
+    station, steps = run("link.uplink.delay_ms=2.4")
+    assert station.delivered == [(k * MS + 2_400_000, k * MS) for k in range(18)]
+    assert [start_ns for start_ns, _ in steps] == [k * SUBSTEP_NS for k in range(80)]
+
+
+def test_states_that_overtake_each_other_are_delivered_each_at_its_time(run):
+    station, _ = run("link.uplink={delay_ms: 4, jitter_ms: 3, reorder: true, duplicate: 0.3}")
+    delays = np.array([now_ns - stamp_ns for now_ns, stamp_ns in station.delivered])
+    assert np.all((delays >= 1 * MS) & (delays <= 7 * MS))
+    assert np.any(delays % SUBSTEP_NS)
+    stamps = [stamp_ns for _, stamp_ns in station.delivered]
+    assert stamps != sorted(stamps)
+    assert [now_ns for now_ns, _ in station.delivered] == sorted(t for t, _ in station.delivered)
+
+
+def first_under(steps, torque_nm):
+    return next(start_ns for start_ns, torque in steps if torque == torque_nm)
+
+
+def test_command_is_in_force_from_the_substep_after_arrival_and_delay(run):
+    _, steps = run("link.downlink.delay_ms=1", expected=[(3 * MS, 5_130_000)])
+    assert first_under(steps, 3.0) == 6_250_000  # due at 6.13 ms
+
+
+def test_command_waits_for_its_playout(run):
+    arrivals = [(3 * MS, 4_100_000), (4 * MS, 4_200_000), (6 * MS, 12_010_000)]
+    _, steps = run("link.playout_ms=5", "link.downlink.delay_ms=1", expected=arrivals)
+    assert first_under(steps, 3.0) == 8 * MS
+    assert first_under(steps, 4.0) == 9 * MS
+    assert first_under(steps, 6.0) == 13_250_000  # too late for 11 ms: at once
+
+
+def test_command_that_was_overtaken_changes_nothing(run):
+    schedule = "[{kind: step, at_s: 0.0055, delay_ms: 1}]"
+    _, steps = run(
+        f"link.downlink={{delay_ms: 4, reorder: true, schedule: {schedule}}}",
+        expected=[(3 * MS, 5 * MS), (4 * MS, 6 * MS)],
+    )  # due at 9 ms and at 7 ms
+    assert first_under(steps, 4.0) == 7 * MS
+    assert 3.0 not in {torque for _, torque in steps}
