@@ -30,6 +30,7 @@ from deploy.experiments.compare import (
 )
 from deploy.experiments.comparison import Comparison
 from deploy.experiments.replay import replay as replay_run
+from deploy.experiments.report_verdict import PARTIAL
 from deploy.experiments.settling import settling_test
 from deploy.experiments.simulate import attempt
 from deploy.run_folder import RunFolder, load_run
@@ -73,6 +74,8 @@ def replay(run_dir: RunDirectory) -> None:
     data, contents = load_run(run_dir)
     result = replay_run(data.setup, contents)
     console = Console()
+    if not data.complete:
+        console.print(PARTIAL)
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
     if result.is_identical:

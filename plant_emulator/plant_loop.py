@@ -19,7 +19,7 @@ from bus_schema import topics
 from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.clock import Clock, TickGrid
 from bus_schema.errors import PeerSilentError
-from bus_schema.events import EventKind
+from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
 from bus_schema.link import PlantLink
 from bus_schema.link_configuration import LinkConfiguration
@@ -125,6 +125,8 @@ class PlantLoop:
     def warm_up(self) -> None:
         """Compile what the loop calls before time counts, and leave no trace of it."""
         self._arm.warm_up()
+        # The codec of a message type is made at its first use, which takes longer than a few ticks.
+        RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
         all_finite(self._state.fields["position"])
 
     def request_stop(self) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bus_schema.whole_files import write_whole
 from controller.laws import LAWS
 from deploy.experiments.compare_report import write_comparison_report
 from deploy.experiments.comparison import Comparison, LawRun
@@ -94,7 +95,7 @@ class ComparisonFolder:
         simulation.write_log(folder.log)
         data = simulation.data()
         run = LawRun(law, data, summarise(data))
-        folder.summary.write_text(json.dumps(run.summary, indent=2) + "\n")
+        folder.write_summary(run.summary)
         self._runs.append(run)
         return run
 
@@ -106,7 +107,7 @@ class ComparisonFolder:
         """Write rows, summary, manifest and report of all runs so far."""
         comparison = Comparison(list(self._runs), list(self._settling))
         write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
-        self.summary.write_text(json.dumps(_summary(comparison), indent=2) + "\n")
+        write_whole(self.summary, json.dumps(_summary(comparison), indent=2) + "\n")
         self._write_manifest(comparison)
         write_comparison_report(comparison, self.report)
         return comparison
@@ -124,7 +125,7 @@ class ComparisonFolder:
             law: gains for one in manifests.values() for law, gains in one["gains"].items()
         }
         first["laws"] = list(manifests)
-        self.manifest.write_text(json.dumps(first, indent=2) + "\n")
+        write_whole(self.manifest, json.dumps(first, indent=2) + "\n")
 
 
 def is_comparison(path: Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from pathlib import Path
 
+from bus_schema.whole_files import write_whole
 from deploy.experiments import compare_figures, compare_figures_settling, compare_figures_torque
 from deploy.experiments.compare_tables import joint_table, judge, verdict_table
 from deploy.experiments.comparison import Comparison
@@ -32,7 +33,7 @@ def write_comparison_report(comparison: Comparison, path: Path) -> None:
         "figures": render_sections(_SECTIONS, comparison),
     }
     title = f"{first.summary['scenario']} · {verdict.headline}"
-    path.write_text(page(title, "compare_template.html", values), encoding="utf-8")
+    write_whole(path, page(title, "compare_template.html", values))
 
 
 def _tiles(comparison: Comparison) -> str:
