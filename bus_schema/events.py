@@ -16,8 +16,7 @@ _NANOSECONDS = 1_000_000_000
 class EventKind(StrEnum):
     """Kinds of run events. `COUNTS` and `ENDED` carry JSON, the others a sentence.
 
-    `ENDED` is the last message of a process. A recorder answers it with `RECORDED` and the sender's
-    GID in hexadecimal: all that the sender ever sent is in the recording.
+    `ENDED` is the last message of a process.
     """
 
     STARTED = "started"
@@ -26,7 +25,6 @@ class EventKind(StrEnum):
     STOPPED = "stopped"
     COUNTS = "counts"
     ENDED = "ended"
-    RECORDED = "recorded"
 
 
 @dataclass(frozen=True)

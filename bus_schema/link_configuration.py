@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from bus_schema.can_configuration import CanConfiguration
 from bus_schema.channel_configuration import ChannelConfiguration
 from bus_schema.configuration import NonNegative, Positive, StrictModel
+from bus_schema.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.topics import Role
 
 
 def _check_endpoint(text: str) -> str:
@@ -21,13 +23,36 @@ def _check_endpoint(text: str) -> str:
 Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
 
 
-class LinkConfiguration(StrictModel):
+def _check_folder(text: str) -> str:
+    if not text.startswith(("/", "~")):
+        raise ValueError("an absolute path, or one that begins with ~")
+    return text
+
+
+class SecurityConfiguration(StrictModel):
+    """Mutual TLS, and access to topics by role.
+
+    Attributes:
+        enabled: speak only to peers with a certificate of our authority, and only in their role.
+        folder: where keys and certificates lie (`funnel-hil keys`); absolute, or from ``~``.
+    """
+
+    enabled: bool = False
+    folder: Annotated[str, AfterValidator(_check_folder)] = DEFAULT_FOLDER
+
+    @property
+    def keys(self) -> KeyFolder:
+        return KeyFolder.at(self.folder)
+
+
+class LinkConfiguration(StrictModel, validate_default=True):
     """The link between controller and plant.
 
     Attributes:
         kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
             joint states and torques on a CAN bus (telemetry still goes over Zenoh).
         domain: ROS domain, the first part of every key.
+        security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
         router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
@@ -44,6 +69,7 @@ class LinkConfiguration(StrictModel):
 
     kind: Literal["zenoh", "in_process", "can"] = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
+    security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
     router_endpoint: Endpoint | None = None
@@ -54,6 +80,26 @@ class LinkConfiguration(StrictModel):
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
     can: CanConfiguration = CanConfiguration()
+
+    @field_validator("plant_endpoint", "controller_endpoint", "router_endpoint")
+    @classmethod
+    def _secure(cls, endpoint: str | None, info: ValidationInfo) -> str | None:
+        """Endpoints follow the switch, so that there is one switch and not four."""
+        security = info.data.get("security")
+        if endpoint is None or security is None:
+            return endpoint
+        protocol, address = endpoint.split("/", maxsplit=1)
+        if security.enabled:
+            if protocol not in ("tcp", "tls"):
+                raise ValueError("a tls/ or tcp/ endpoint where link.security.enabled is true")
+            return f"tls/{address}"
+        if protocol in ("tls", "quic"):
+            raise ValueError("of another protocol, or link.security.enabled true")
+        return endpoint
+
+    def listen_endpoint(self, role: Role) -> str:
+        """Where plant or controller listen; recorders connect to both, and do not listen."""
+        return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
 
     @property
     def playout_ns(self) -> int:

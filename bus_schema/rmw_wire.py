@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bus_schema.message_types import type_hash
-from bus_schema.topics import Topic
+from bus_schema.topics import Role, Topic
 
 GID_BYTES = 16
 _ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
@@ -84,6 +84,16 @@ class Entity:
 def graph_key_expression(domain: int) -> str:
     """Key expression of all tokens of a ROS domain."""
     return f"{_ADMIN}/{domain}/**"
+
+
+def node_name(role: Role) -> str:
+    """Name of one of our own nodes."""
+    return f"funnel_hil_{role}"
+
+
+def node_tokens(domain: int, role: Role) -> str:
+    """Key expression of all tokens of one of our own nodes, in whatever session."""
+    return f"{_ADMIN}/{domain}/*/*/*/*/*/*/{node_name(role)}/**"
 
 
 def node_token(domain: int, session: str, node: str) -> str:

@@ -31,7 +31,7 @@ class Topic:
     Attributes:
         name: ROS 2 topic name without slashes.
         type_name: ROS 2 interface name.
-        sender: the only role that may send it; None where every role may.
+        sender: the only role that may send it; None where controller and plant both may.
         rate: when it is sent.
         urgent: whether the loop waits for it; what only recorders want may be sent in batches.
         qos: QoS as rmw_zenoh writes it into liveliness tokens (the ROS 2 default profile:
@@ -72,6 +72,13 @@ TOPICS = (
     CONTROL_STATUS,
     RUN_EVENTS,
 )
+
+
+def topics_of(role: Role) -> list[Topic]:
+    """What a role may send; a recorder listens, and sends nothing."""
+    if role is Role.RECORDER:
+        return []
+    return [topic for topic in TOPICS if topic.sender in (role, None)]
 
 
 def layout(topic: Topic, joint_names: tuple[str, ...]) -> MessageLayout:

@@ -64,7 +64,9 @@ class ZenohPlantLink:
         if self._await_recorder:
             self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
         listened_since_s = None
+        silence = self._node.watch_silence(Role.CONTROLLER)
         while not self._node.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
+            silence.look()
             now_s = time.monotonic()
             # A client without rmw_zenoh's tokens can only be told by its subscription.
             if self._states.has_subscribers() and not self._node.sees(Role.RECORDER):
@@ -174,10 +176,13 @@ class ZenohControllerLink:
         """
         seen, last_change_s, allowed_s = 0, time.monotonic(), self._link.connect_timeout_s
         plant_was_there = False
+        silence = self._node.watch_silence(Role.PLANT)
         while not self._over.wait(POLL_S) and not is_stop_requested():
             plant_is_there = self._node.has_publisher(topics.JOINT_STATES)
             if plant_was_there and not plant_is_there:
                 return
+            if not plant_is_there and not self._states_seen:
+                silence.look()
             plant_was_there = plant_is_there
             if self._states_seen != seen:
                 seen, last_change_s = self._states_seen, time.monotonic()

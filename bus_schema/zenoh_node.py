@@ -8,8 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable
 
 from bus_schema import topics
-from bus_schema.errors import InvalidMessageError, PeerSilentError
-from bus_schema.events import EventKind, RunEvent
+from bus_schema.errors import PeerSilentError
 from bus_schema.link import never
 from bus_schema.link_configuration import LinkConfiguration
 from bus_schema.rmw_wire import (
@@ -19,12 +18,14 @@ from bus_schema.rmw_wire import (
     endpoint_gid,
     endpoint_token,
     graph_key_expression,
+    node_name,
     node_token,
 )
+from bus_schema.silence import SilenceWatch
 from bus_schema.topics import Rate, Role, Topic
+from bus_schema.zenoh_access import recorded_key_expression, secure_settings
 from bus_schema.zenoh_session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
-NODE_PREFIX = "funnel_hil_"
 POLL_S = 0.05
 _BATCH = 32
 _PATIENCE_S = 60.0
@@ -49,10 +50,14 @@ class ZenohNode:
             connect,
             low_latency=role is not Role.RECORDER,
             patience_s=_PATIENCE_S if lossless else _REALTIME_PATIENCE_S,
+            security=secure_settings(role, link.domain, link.security.keys)
+            if link.security.enabled
+            else None,
         )
+        self._link = link
         self._domain = link.domain
         self._role = role
-        self._node = f"{NODE_PREFIX}{role}"
+        self._node = node_name(role)
         self._entities: dict[str, Entity] = {}
         self._acknowledged = threading.Event()
         self._waiting: list[tuple[ZenohPublisher, bytes, bytes]] = []
@@ -77,9 +82,9 @@ class ZenohNode:
         self._session.subscribe(topic.key_expression(self._domain), on_delivery)
         self._announce(EntityKind.SUBSCRIBER, topic)
 
-    def listen_to_all(self, capacity: int) -> Mailbox:
+    def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox:
         """Subscribe to everything in the domain, in one mailbox."""
-        mailbox = self._session.mailbox(f"{self._domain}/**", capacity)
+        mailbox = self._session.mailbox(f"{self._domain}/**", capacity, lossless=lossless)
         for topic in topics.TOPICS:
             self._announce(EntityKind.SUBSCRIBER, topic)
         return mailbox
@@ -120,23 +125,33 @@ class ZenohNode:
             PeerSilentError: it did not come.
         """
         give_up_s = time.monotonic() + timeout_s
+        silence = self.watch_silence(role)
         while not self.sees(role) and not is_stop_requested():
+            silence.look()
             if time.monotonic() > give_up_s:
                 raise PeerSilentError(role, timeout_s, "sign of life")
             time.sleep(POLL_S)
 
+    def watch_silence(self, role: Role) -> SilenceWatch:
+        """What says why one of our own processes may be missing."""
+        return SilenceWatch(self._link, self._role, role)
+
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""
-        name = f"{NODE_PREFIX}{role}"
+        name = node_name(role)
         return any(
             entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
         )
 
+    def acknowledge(self, gid: bytes) -> None:
+        """As a recorder: say that all messages of a publisher of run events are recorded."""
+        self._session.announce(recorded_key_expression(self._domain, gid.hex()))
+
     def expect_acknowledgement(self) -> None:
         """Listen for the recorder's word that it has everything."""
-        # The codec of a type is made at its first use, which takes longer than a few ticks do.
-        RunEvent.decode(RunEvent(0, self._role, EventKind.STARTED, "").encode())
-        self.subscribe(topics.RUN_EVENTS, self._on_event)
+        _, gid = self._publishers[topics.RUN_EVENTS.name]
+        key = recorded_key_expression(self._domain, gid.hex())
+        self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
 
     def await_acknowledgement(self, timeout_s: float) -> None:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
@@ -160,15 +175,6 @@ class ZenohNode:
         )
         self._session.announce(token)
         return token
-
-    def _on_event(self, delivery: Delivery) -> None:
-        try:
-            event = RunEvent.decode(delivery.payload)
-        except InvalidMessageError:
-            return
-        _, gid = self._publishers[topics.RUN_EVENTS.name]
-        if event.kind == EventKind.RECORDED and event.detail == gid.hex():
-            self._acknowledged.set()
 
     def _on_token(self, token: str, alive: bool) -> None:
         entity = Entity.from_token(token)

@@ -10,8 +10,8 @@ import contextlib
 import json
 import os
 import threading
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 # Read by zenoh when it is imported: what receives shares one thread, so that a message reaches its
 # callback without a hand-over. What sends from queues has another: a callback that fills a queue
@@ -87,6 +87,7 @@ class ZenohSession:
             to that peer is closed (it may come back).
         low_latency: use the transport without queues: least delay, but a peer that stops reading
             holds up the sender. Both ends must want it.
+        security: settings that restrict who is spoken to (`zenoh_access`); by default, anybody.
 
     Raises:
         SessionError: an endpoint cannot be served or is malformed.
@@ -99,9 +100,11 @@ class ZenohSession:
         *,
         low_latency: bool,
         patience_s: float = 10.0,
+        security: Mapping[str, Any] | None = None,
     ) -> None:
+        settings = _settings(listen, connect, low_latency, patience_s) | dict(security or {})
         try:
-            self._session = zenoh.open(_configuration(listen, connect, low_latency, patience_s))
+            self._session = zenoh.open(_configuration(settings))
         except zenoh.ZError as error:
             raise SessionError(
                 f"no Zenoh session (listening on {list(listen)}, connecting to {list(connect)}):"
@@ -130,10 +133,10 @@ class ZenohSession:
         handler = zenoh.handlers.Callback(handle, indirect=False)
         self._kept.append(self._session.declare_subscriber(key, handler))
 
-    def mailbox(self, key: str, capacity: int) -> Mailbox:
-        """Subscribe with a mailbox; once it is full, senders have to wait."""
-        handler: zenoh.handlers.FifoChannel[zenoh.Sample] = zenoh.handlers.FifoChannel(capacity)
-        return Mailbox(self._session.declare_subscriber(key, handler))
+    def mailbox(self, key: str, capacity: int, *, lossless: bool) -> Mailbox:
+        """Subscribe with a mailbox; once it is full, senders wait, or the oldest is dropped."""
+        kind = zenoh.handlers.FifoChannel if lossless else zenoh.handlers.RingChannel
+        return Mailbox(self._session.declare_subscriber(key, kind(capacity)))
 
     def announce(self, token: str) -> None:
         """Declare a liveliness token, which lives as long as the session."""
@@ -168,10 +171,10 @@ def _delivery(sample: zenoh.Sample) -> Delivery:
     return Delivery(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes())
 
 
-def _configuration(
+def _settings(
     listen: Sequence[str], connect: Sequence[str], low_latency: bool, patience_s: float
-) -> zenoh.Config:
-    settings = {
+) -> dict[str, Any]:
+    return {
         "mode": "peer",
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
@@ -191,6 +194,9 @@ def _configuration(
         "transport/link/tx/queue/size/data": 16,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     }  # fmt: skip
+
+
+def _configuration(settings: Mapping[str, Any]) -> zenoh.Config:
     configuration = zenoh.Config()
     for path, value in settings.items():
         configuration.insert_json5(path, json.dumps(value))

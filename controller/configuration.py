@@ -22,6 +22,7 @@ from bus_schema.configuration import (
 )
 from bus_schema.robot_description import RobotDescription
 from controller.control_law import ControlLaw
+from controller.delay_compensation import DelayCompensation
 from controller.laws import LAWS
 from controller.laws.custom import build_custom, is_custom
 from controller.laws.fixed_time_model_based import FixedTimeModelBasedGains
@@ -186,6 +187,20 @@ class GainsConfiguration(StrictModel):
     custom: dict[str, Any] = Field(default_factory=dict)
 
 
+class DelayCompensationConfiguration(StrictModel):
+    """Prediction of the state in which a command will act, for any law.
+
+    Attributes:
+        enabled: whether the law sees the predicted state instead of the measured one.
+        observer_bandwidth_rad_s: how fast disturbances are learned that the nominal model misses.
+        learn_friction: whether Coulomb friction is told apart from other disturbances.
+    """
+
+    enabled: bool = False
+    observer_bandwidth_rad_s: Positive = 60.0
+    learn_friction: bool = True
+
+
 class ControllerConfiguration(StrictModel):
     """The controller.
 
@@ -200,6 +215,7 @@ class ControllerConfiguration(StrictModel):
     gains: GainsConfiguration = GainsConfiguration()
     model_scale: Positive = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
+    delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
 
     @field_validator("law")
     @classmethod
@@ -233,11 +249,30 @@ class ControllerConfiguration(StrictModel):
         model = self.nominal_model(robot)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
-        return LAWS[self.law].build(gains, model)
+        return LAWS[self.law].build(gains, model, robot.effort_limits_nm)
 
     def nominal_model(self, robot: RobotDescription) -> ManipulatorModel:
         """What the controller believes about the arm."""
         return ManipulatorModel(robot, scale=self.model_scale)
+
+    def build_compensation(
+        self, robot: RobotDescription, least_horizon_ms: float
+    ) -> DelayCompensation | None:
+        """The configured delay compensation; None for none.
+
+        Args:
+            robot: the arm.
+            least_horizon_ms: no torque acts sooner than this after the state it answers.
+        """
+        settings = self.delay_compensation
+        if not settings.enabled:
+            return None
+        return DelayCompensation(
+            self.nominal_model(robot),
+            observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
+            learn_friction=settings.learn_friction,
+            least_horizon_ns=round(least_horizon_ms * 1e6),
+        )
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:
         """Bound on the law's settling time, s; None for a law that has none."""

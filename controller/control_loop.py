@@ -20,7 +20,9 @@ from bus_schema.finite import all_finite
 from bus_schema.link import ControllerLink
 from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
+from controller.command_timeline import Echo
 from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
+from controller.delay_compensation import DelayCompensation
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference
 from controller.torque_guard import TorqueGuard
@@ -37,6 +39,7 @@ class ControlTask:
     funnel: Funnel
     law: ControlLaw
     guard: TorqueGuard
+    compensation: DelayCompensation | None = None
 
 
 class ControlLoop:
@@ -53,6 +56,7 @@ class ControlLoop:
     def __init__(self, task: ControlTask, link: ControllerLink) -> None:
         names = task.robot.joint_names
         self._task = task
+        self._compensation = task.compensation
         self._link = link
         self._state_layout = topics.layout(topics.JOINT_STATES, names)
         self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
@@ -66,6 +70,8 @@ class ControlLoop:
         self._lower_bound = self._status.fields["lower_bound"]
         self.tracking = self._tracking_in_status()
         self._start_ns: int | None = None
+        self._echo: Echo | None = None
+        self._horizon_ns = 0
         self.stamp_ns = -1
         self._cycle_started_ns = 0
         self.cycles = 0
@@ -75,7 +81,10 @@ class ControlLoop:
 
     def warm_up(self) -> None:
         """Compile the law before time counts, and leave no trace of it."""
-        self.tracking.update(0.0, 0.0, self._task.reference, self._task.funnel)
+        reference, funnel = self._task.reference, self._task.funnel
+        self.tracking.update(0.0, 0.0, reference, funnel)
+        if self._compensation is not None:
+            self._compensation.warm_up(self.tracking, reference, funnel)
         self._task.guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
         self._require_finite()
         self._task.law.reset()
@@ -102,12 +111,13 @@ class ControlLoop:
             self.rejections.note(error)
             return False
         stamp_ns = self._state.stamp_ns
-        if self._start_ns is None:
-            self._start_ns = self._start_of_run(plant_status, stamp_ns)
+        if self._start_ns is None or self._compensation is not None:
+            start_ns = self._heed(plant_status, stamp_ns)
+            self._start_ns = start_ns if self._start_ns is None else self._start_ns
         if stamp_ns <= self.stamp_ns:
             self.late += 1
             self._command.stamp_ns = stamp_ns
-            self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+            self._send()
             return False
         step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
         self.stamp_ns = stamp_ns
@@ -118,13 +128,26 @@ class ControlLoop:
         return True
 
     def _update(self) -> Vector:
-        torque = self._task.law.torque(self.tracking)
+        situation = self.tracking
+        if self._compensation is not None:
+            situation = self._compensation.foresee(
+                situation, self.stamp_ns, self._echo, self._task.reference, self._task.funnel
+            )
+            self._horizon_ns = self._compensation.timeline.horizon_ns
+        torque = self._task.law.torque(situation)
         return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
 
     def _write(self, torque: Vector) -> int:
         self._command.put_stamp(stamp_word(self.stamp_ns))
         self._effort[:] = torque
-        return self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+        return self._send()
+
+    def _send(self) -> int:
+        """Send the command as it stands; its number."""
+        sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+        if self._compensation is not None:
+            self._compensation.note_command(sequence, self._command.stamp_ns, self._effort)
+        return sequence
 
     def _report(self, sequence: int, started_ns: int) -> None:
         """Publish what the law thought and how long it took; the torque is already on its way."""
@@ -132,7 +155,7 @@ class ControlLoop:
         period_ns = started_ns - self._cycle_started_ns if self.cycles else 0
         status, bounds = self._status, self.tracking.bounds
         status.put_stamp(stamp_word(self.stamp_ns))
-        status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence)
+        status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence, self._horizon_ns)
         self._upper_bound[:] = bounds[UPPER]
         np.negative(bounds[LOWER], out=self._lower_bound)
         self._link.publish(topics.CONTROL_STATUS, status.payload())
@@ -143,17 +166,22 @@ class ControlLoop:
         if not all_finite(self._motion):
             raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
-    def _start_of_run(self, plant_status: bytes | None, first_stamp_ns: int) -> int:
-        """When the run began on the plant's clock; for a foreign plant, with its first state."""
-        if plant_status is None:
-            return first_stamp_ns
-        try:
-            self._plant_status_layout.decode(plant_status, self._plant_status)
-        except InvalidMessageError as error:
-            self.rejections.note(error)
-            return first_stamp_ns
-        fields = self._plant_status.fields
-        return int(fields["start.sec"][0]) * 1_000_000_000 + int(fields["start.nanosec"][0])
+    def _heed(self, plant_status: bytes | None, stamp_ns: int) -> int:
+        """Take in what the plant says of the command in force; when it says the run began.
+
+        For a foreign plant, which says nothing, the run begins with its first state.
+        """
+        start_ns, self._echo = stamp_ns, None
+        if plant_status is not None:
+            try:
+                self._plant_status_layout.decode(plant_status, self._plant_status)
+            except InvalidMessageError as error:
+                self.rejections.note(error)
+            else:
+                values = {name: int(value[0]) for name, value in self._plant_status.fields.items()}
+                start_ns = values["start.sec"] * 1_000_000_000 + values["start.nanosec"]
+                self._echo = Echo(values["command_sequence"], values["command_delay_ns"])
+        return start_ns
 
     def _tracking_in_status(self) -> Tracking:
         """The tracking situation and the law's diagnostics, laid into the messages they go by."""
@@ -165,4 +193,12 @@ class ControlLoop:
         for name, values in vars(diagnostics).items():
             self._status.fields[name][:] = values
             setattr(diagnostics, name, self._status.fields[name])
+        foresight = [
+            self._status.fields[name]
+            for name in ("foreseen_error", "learned_disturbance", "learned_friction")
+        ]
+        for values in foresight:
+            values[:] = np.nan
+        if self._compensation is not None:
+            self._compensation.report_into(*foresight)
         return tracking

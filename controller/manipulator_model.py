@@ -41,6 +41,11 @@ class ManipulatorModel:
         self._order = np.array(
             [self._model.joints[self._model.getJointId(name)].idx_v for name in robot.joint_names]
         )
+        # pinocchio fills the upper triangle of symmetric matrices.
+        self._upper = (
+            np.minimum.outer(self._order, self._order),
+            np.maximum.outer(self._order, self._order),
+        )
         self._position: Vector = np.zeros(self._model.nv)
         self._velocity: Vector = np.zeros(self._model.nv)
         self._other: Vector = np.zeros(self._model.nv)
@@ -48,9 +53,12 @@ class ManipulatorModel:
     def mass_matrix(self, position: Vector) -> Matrix:
         """M(q), shape (joints, joints), kg m²."""
         full = pinocchio.crba(self._model, self._data, self._at(position))
-        upper = np.triu(full)
-        symmetric = upper + np.triu(full, 1).T
-        return np.ascontiguousarray(symmetric[np.ix_(self._order, self._order)])
+        return np.asarray(full[self._upper])
+
+    def inverse_mass_matrix(self, position: Vector) -> Matrix:
+        """M(q)⁻¹, shape (joints, joints), 1/(kg m²)."""
+        full = pinocchio.computeMinverse(self._model, self._data, self._at(position))
+        return np.asarray(full[self._upper])
 
     def governing_inertia(self, positions: Matrix) -> Vector:
         """Inertia by which joint gains may be sized on a motion, shape (joints,), kg m².

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import threading
@@ -15,7 +14,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schema.topics import Role
-from deploy import cli_drives, cli_experiments, cli_studies
+from bus_schema.whole_files import partial_path
+from deploy import cli_drives, cli_experiments, cli_keys, cli_studies
 from deploy import doctor as doctor_module
 from deploy.cli_common import (
     BAD_INPUT,
@@ -30,12 +30,14 @@ from deploy.cli_common import (
     on_interrupt,
 )
 from deploy.experiments.simulate import simulate as simulate_setup
+from deploy.keys import check_keys
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
 from deploy.links import check_link
-from deploy.processes import Voice, run_controller, run_plant, run_recorder
+from deploy.processes import StopRequest, Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import Setup, load_setup
 from deploy.terminal import RunProgress, show_summary
+from deploy.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 _SIMULATE_POLL_S = 0.1
@@ -63,6 +65,7 @@ def run(
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, with_free_endpoints(overrides or []))
     check_link(setup, one_process=False)
+    _require_keys(setup, *Role)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
@@ -122,6 +125,7 @@ def controller(
     """Be the controller: answer the joint states of a plant on the bus."""
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
+    _require_keys(setup, Role.CONTROLLER)
     voice = Voice(Role.CONTROLLER, to_parent=to_parent)
     raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
 
@@ -139,6 +143,7 @@ def plant(
     """Be the plant: emulate the arm for a controller on the bus."""
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
+    _require_keys(setup, Role.PLANT)
     voice = Voice(Role.PLANT, to_parent=to_parent)
     raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder, can_log=can_log))
 
@@ -153,18 +158,22 @@ def record(
 ) -> None:
     """Be the recorder: write every message on the bus to a run folder."""
     setup = load_setup(scenario, overrides or [])
+    _require_keys(setup, Role.RECORDER)
     voice = Voice(Role.RECORDER, to_parent=to_parent)
+    stop = StopRequest()
     if log is not None:
-        raise typer.Exit(run_recorder(setup, log, voice))
+        raise typer.Exit(run_recorder(setup, log, voice, stop))
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
     folder.write_manifest(setup, {})
-    code = run_recorder(setup, folder.log, voice)
-    if code == FINISHED:
-        _finish(Console(), folder, RunOutcome(), require_bounds=False)
+    code = run_recorder(setup, folder.log, voice, stop)
+    if code == FINISHED or partial_path(folder.log).exists():
+        outcome = RunOutcome(interrupted=stop.is_set)
+        _finish(Console(), folder, outcome, require_bounds=False)
     raise typer.Exit(code)
 
 
+app.add_typer(cli_keys.app, name="keys")
 for _command in (
     cli_experiments.compare,
     cli_studies.sweep,
@@ -186,12 +195,23 @@ def doctor() -> None:
 def main() -> None:
     """Entry point; bad input ends here with one message and exit code 2."""
     logging.basicConfig(level=logging.ERROR, format="%(message)s", stream=sys.stderr)
+    logging.getLogger("bus_schema").setLevel(logging.WARNING)
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
     try:
         app()
     except (ScenarioError, RunFolderError) as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
+    except OSError as error:  # a disk that is full or gone
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(FAULT)
+
+
+def _require_keys(setup: Setup, *roles: Role) -> None:
+    """Bad keys are bad input, told before anything starts."""
+    security = setup.scenario.link.security
+    if security.enabled:
+        check_keys(security.keys, roles)
 
 
 def _finish(
@@ -204,7 +224,7 @@ def _finish(
         faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
         for fault in faults or ["stopped before the run began"]:
             console.print(escape(fault))
-        folder.summary.write_text(json.dumps({"completed": False, "faults": faults}) + "\n")
+        folder.write_summary({"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
     summary = folder.conclude(data, outcome.failures)
     show_summary(console, summary)

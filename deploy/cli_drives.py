@@ -20,7 +20,8 @@ from deploy.cli_common import (
     ScenarioArgument,
     on_interrupt,
 )
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
+from deploy.yaml_files import ScenarioError
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig

@@ -30,11 +30,13 @@ from deploy.experiments.compare import (
 )
 from deploy.experiments.comparison import Comparison
 from deploy.experiments.replay import replay as replay_run
+from deploy.experiments.report_verdict import PARTIAL
+from deploy.experiments.settling import settling_test
 from deploy.experiments.simulate import attempt
 from deploy.run_folder import RunFolder, load_run
 from deploy.scenario import Setup
 from deploy.terminal import show_summary
-from deploy.terminal_compare import CompareProgress, show_comparison
+from deploy.terminal_compare import CompareProgress, settling_sentence, show_comparison
 from plant_emulator.plant_loop import PlantLoop
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
@@ -46,6 +48,10 @@ def compare(
         str | None,
         typer.Option("--laws", metavar="A,B,…", help="Laws to compare; all by default."),
     ] = None,
+    settling: Annotated[
+        bool,
+        typer.Option("--settling", help="Also measure settling times from offsets of up to 1 rad."),
+    ] = False,
     overrides: Overrides = None,
     out: Out = None,
     require_bounds: RequireBounds = False,
@@ -55,6 +61,8 @@ def compare(
     folder = ComparisonFolder.create(f"compare-{setups[0].scenario.name}", out)
     console = Console()
     interrupted = _run_all(setups, folder, console)
+    if settling and not interrupted:
+        _settle_all(setups, folder, console)
     comparison = folder.conclude()
     show_comparison(console, comparison)
     _show_places(console, folder)
@@ -66,6 +74,8 @@ def replay(run_dir: RunDirectory) -> None:
     data, contents = load_run(run_dir)
     result = replay_run(data.setup, contents)
     console = Console()
+    if not data.complete:
+        console.print(PARTIAL)
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
     if result.is_identical:
@@ -130,6 +140,14 @@ def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) ->
             if stop.is_set():
                 return True
     return False
+
+
+def _settle_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> None:
+    """Start every law from near and far."""
+    for setup in setups:
+        test = settling_test(setup)
+        folder.add_settling(test)
+        console.print(settling_sentence(test), markup=False, highlight=False)
 
 
 def _show_places(console: Console, folder: ComparisonFolder) -> None:

@@ -23,7 +23,8 @@ from bus_schema.link import PlantLink
 from bus_schema.telemetry import Telemetry, ZenohTelemetry
 from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
-from deploy.scenario import ScenarioError, Setup
+from deploy.scenario import Setup
+from deploy.yaml_files import ScenarioError
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.can_plant_link import CanPlantLink
 from plant_emulator.driven_arm import DrivenArm

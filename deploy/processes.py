@@ -168,24 +168,29 @@ def _control(
     return code
 
 
-def run_recorder(setup: Setup, path: Path, voice: Voice) -> int:
+def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> int:
     """Be the recorder for one run; the exit code."""
-    stop = StopRequest()
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
         voice.say("fault", text=f"{path}: {error}")
         return FAULT
     voice.say("note", text=f"recording to {path}")
+    code = FINISHED
     try:
         recorder.run(lambda: stop.is_set)
-        return FINISHED
-    except (BusError, OSError) as error:
+    except BusError as error:
         voice.say("fault", text=str(error))
-        return FAULT
-    finally:
-        recorder.close()
-        voice.say("note", text=f"{recorder.messages} messages recorded, {recorder.lost} lost")
+        code = FAULT
+    _leave_in_order()
+    recorder.close()
+    if recorder.failure is not None:
+        voice.say("fault", text=f"{path}: the recording is partial: {recorder.failure.strerror}")
+        code = FAULT
+    lost = recorder.lost
+    by_topic = "".join(f", {topic} {count}" for topic, count in lost.items())
+    voice.say("note", text=f"{recorder.messages} messages recorded, {lost.total()} lost{by_topic}")
+    return code
 
 
 def _go_realtime(setup: Setup, voice: Voice) -> None:

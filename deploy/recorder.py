@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import struct
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 from bus_schema import topics
@@ -26,15 +27,23 @@ ROBOT_ATTACHMENT = "robot.urdf"
 DELAYS_ATTACHMENT = "{direction}_delays.txt"
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
+LOST_METADATA = "lost"
 _STAMP = struct.Struct("<iI")
 _STAMP_OFFSET = 4
 _LARGEST_BACKLOG = 200_000
+_AT_ONCE = 10_000
+_FAREWELL_S = 2.0
+"""How long the backlog is still written once the recorder has to leave."""
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
 
 def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
-    """Begin the recording of a run, with all that is needed to judge or repeat it."""
+    """Begin the recording of a run, with all that is needed to judge or repeat it.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
     names = setup.robot.joint_names
     tick_bytes = sum(
         topics.layout(topic, names).size
@@ -52,7 +61,20 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
         RUN_METADATA,
         {"scenario": scenario.name, "law": scenario.controller.law, "clock": clock, "link": link},
     )
+    if log.failure is not None:
+        raise log.failure
     return log
+
+
+def close_log(log: McapLog, lost: Counter[str]) -> None:
+    """Finish a recording with the count of what it holds, and of what it lacks by topic."""
+    log.finish_messages()
+    missing = lost + log.lost
+    log.add_metadata(
+        RECORDER_METADATA, {"messages": str(log.messages), "lost": str(missing.total())}
+    )
+    log.add_metadata(LOST_METADATA, {topic: str(count) for topic, count in missing.items()})
+    log.close()
 
 
 def stamp_of(payload: bytes) -> int | None:
@@ -67,9 +89,12 @@ def stamp_of(payload: bytes) -> int | None:
 class Recorder:
     """Writes what it hears until both sides have left.
 
-    Attributes:
-        messages: messages written.
-        lost: messages that never came, by the gaps in their senders' numbers.
+    Its backlog is bounded. In real time the oldest of it makes room where the disk is too slow, so
+    that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk that fails ends
+    the recording but not the run: what comes later is counted.
+
+    Raises:
+        OSError: the recording cannot be begun.
     """
 
     def __init__(self, setup: Setup, path: Path) -> None:
@@ -79,12 +104,26 @@ class Recorder:
         self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
         self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
         self._last_stamp_ns = 0
-        self.messages = 0
-        self.lost = 0
-        self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=True)
-        self._node.advertise(topics.RUN_EVENTS)
-        self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG)
+        self._missed: Counter[str] = Counter()
+        lossless = setup.scenario.clock == "lockstep"
+        self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=lossless)
+        self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG, lossless=lossless)
         self._node.announce()
+
+    @property
+    def messages(self) -> int:
+        """Messages in the recording."""
+        return self._log.messages
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Messages that are not: by gaps in their senders' numbers, and by the disk; by topic."""
+        return self._missed + self._log.lost
+
+    @property
+    def failure(self) -> OSError | None:
+        """What ended the recording before its time, if anything did."""
+        return self._log.failure
 
     def run(self, is_stop_requested: Callable[[], bool]) -> None:
         """Record until both sides have left the bus, or until asked to stop.
@@ -94,6 +133,7 @@ class Recorder:
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
         has_heard = False
+        silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
         while not is_stop_requested():
             somebody_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
             time.sleep(_PAUSE_S)
@@ -101,51 +141,59 @@ class Recorder:
             has_heard = has_heard or wrote
             if has_heard and not somebody_is_there and not wrote:
                 return
+            if not has_heard and not somebody_is_there:
+                for silence in silences:
+                    silence.look()
             if not has_heard and not somebody_is_there and time.monotonic() > give_up_s:
                 raise PeerSilentError(
                     "plant", self._setup.scenario.link.connect_timeout_s, "message"
                 )
 
     def close(self) -> None:
-        """Write what was heard, and finish the file."""
-        self._write_what_came()
-        counts = {"messages": str(self.messages), "lost": str(self.lost)}
-        self._log.add_metadata(RECORDER_METADATA, counts)
-        self._log.close()
+        """Write what was heard, as far as there is time, and finish the file."""
+        give_up_s = time.monotonic() + _FAREWELL_S
+        while time.monotonic() < give_up_s and self._write_what_came():
+            pass
+        for key, delivery in iter(self._mailbox.take, None):
+            topic = self._topics.get(key)
+            if topic is not None:
+                self._count_gap(topic, delivery)
+                self._missed[topic.name] += 1
+        close_log(self._log, self._missed)
         self._node.close()
 
     def _write_what_came(self) -> bool:
-        """Write what has come in and hand it to the disk; whether anything had."""
+        """Write what has come in, or a good part of it; whether anything had."""
         wrote = False
-        while (item := self._mailbox.take()) is not None:
-            key, delivery = item
+        for key, delivery in islice(iter(self._mailbox.take, None), _AT_ONCE):
             topic = self._topics.get(key)
             if topic is not None:
                 self._write(topic, delivery)
                 wrote = True
-        self._log.flush()
         return wrote
 
     def _write(self, topic: Topic, delivery: Delivery) -> None:
-        attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
-        if attachment.sequence:
-            key = (topic.name, attachment.gid)
-            self.lost += max(0, attachment.sequence - self._last_sequence[key] - 1)
-            self._last_sequence[key] = max(attachment.sequence, self._last_sequence[key])
+        attachment = self._count_gap(topic, delivery)
         stamp_ns = stamp_of(delivery.payload)
         self._last_stamp_ns = self._last_stamp_ns if stamp_ns is None else stamp_ns
         self._log.write(
             topic, attachment.sequence, self._last_stamp_ns, attachment.source_time_ns,
             delivery.payload,
         )  # fmt: skip
-        self.messages += 1
-        if topic is topics.RUN_EVENTS:
+        if topic is topics.RUN_EVENTS and attachment.gid:
             self._acknowledge(delivery.payload, attachment.gid)
+
+    def _count_gap(self, topic: Topic, delivery: Delivery) -> Attachment:
+        """Count what is missing since the last message of this sender on this topic."""
+        attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
+        if attachment.sequence:
+            key = (topic.name, attachment.gid)
+            self._missed[topic.name] += max(0, attachment.sequence - self._last_sequence[key] - 1)
+            self._last_sequence[key] = max(attachment.sequence, self._last_sequence[key])
+        return attachment
 
     def _acknowledge(self, payload: bytes, gid: bytes) -> None:
         """Tell a process that said its last word that all of it is recorded."""
         with contextlib.suppress(InvalidMessageError):
-            event = RunEvent.decode(payload)
-            if event.kind == EventKind.ENDED:
-                answer = RunEvent(event.stamp_ns, Role.RECORDER, EventKind.RECORDED, gid.hex())
-                self._node.publish(topics.RUN_EVENTS, answer.encode())
+            if RunEvent.decode(payload).kind == EventKind.ENDED:
+                self._node.acknowledge(gid)

@@ -14,19 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.mcap_log import LogContents, read_log
+from bus_schema.whole_files import partial_path, write_whole
 from deploy.experiments.metrics import summarise
 from deploy.experiments.report import write_report
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.link_files import DIRECTIONS
 from deploy.recorder import (
     DELAYS_ATTACHMENT,
-    RECORDER_METADATA,
+    LOST_METADATA,
     ROBOT_ATTACHMENT,
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
 from deploy.scenario_text import effective_scenario, plain
+from deploy.yaml_files import ScenarioError
 
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 
@@ -69,6 +71,7 @@ class RunFolder:
         folder = RunFolder(path)
         for file in (folder.log, folder.can_log, folder.summary, folder.manifest, folder.report):
             file.unlink(missing_ok=True)
+            partial_path(file).unlink(missing_ok=True)
         return folder
 
     def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
@@ -79,11 +82,11 @@ class RunFolder:
             "gains": {setup.scenario.controller.law: plain(setup.gains)},
             "scenario": plain(setup.scenario),
         }
-        self.manifest.write_text(json.dumps(manifest, indent=2) + "\n")
+        write_whole(self.manifest, json.dumps(manifest, indent=2) + "\n")
 
     def write_scenario(self, setup: Setup) -> None:
         """Write the scenario in force, with all its overrides."""
-        self.scenario.write_text(effective_scenario(setup))
+        write_whole(self.scenario, effective_scenario(setup))
 
     def conclude(self, run: RunData, extra_faults: Sequence[str] = ()) -> dict[str, Any]:
         """Judge a run and write summary and report; the summary.
@@ -96,18 +99,24 @@ class RunFolder:
         summary = summarise(run)
         summary["faults"] = [*extra_faults, *summary["faults"]]
         summary["completed"] = summary["completed"] and not extra_faults
-        self.summary.write_text(json.dumps(summary, indent=2) + "\n")
+        self.write_summary(summary)
         write_report(run, summary, self.report)
         return summary
 
+    def write_summary(self, summary: Mapping[str, Any]) -> None:
+        """Write the summary."""
+        write_whole(self.summary, json.dumps(summary, indent=2) + "\n")
+
 
 def load_run(path: Path) -> tuple[RunData, LogContents]:
-    """Read a run folder or an MCAP file back.
+    """Read a run folder or an MCAP file back; where that is all there is, a partial recording.
 
     Raises:
         RunFolderError: there is no recording of ours.
     """
-    file = path / "run.mcap" if path.is_dir() else path
+    file = RunFolder(path).log if path.is_dir() else path
+    if not file.exists():
+        file = partial_path(file)
     if not file.is_file():
         raise RunFolderError(f"{path}: holds no run.mcap")
     contents = read_log(file)
@@ -127,16 +136,13 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
             setup = load_setup(str(scenario), overrides)
         except ScenarioError as error:
             raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
-    run, recorder = (
-        contents.metadata.get(RUN_METADATA, {}),
-        contents.metadata.get(RECORDER_METADATA),
-    )
+    run, lost = contents.metadata.get(RUN_METADATA, {}), contents.metadata.get(LOST_METADATA)
     data = build_run_data(
         setup,
         contents.payloads,
         clock=run.get("clock", "unknown"),
         link=run.get("link", "unknown"),
-        lost=int((recorder or {}).get("lost", 0)),
+        lost=None if lost is None else {topic: int(count) for topic, count in lost.items()},
         complete=contents.complete,
     )
     return data, contents

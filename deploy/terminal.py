@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from deploy.experiments.report_verdict import PARTIAL
 from deploy.launcher import Utterance
 
 _PLAIN_LINE_S = 2.0
@@ -130,6 +131,11 @@ def _show_verdict(console: Console, summary: dict[str, Any]) -> None:
             f"[bold red]bounds not kept[/]  outside for {bounds['violation_fraction']:.1%} of the"
             f" time, first at {bounds['first_violation_s']:.3f} s"
         )
+    recorder = summary["recorder"]
+    if not recorder["complete"]:
+        console.print(f"[bold yellow]partial[/]  {PARTIAL}")
+    if recorder["lost"]:
+        console.print(f"[bold yellow]lost[/]  {recorder['lost']} messages, not recorded")
     rate, factor = timing["success_rate"], summary["real_time_factor"]
     console.print(
         f"{summary['ticks']} ticks"

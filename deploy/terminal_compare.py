@@ -13,6 +13,7 @@ from rich.table import Table
 from deploy.experiments.compare_tables import bounds_sentence, largest
 from deploy.experiments.comparison import Comparison, LawRun
 from deploy.experiments.report_tables import number, of_joint
+from deploy.experiments.settling import SettlingTest
 from deploy.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
 
@@ -70,6 +71,19 @@ class CompareProgress:
             loop = self._loop
             if loop is not None:
                 self._bar.update(self._task, completed=self._ticks_before + loop.tick)
+
+
+def settling_sentence(test: SettlingTest) -> str:
+    """How a law settled from near and far."""
+    times = [row.settling_time_s for row in test.rows]
+    known = [time for time in times if time is not None]
+    farthest = number(max((row.distance_rad for row in test.rows), default=None))
+    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
+    slowest = f", at most {number(max(known))} s" if known else ""
+    return (
+        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
+        f"{slowest}{bound}"
+    )
 
 
 def show_comparison(console: Console, comparison: Comparison) -> None:

@@ -19,7 +19,7 @@ from bus_schema import topics
 from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.clock import Clock, TickGrid
 from bus_schema.errors import PeerSilentError
-from bus_schema.events import EventKind
+from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
 from bus_schema.link import PlantLink
 from bus_schema.link_configuration import LinkConfiguration
@@ -108,6 +108,7 @@ class PlantLoop:
         )
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._in_force: Command | None = None
+        self._command_delay_ns = -1
         self._newest_sent_ns = -1
         self._controller_is_lost = False
         self._end_tick = task.ticks
@@ -124,6 +125,8 @@ class PlantLoop:
     def warm_up(self) -> None:
         """Compile what the loop calls before time counts, and leave no trace of it."""
         self._arm.warm_up()
+        # The codec of a message type is made at its first use, which takes longer than a few ticks.
+        RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
         all_finite(self._state.fields["position"])
 
     def request_stop(self) -> None:
@@ -254,6 +257,7 @@ class PlantLoop:
                 self._announce(EventKind.TRACKING, "first valid command: brakes released")
             if self._arm.mode in _COMMANDABLE:
                 self._in_force = command
+                self._command_delay_ns = now_ns - command.stamp_ns
                 self._arm.command(command.torque_nm)
 
     def _stop_safely(self) -> None:
@@ -278,7 +282,9 @@ class PlantLoop:
         self._arm.read_encoders(self._position, self._velocity)
         self._effort[:] = self._arm.torques.actuator
         sequence = self._in_force.sequence if self._in_force else 0
-        status.put_scalars(*_START, self._arm.mode, sequence, self._command_age_ns())
+        status.put_scalars(
+            *_START, self._arm.mode, sequence, self._command_age_ns(), self._command_delay_ns
+        )
         measurement = _Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
 

@@ -25,6 +25,7 @@ from bus_schema.configuration import (
     PowerAboveOne,
     PowerBelowOne,
 )
+from controller.anti_windup import may_accumulate
 from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
 from controller.packed_gains import pack
 from controller.prescribed_performance import clip_into_funnel, transform, transformation_rates
@@ -69,9 +70,10 @@ class FixedTimeNeuralGains(NamedTuple):
 class FixedTimeNeural:
     """The law with its network weights."""
 
-    def __init__(self, gains: FixedTimeNeuralGains) -> None:
+    def __init__(self, gains: FixedTimeNeuralGains, torque_limits_nm: Vector) -> None:
         joints = gains.k_1.size
         self._gains = pack(gains)
+        self._limits = torque_limits_nm
         self.diagnostics = Diagnostics(joints)
         self._axis = node_axis()
         self._activation: Vector = np.zeros(NODES)
@@ -80,6 +82,7 @@ class FixedTimeNeural:
 
     def reset(self) -> None:
         self._weights[:] = 0.0
+        self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
         _torque(
@@ -88,6 +91,7 @@ class FixedTimeNeural:
             tracking.bounds,
             tracking.step_s,
             self._gains,
+            self._limits,
             self._weights,
             self._axis,
             self._activation,
@@ -103,7 +107,7 @@ class FixedTimeNeural:
 @compiled
 def _torque(
     error: Vector, error_rate: Vector, bounds: Matrix, step_s: float, gains: NDArray[np.void],
-    weights: Matrix, axis: Vector, activation: Vector,
+    limits: Vector, weights: Matrix, axis: Vector, activation: Vector,
     transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
 ) -> None:  # fmt: skip
     g = gains[0]
@@ -118,10 +122,11 @@ def _torque(
         s = (d_epsilon + pull) / r
 
         activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), axis, g.node_width, activation)
-        adapt(
-            weights[i], activation, s, step_s,
-            g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
-        )  # fmt: skip
+        if may_accumulate(torque[i], s, limits[i]):
+            adapt(
+                weights[i], activation, s, step_s,
+                g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
+            )  # fmt: skip
         output = 0.0
         for k in range(activation.size):
             output -= weights[i, k] * activation[k]

@@ -1,10 +1,6 @@
 """Fast terminal sliding mode control: a rival of the paper's section 5, on a nominal model.
 
-    s = ė + α sig(e)^φ + β sig(e)^ψ,  φ ≥ 1, 0 < ψ < 1,
-    τ = Ĉ q̇ + Ĝ + M̂ (q̈_d − (α φ |e|^(φ − 1) + β ψ |e|^(ψ − 1)) ė − K sign s − k s).
-
-Below |e| = η the power ψ is continued by a quadratic of equal value and slope (see
-`surface_pull`), which bounds the slope that is infinite at zero.
+s = ė + α sig(e)^φ + β sig(e)^ψ,  φ ≥ 1, 0 < ψ < 1,    τ as in `switching`.
 """
 
 from __future__ import annotations
@@ -15,7 +11,6 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.arrays import Vector
-from bus_schema.compiled import compiled
 from bus_schema.configuration import (
     NonNegative,
     PerJointNonNegative,
@@ -23,15 +18,13 @@ from bus_schema.configuration import (
     Positive,
     PowerBelowOne,
 )
-from controller.control_law import Diagnostics, Dynamics, Tracking
-from controller.sliding_surface import default_switching, surface_pull, surface_pull_slope, switch
+from controller.control_law import Dynamics
+from controller.laws.switching import Reaching, Surface, SwitchingLaw
+from controller.sliding_surface import default_switching
 
 
 class FtsmcGains(NamedTuple):
-    """Surface gains α and β, switching gain K (rad/s²) and linear gain k (1/s) per joint; powers.
-
-    Inside ±boundary_layer (rad/s) the sign gives way to a straight line; 0 for none.
-    """
+    """Surface gains α and β per joint, powers, width η of ψ's regularisation; as in `Reaching`."""
 
     alpha: PerJointPositive
     beta: PerJointPositive
@@ -54,43 +47,10 @@ class FtsmcGains(NamedTuple):
         )
 
 
-class Ftsmc:
-    """The law on a nominal model."""
+class Ftsmc(SwitchingLaw):
+    """σ(e) = α sig(e)^φ + β sig(e)^ψ."""
 
     def __init__(self, gains: FtsmcGains, model: Dynamics) -> None:
-        joints = gains.beta.size
-        self.gains = gains
-        self.diagnostics = Diagnostics(joints)
-        self._model = model
-        self._acceleration: Vector = np.zeros(joints)
-
-    def reset(self) -> None:
-        """Nothing to forget: the law has no memory."""
-
-    def torque(self, tracking: Tracking) -> Vector:
-        _acceleration(
-            tracking.error,
-            tracking.error_rate,
-            tracking.reference_acceleration,
-            self.gains,
-            self.diagnostics.sliding_variable,
-            self._acceleration,
-        )
-        return self._model.inverse_dynamics(
-            tracking.position, tracking.velocity, self._acceleration
-        )
-
-
-@compiled
-def _acceleration(
-    error: Vector, error_rate: Vector, reference_acceleration: Vector, gains: FtsmcGains,
-    sliding: Vector, acceleration: Vector,
-) -> None:  # fmt: skip
-    g = gains
-    for i in range(error.size):
-        pull = surface_pull(error[i], g.alpha[i], g.beta[i], g.phi, g.psi, g.eta)
-        pull_slope = surface_pull_slope(error[i], g.alpha[i], g.beta[i], g.phi, g.psi, g.eta)
-        s = error_rate[i] + pull
-        reaching = g.switching[i] * switch(s, g.boundary_layer) + g.linear[i] * s
-        acceleration[i] = reference_acceleration[i] - pull_slope * error_rate[i] - reaching
-        sliding[i] = s
+        g = gains
+        surface = Surface(g.alpha, g.beta, g.phi, g.psi, g.eta)
+        super().__init__(surface, Reaching(g.switching, g.linear, g.boundary_layer), model)

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
+from bus_schema.compiled import compiled
 from bus_schema.configuration import PerJointNonNegative, PerJointPositive
+from controller.anti_windup import may_accumulate
 from controller.control_law import Diagnostics, Tracking
 
 
@@ -25,20 +27,44 @@ class PidGains(NamedTuple):
 
 
 class Pid:
-    """τ = −K_p e − K_i ∫e − K_d ė."""
+    """τ = −K_p e − K_i ∫e − K_d ė; an integral whose joint saturates only grows back inwards."""
 
-    def __init__(self, gains: PidGains) -> None:
+    def __init__(self, gains: PidGains, torque_limits_nm: Vector) -> None:
+        joints = gains.proportional.size
         self.gains = gains
-        self.diagnostics = Diagnostics(gains.proportional.size)
-        self._integral: Vector = np.zeros(gains.proportional.size)
+        self.diagnostics = Diagnostics(joints)
+        self._limits = torque_limits_nm
+        self._integral: Vector = np.zeros(joints)
+        self._torque: Vector = np.zeros(joints)
 
     def reset(self) -> None:
         self._integral[:] = 0.0
+        self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
-        self._integral += tracking.step_s * tracking.error
-        return -(
-            self.gains.proportional * tracking.error
-            + self.gains.integral * self._integral
-            + self.gains.derivative * tracking.error_rate
+        _torque(
+            tracking.error,
+            tracking.error_rate,
+            tracking.step_s,
+            self.gains,
+            self._limits,
+            self._integral,
+            self._torque,
+        )
+        return self._torque
+
+
+@compiled
+def _torque(
+    error: Vector, error_rate: Vector, step_s: float, gains: PidGains, limits: Vector,
+    integral: Vector, torque: Vector,
+) -> None:  # fmt: skip
+    g = gains
+    for i in range(error.size):
+        if may_accumulate(torque[i], error[i], limits[i]):
+            integral[i] += step_s * error[i]
+        torque[i] = -(
+            g.proportional[i] * error[i]
+            + g.integral[i] * integral[i]
+            + g.derivative[i] * error_rate[i]
         )

@@ -9,14 +9,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bus_schema.whole_files import write_whole
 from controller.laws import LAWS
 from deploy.experiments.compare_report import write_comparison_report
 from deploy.experiments.comparison import Comparison, LawRun
 from deploy.experiments.metrics import summarise
 from deploy.experiments.run_rows import row, write_rows
+from deploy.experiments.settling import SettlingTest
 from deploy.experiments.simulate import Simulation
 from deploy.run_folder import RunFolder, RunFolderError, load_run
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
+from deploy.yaml_files import ScenarioError
 
 KIND = "comparison"
 
@@ -54,6 +57,7 @@ class ComparisonFolder:
 
     path: Path
     _runs: list[LawRun] = field(default_factory=list)
+    _settling: list[SettlingTest] = field(default_factory=list)
 
     @staticmethod
     def create(name: str, out: Path | None) -> ComparisonFolder:
@@ -92,15 +96,19 @@ class ComparisonFolder:
         simulation.write_log(folder.log)
         data = simulation.data()
         run = LawRun(law, data, summarise(data))
-        folder.summary.write_text(json.dumps(run.summary, indent=2) + "\n")
+        folder.write_summary(run.summary)
         self._runs.append(run)
         return run
 
+    def add_settling(self, test: SettlingTest) -> None:
+        """Take in how a law settled from near and far."""
+        self._settling.append(test)
+
     def conclude(self) -> Comparison:
         """Write rows, summary, manifest and report of all runs so far."""
-        comparison = Comparison(list(self._runs))
+        comparison = Comparison(list(self._runs), list(self._settling))
         write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
-        self.summary.write_text(json.dumps(_summary(comparison), indent=2) + "\n")
+        write_whole(self.summary, json.dumps(_summary(comparison), indent=2) + "\n")
         self._write_manifest(comparison)
         write_comparison_report(comparison, self.report)
         return comparison
@@ -118,7 +126,7 @@ class ComparisonFolder:
             law: gains for one in manifests.values() for law, gains in one["gains"].items()
         }
         first["laws"] = list(manifests)
-        self.manifest.write_text(json.dumps(first, indent=2) + "\n")
+        write_whole(self.manifest, json.dumps(first, indent=2) + "\n")
 
 
 def is_comparison(path: Path) -> bool:
@@ -141,6 +149,8 @@ def load_comparison(path: Path) -> ComparisonFolder:
     for law in _laws_in(summary, path):
         data, _ = load_run(path / _folder_name(law))
         folder._runs.append(LawRun(law, data, summarise(data)))
+    for values in summary.get("settling", []):
+        folder.add_settling(SettlingTest.from_values(values))
     return folder
 
 
@@ -160,6 +170,7 @@ def _summary(comparison: Comparison) -> dict[str, Any]:
         "seed": common.seed if common else None,
         "clock": common.summary["clock"] if common else None,
         "laws": {run.law: run.summary for run in comparison.runs},
+        "settling": [test.values() for test in comparison.settling],
     }
 
 

@@ -30,7 +30,8 @@ _ZOOM_S = 1.0
 _BAND_POINTS = 400
 _ENVELOPE_S = 0.05
 _SMALLEST = 1e-6
-_LEGEND_PX = 62  # three rows, which six laws take where two panels stand side by side
+_BUTTONS_PX = 28  # plotly's, which stand above the legend
+_LEGEND_PX = 62  # three rows, which six laws take
 
 
 def rms_bars(comparison: Comparison) -> go.Figure | None:
@@ -57,7 +58,7 @@ def joint_bars(
     if not any(height for bars in figure.data for height in bars.y):
         return None
     style(figure, 420)
-    _put_legend_on_top(figure)
+    put_legend_on_top(figure)
     figure.update_layout(barmode="group", bargap=0.25, bargroupgap=0.08)
     figure.update_yaxes(type="log", title_text=unit, dtick=1, tickformat="~g")
     return figure
@@ -132,7 +133,7 @@ def law_rows(names: Sequence[str], unit: str) -> go.Figure:
     """A figure with one row per joint or axis, to hold a line per law in each."""
     figure = joint_rows(tuple(names), unit)
     figure.update_annotations(font={"size": 12, "color": INK})
-    _put_legend_on_top(figure)
+    put_legend_on_top(figure)
     return figure
 
 
@@ -193,14 +194,16 @@ def _add_envelopes(
     figure.update_yaxes(type="log", dtick=1, tickformat="~g")
 
 
-def _put_legend_on_top(figure: go.Figure) -> None:
+def put_legend_on_top(figure: go.Figure) -> None:
+    """Make room above a figure for a legend of laws, below the buttons in the corner."""
+    height = figure.layout.height + _BUTTONS_PX + _LEGEND_PX
     figure.update_layout(
-        height=figure.layout.height + _LEGEND_PX,
-        margin={"t": figure.layout.margin.t + _LEGEND_PX},
+        height=height,
+        margin={"t": figure.layout.margin.t + _BUTTONS_PX + _LEGEND_PX},
         showlegend=True,
         legend={
-            "x": 0, "xanchor": "left", "y": 1, "yanchor": "top", "yref": "container",
-            "traceorder": "normal", "entrywidthmode": "fraction",
-            "entrywidth": 0.37,
+            "x": 0, "xanchor": "left", "y": 1 - _BUTTONS_PX / height, "yanchor": "top",
+            "yref": "container", "traceorder": "normal", "entrywidthmode": "fraction",
+            "entrywidth": 0.48,
         },
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Figures of what several laws ask of the actuators, and of how soon they settle.
+"""Figures of what several laws ask of the actuators.
 
 Every function gives None where a comparison has nothing to draw.
 """
@@ -18,7 +18,6 @@ from deploy.experiments.compare_figures import add_law, joint_bars, law_rows
 from deploy.experiments.comparison import Comparison, LawRun
 from deploy.experiments.decimation import decimate
 from deploy.experiments.figure_style import INK, MUTED, joint_colour, style
-from deploy.experiments.report_tables import of_joint
 
 _TORQUE_POINTS = 1500
 _ROW_PX = 150
@@ -85,30 +84,6 @@ def total_variation(comparison: Comparison) -> go.Figure | None:
 def chatter_share(comparison: Comparison) -> go.Figure | None:
     """Share of every joint's torque energy that lies above 50 Hz, under every law."""
     return joint_bars(comparison, "torque", "share_above_50_hz", "energy above 50 Hz (%)", 100.0)
-
-
-def settling(comparison: Comparison) -> go.Figure | None:
-    """Settling time of every joint under every law, with the bound of those that have one."""
-    figure = joint_bars(comparison, "tracking", "settling_time_s", "settling time (s)")
-    if figure is None:
-        return None
-    figure.update_yaxes(type="linear", dtick=None)
-    for run in comparison.runs:
-        tracking = run.summary["tracking"]
-        joints = len(tracking["joint_names"])
-        bounds = [of_joint(tracking["settling_bound_s"], joint) for joint in range(joints)]
-        if any(bound is not None for bound in bounds):
-            colour = joint_colour(comparison.colour_index(run.law))
-            figure.add_trace(
-                go.Scatter(
-                    x=[html.escape(name) for name in tracking["joint_names"]], y=bounds,
-                    name=f"bound of {html.escape(run.law)}", mode="lines+markers",
-                    showlegend=False,
-                    line={"color": colour, "width": 1.5, "dash": "dash"},
-                    marker={"symbol": "line-ew-open", "size": 18, "color": colour},
-                )
-            )  # fmt: skip
-    return figure
 
 
 def _efforts(run: LawRun) -> Matrix:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import html
 from pathlib import Path
 
-from deploy.experiments import compare_figures, compare_figures_torque
+from bus_schema.whole_files import write_whole
+from deploy.experiments import compare_figures, compare_figures_settling, compare_figures_torque
 from deploy.experiments.compare_tables import joint_table, judge, verdict_table
 from deploy.experiments.comparison import Comparison
 from deploy.experiments.report_page import Panel, page, plot, render_sections
@@ -32,7 +33,7 @@ def write_comparison_report(comparison: Comparison, path: Path) -> None:
         "figures": render_sections(_SECTIONS, comparison),
     }
     title = f"{first.summary['scenario']} · {verdict.headline}"
-    path.write_text(page(title, "compare_template.html", values), encoding="utf-8")
+    write_whole(path, page(title, "compare_template.html", values))
 
 
 def _tiles(comparison: Comparison) -> str:
@@ -63,7 +64,15 @@ _SECTIONS = {
             "When the error entered the bounds' steady state to stay. Dashed, for laws that have"
             " one: the bound on the settling time that follows from gains and inertia, whatever"
             " the start. A missing bar is a joint that never settled.",
-            plot(compare_figures_torque.settling),
+            plot(compare_figures_settling.settling),
+        ),
+        Panel(
+            "settling-from-afar",
+            "Settling time from near and far",
+            "The scenario from other starts: all joints off by as much. Dashed: the one bound that"
+            " holds for every start, for laws that have one. A hollow circle left its funnel on"
+            " the way; a cross at the top did not settle while it was watched.",
+            plot(compare_figures_settling.settling_from_afar),
         ),
     ),
     "Joint errors": (

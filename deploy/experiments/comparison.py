@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from bus_schema import topics
 from deploy.experiments.run_data import RunData
+from deploy.experiments.settling import SettlingTest
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,15 @@ class LawRun:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs of one scenario under several laws, in the order asked for."""
+    """Runs of one scenario under several laws, in the order asked for.
+
+    Attributes:
+        runs: a run for each law.
+        settling: what became of starts from near and far, for each law that was put to that test.
+    """
 
     runs: list[LawRun]
+    settling: list[SettlingTest] = field(default_factory=list)
 
     @property
     def drawn(self) -> list[LawRun]:

@@ -42,7 +42,12 @@ def summarise(run: RunData) -> dict[str, Any]:
         "torque": _torque(run),
         "timing": _timing(run, ticks),
         "transport": _transport(run),
-        "recorder": {"messages": run.messages, "lost": run.lost},
+        "recorder": {
+            "messages": run.messages,
+            "lost": None if run.lost is None else sum(run.lost.values()),
+            "lost_by_topic": None if run.lost is None else dict(run.lost),
+            "complete": run.complete,
+        },
         "digest": run.digest,
     }
 

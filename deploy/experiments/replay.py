@@ -45,7 +45,7 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
 
     Args:
         setup: the recorded scenario.
-        contents: the recording.
+        contents: the recording; a partial one is compared as far as it goes.
     """
     states = contents.payloads[topics.JOINT_STATES.name]
     recorded = contents.payloads[topics.JOINT_COMMANDS.name]
@@ -59,6 +59,9 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     replayed = [command.payload for command in bus.commands]
     if setup.scenario.link.kind == "can":
         replayed = _as_delivered(setup, replayed)
+    if not contents.complete:
+        whole = min(len(recorded), len(replayed))
+        recorded, replayed = recorded[:whole], replayed[:whole]
     pairs = zip(recorded, replayed, strict=False)
     differing = (index for index, (a, b) in enumerate(pairs) if a != b)
     shorter = min(len(recorded), len(replayed))

@@ -7,6 +7,7 @@ import html
 from pathlib import Path
 from typing import Any
 
+from bus_schema.whole_files import write_whole
 from deploy.experiments import figures, figures_timing, report_tables
 from deploy.experiments.arm_pictures import arm_pictures
 from deploy.experiments.report_page import Panel, page, plot, render_sections
@@ -39,7 +40,7 @@ def write_report(run: RunData, summary: dict[str, Any], path: Path) -> None:
         "figures": render_sections(_SECTIONS, run),
         "digest": html.escape(summary["digest"]),
     }
-    path.write_text(page(title, "report_template.html", values), encoding="utf-8")
+    write_whole(path, page(title, "report_template.html", values))
 
 
 def _pictures(run: RunData, _: str) -> str:

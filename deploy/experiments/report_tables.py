@@ -155,6 +155,10 @@ def health_table(summary: dict[str, Any]) -> str:
         ["Real-time factor", number(summary["real_time_factor"])],
         ["Messages recorded", number(recorder["messages"])],
         ["Messages lost by the recorder", number(recorder["lost"])],
+        *(
+            [f"Lost of {topic}", number(n)]
+            for topic, n in (recorder["lost_by_topic"] or {}).items()
+        ),
     ]
     return table(["Run", ""], rows)
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from deploy.experiments.run_data import RunData
 
+PARTIAL = "The recording is partial: it was not finished properly."
 _SHOWN_FAULTS = 5
 
 
@@ -48,12 +49,13 @@ def _trouble(run: RunData, summary: dict[str, Any]) -> list[str]:
     if len(faults) > _SHOWN_FAULTS:
         trouble.append(f"{len(faults) - _SHOWN_FAULTS} more faults are listed below.")
     if not run.complete:
-        trouble.append("The recording is partial: it was not finished properly.")
+        trouble.append(PARTIAL)
     planned_s = run.setup.scenario.duration_s
     if not summary["completed"] and summary["duration_s"] < planned_s:
         trouble.append(f"The data end at {summary['duration_s']:.3f} s of {planned_s:g} s planned.")
     if run.lost:
-        trouble.append(f"The recorder missed {run.lost:,} messages.")
+        missed = ", ".join(f"{topic} {count:,}" for topic, count in run.lost.items())
+        trouble.append(f"The recording lacks {sum(run.lost.values()):,} messages: {missed}.")
     return trouble
 
 

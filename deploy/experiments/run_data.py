@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ class RunData:
         events: run events in order.
         digest: SHA-256 over the delivered joint states and the commands, in order.
         messages: number of recorded messages.
-        lost: messages that the recorder knows it missed.
+        lost: messages that the recorder knows it missed, by topic; None if nobody counted them to
+            the end.
         complete: the recording was finished properly.
     """
 
@@ -45,7 +47,7 @@ class RunData:
     events: Sequence[RunEvent]
     digest: str
     messages: int
-    lost: int
+    lost: Mapping[str, int] | None
     complete: bool
 
     def times_s(self, topic: Topic) -> Vector:
@@ -118,7 +120,7 @@ def build_run_data(
     *,
     clock: str,
     link: str,
-    lost: int = 0,
+    lost: Mapping[str, int] | None = MappingProxyType({}),
     complete: bool = True,
 ) -> RunData:
     """The data of a run from its messages by topic name."""

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bus_schema.whole_files import complete, partial_path
+
 _COLUMNS = {
     "scenario": "string",
     "law": "string",
@@ -84,9 +86,8 @@ def write_rows(
     }
     columns = {**(more_columns or {}), **_COLUMNS}
     schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
-    unfinished = path.with_suffix(".unfinished")
-    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), unfinished)
-    unfinished.replace(path)
+    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+    complete(path)
 
 
 def read_rows(path: Path) -> list[Row]:

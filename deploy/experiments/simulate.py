@@ -15,7 +15,7 @@ from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.experiments.simulate_can import run_over_can
-from deploy.recorder import RECORDER_METADATA, open_log, stamp_of
+from deploy.recorder import close_log, open_log, stamp_of
 from deploy.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
 
@@ -50,15 +50,20 @@ class Simulation:
         return "can" if self.setup.scenario.link.kind == "can" else LINK
 
     def write_log(self, path: Path) -> None:
-        """Write the recording that a recorder would have made."""
+        """Write the recording that a recorder would have made.
+
+        Raises:
+            OSError: the disk does not take it.
+        """
         log = open_log(self.setup, path, clock=CLOCK, link=self._link)
         sequences: Counter[str] = Counter()
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             sequences[topic.name] += 1
             stamp_ns = stamp_of(payload) or 0
             log.write(topic, sequences[topic.name], stamp_ns, stamp_ns, payload)
-        log.add_metadata(RECORDER_METADATA, {"messages": str(log.messages), "lost": "0"})
-        log.close()
+        close_log(log, Counter())
+        if log.failure is not None:
+            raise log.failure
 
 
 def simulate(

@@ -16,14 +16,18 @@ from typing import IO, Any
 
 import yaml
 
+from bus_schema.whole_files import write_whole
 from deploy.experiments.run_rows import Row, read_rows, write_rows
 from deploy.experiments.study import Run
 from deploy.run_folder import RunFolder, RunFolderError, provenance
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
 from deploy.scenario_text import effective_scenario
+from deploy.yaml_files import ScenarioError
 
 STUDY_FILE = "study.yaml"
 _FLUSH_S = 1.0
+_PART = "?" * 6 + ".parquet"
+"""Finished parts; one that a kill interrupted has a longer name."""
 
 
 class StudyFolder:
@@ -83,7 +87,7 @@ class StudyFolder:
         """Write the rows that are in memory only to a part of their own."""
         if self._unwritten:
             self._parts.mkdir(exist_ok=True)
-            taken = (int(part.stem) for part in self._parts.glob("*.parquet"))
+            taken = (int(part.stem) for part in self._parts.glob(_PART))
             part = self._parts / f"{max(taken, default=0) + 1:06d}.parquet"
             write_rows(self._unwritten, part, self._columns)
             self._unwritten = []
@@ -100,7 +104,7 @@ class StudyFolder:
 
     def write_summary(self, summary: dict[str, Any]) -> None:
         """Write ``summary.json``."""
-        self.summary.write_text(json.dumps(summary, indent=2) + "\n")
+        write_whole(self.summary, json.dumps(summary, indent=2) + "\n")
 
     def rerun_command(self, point: str) -> str:
         """The command that runs a point again."""
@@ -112,12 +116,10 @@ class StudyFolder:
             return
         self.scenarios.mkdir(exist_ok=True)
         setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
-        unfinished = file.with_suffix(".unfinished")
-        unfinished.write_text(effective_scenario(setup))
-        unfinished.replace(file)
+        write_whole(file, effective_scenario(setup))
 
     def _kept(self) -> list[Row]:
-        files = [self.rows_file, *sorted(self._parts.glob("*.parquet"))]
+        files = [self.rows_file, *sorted(self._parts.glob(_PART))]
         return [row for file in files if file.exists() for row in read_rows(file)]
 
 
@@ -168,10 +170,8 @@ def create_folder(kind: str, name: str, out: Path | None, text: str) -> Path:
     """
     path = RunFolder.create(f"{kind}-{name}", out).path
     manifest = {**provenance(), "study": yaml.safe_load(text)}
-    (path / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
-    unfinished = path / "study.unfinished"
-    unfinished.write_text(text)
-    unfinished.replace(path / STUDY_FILE)
+    write_whole(path / "manifest.json", json.dumps(manifest, indent=2) + "\n")
+    write_whole(path / STUDY_FILE, text)
     return path
 
 

@@ -6,6 +6,7 @@ import html
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+from bus_schema.whole_files import write_whole
 from deploy.experiments.margin_panels import margin_page
 from deploy.experiments.report_page import page, render_sections
 from deploy.experiments.report_tables import table, tile
@@ -34,7 +35,7 @@ def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
         "rows_file": html.escape(folder.rows_file.name),
     }
     title = f"{summary['name']} · {content.headline}"
-    folder.report.write_text(page(title, "study_template.html", values), encoding="utf-8")
+    write_whole(folder.report, page(title, "study_template.html", values))
 
 
 def _tiles(summary: dict[str, Any], content: StudyPage) -> str:

@@ -1,3 +1,7 @@
+import errno
+import resource
+from contextlib import contextmanager, suppress
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -9,6 +13,7 @@ from bus_schema.cdr_layout import Record
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.mcap_log import McapLog, read_log
 from bus_schema.topics import JOINT_STATES, PLANT_TRUTH, RUN_EVENTS, TOPICS, layout
+from bus_schema.whole_files import partial_path
 
 JOINTS = ("yaw", "shoulder", "elbow")
 PAYLOAD_BYTES = 96
@@ -118,13 +123,15 @@ def test_kill_without_close_loses_less_than_one_chunk(tmp_path, count):
     path = tmp_path / "run.mcap"
     log = McapLog(path, bytes_per_s=0)
     written = write_noise(log, count)
-    log.flush()
-    contents = read_log(path)
+    assert not path.exists()  # until it is whole
+    contents = read_log(partial_path(path))
     survived = contents.payloads["joint_states"]
     assert survived == written[: len(survived)]
     assert len(written) - len(survived) < MESSAGES_PER_CHUNK
     assert not contents.complete
     log.close()
+    assert read_log(path).complete
+    assert not partial_path(path).exists()
 
 
 def test_chunks_hold_a_quarter_second_of_the_expected_rate(tmp_path):
@@ -162,3 +169,57 @@ def test_garbage_is_an_empty_recording(tmp_path, garbage):
 def test_missing_file_is_told(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_log(tmp_path / "nowhere.mcap")
+
+
+@contextmanager
+def largest_file(size):
+    """No file may grow beyond this; the kernel refuses as it does on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_disk_that_is_full_ends_the_recording_and_all_is_accounted_for(tmp_path):
+    path, count = tmp_path / "run.mcap", 3000
+    with largest_file(128 * 1024):
+        log = McapLog(path, bytes_per_s=0)
+        log.write(RUN_EVENTS, 1, 0, 0, b"first")
+        written = write_noise(log, count)
+        log.finish_messages()
+        assert log.failure.errno == errno.EFBIG
+        log.close()
+    assert not path.exists()
+    contents = read_log(partial_path(path))
+    kept = contents.payloads["joint_states"]
+    assert not contents.complete
+    assert 0 < len(kept) < count
+    assert kept == written[: len(kept)]
+    assert log.messages == len(kept) + 1
+    assert log.lost == {"joint_states": count - len(kept)}
+
+
+def test_what_was_lost_is_told_in_the_file_even_on_a_full_disk(small_disk):
+    """A reserve is kept free for it, and given back in the end."""
+    path = small_disk / "run.mcap"
+    log = McapLog(path, bytes_per_s=0)
+    write_noise(log, 6000)  # 0.7 MB on half a megabyte
+    assert log.failure.errno == errno.ENOSPC
+    log.finish_messages()
+    log.add_metadata("lost", {"joint_states": str(log.lost["joint_states"])})
+    log.close()
+    contents = read_log(partial_path(path))
+    assert contents.metadata["lost"] == {"joint_states": str(6000 - log.messages)}
+    assert len(contents.payloads["joint_states"]) == log.messages
+    (small_disk / "summary.json").write_bytes(bytes(8192))  # there is room for that again
+
+
+def test_disk_without_any_space_is_told_before_anything_is_recorded(small_disk):
+    ballast = (small_disk / "ballast").open("wb", buffering=0)
+    with ballast, suppress(OSError):
+        while True:
+            ballast.write(bytes(4096))
+    with pytest.raises(OSError, match="No space left on device"):
+        McapLog(small_disk / "run.mcap", bytes_per_s=0)

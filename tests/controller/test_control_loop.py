@@ -228,7 +228,7 @@ def foreign_status(start_sec):
     types = TYPESTORE.types
     time = types["builtin_interfaces/msg/Time"]
     header = types["std_msgs/msg/Header"](time(0, 0), "world")
-    message = types[PLANT_STATUS](header, time(start_sec, 0), 0, 0, -1)
+    message = types[PLANT_STATUS](header, time(start_sec, 0), 0, 0, -1, -1)
     return bytes(TYPESTORE.serialize_cdr(message, PLANT_STATUS))
 
 

@@ -19,6 +19,7 @@ from deploy.robot_files import find_urdf
 
 JOINTS = 3
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
+NO_LIMITS = np.full(JOINTS, np.inf)
 SETTINGS = settings(deadline=None, max_examples=60)
 all_laws = pytest.mark.parametrize("name", LAWS)
 laws_with_memory = pytest.mark.parametrize("name", ["fixed_time_neural", "pid"])
@@ -52,7 +53,7 @@ def law_of(name, order=(0, 1, 2), model=None):
         for key, value in gains._asdict().items()
         if isinstance(value, np.ndarray)
     }
-    return LAWS[name].build(gains._replace(**vectors), model or DecoupledModel(order))
+    return LAWS[name].build(gains._replace(**vectors), model or DecoupledModel(order), NO_LIMITS)
 
 
 def situation(errors, error_rates, time_s=0.0, step_s=1e-3, order=(0, 1, 2)):
@@ -218,7 +219,7 @@ def test_boundary_layer_replaces_the_jump_by_a_line(name):
 
     def jump(boundary_layer):
         law = LAWS[name].build(
-            gains._replace(boundary_layer=boundary_layer), DecoupledModel((0, 1, 2))
+            gains._replace(boundary_layer=boundary_layer), DecoupledModel((0, 1, 2)), NO_LIMITS
         )
         above = law.torque(situation(np.zeros(3), np.full(3, 1e-6))).copy()
         return law.torque(situation(np.zeros(3), np.full(3, -1e-6))) - above
@@ -232,8 +233,34 @@ def test_boundary_layer_replaces_the_jump_by_a_line(name):
 @laws_with_memory
 def test_model_free_laws_never_touch_the_model(name):
     gains = ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
-    law = LAWS[name].build(gains, None)
+    law = LAWS[name].build(gains, None, NO_LIMITS)
     assert np.isfinite(law.torque(situation(np.full(3, 0.05), np.zeros(3)))).all()
+
+
+@laws_with_memory
+def test_memory_stops_outwards_while_a_torque_saturates_and_goes_on_inwards(name):
+    gains = ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
+    still = np.zeros(JOINTS)
+    away, back = (situation(np.full(JOINTS, sign * 0.05), still) for sign in (1.0, -1.0))
+
+    def after(limit_nm, *motion):
+        """Torque for one and the same error, which differs by what the law remembers."""
+        law = LAWS[name].build(gains, None, np.full(JOINTS, limit_nm))
+        for tracking in motion:
+            law.torque(tracking)
+        return law.torque(situation(still, still)).copy()
+
+    # the first torque finds nothing saturated, so that one step of it is remembered; no more
+    assert after(1e-3, *[away] * 9).tolist() == after(1e-3, away).tolist()
+    assert (after(np.inf, *[away] * 9) < after(np.inf, away)).all()
+    assert (after(1e-3, away, back) > after(1e-3, away)).all()
+    # a joint within its limit is not held by one beyond
+    mixed = LAWS[name].build(gains, None, np.array([1e-3, np.inf, np.inf]))
+    free = LAWS[name].build(gains, None, NO_LIMITS)
+    for _ in range(9):
+        torque, expected = mixed.torque(away).copy(), free.torque(away).copy()
+    assert torque[0] > expected[0]
+    assert torque[1:].tolist() == expected[1:].tolist()
 
 
 @pytest.mark.parametrize("seed", range(6))

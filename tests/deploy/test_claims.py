@@ -7,9 +7,9 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.experiments.metrics import summarise
-from deploy.experiments.rivals import varied, with_gains
 from deploy.experiments.settling import settling_test
 from deploy.experiments.simulate import simulate
+from deploy.experiments.tuning import varied, with_gains
 from deploy.scenario import load_setup
 
 RIVALS = ("pid", "smc", "tsmc", "ftsmc")

@@ -12,7 +12,8 @@ from deploy.experiments.compare import load_setups, parse_laws
 from deploy.experiments.run_rows import row, write_rows
 from deploy.experiments.simulate import attempt, simulate
 from deploy.run_folder import load_run
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import load_setup
+from deploy.yaml_files import ScenarioError
 
 SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
 
@@ -130,6 +131,19 @@ def test_a_law_that_fails_before_the_first_tick_is_a_row_with_its_error(monkeypa
     (setup,) = load_setups("paper_arm", ["duration_s=0.3"], ["pid"])
     data = attempt(setup).data()
     assert "IndexError" in data.faults()[0]
+
+
+def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_path):
+    short = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
+    words = ["compare", "--laws", "pid", "--settling", *short, "--out", tmp_path]
+    code, output = funnel_hil(*words)
+    assert code == 0
+    assert "of 9 starts of up to 1 rad" in output
+    starts = json.loads((tmp_path / "summary.json").read_text())["settling"]
+    assert [len(test["starts"]) for test in starts] == [9]
+    assert funnel_hil("report", tmp_path)[0] == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["settling"] == starts
+    assert 'id="settling-from-afar"' in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path):

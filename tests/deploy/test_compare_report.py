@@ -3,22 +3,28 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
 from bus_schema.events import EventKind, RunEvent
-from deploy.experiments import compare_figures, compare_figures_torque
+from deploy.experiments import (
+    compare_figures,
+    compare_figures_settling,
+    compare_figures_torque,
+)
 from deploy.experiments.compare_report import write_comparison_report
 from deploy.experiments.compare_tables import judge, largest
 from deploy.experiments.comparison import Comparison, LawRun
 from deploy.experiments.metrics import summarise
 from deploy.experiments.run_data import build_run_data
+from deploy.experiments.settling import SettlingRow, SettlingTest
 from deploy.experiments.simulate import simulate
 from deploy.scenario import load_setup
 
-FIGURES = ("rms", "settling", "errors", "errors-first-second", "error-envelopes", "tip-paths",
-           "tip-errors", "torques", "total-variation", "chatter-share", "torque-spectra",
-           "network-output")  # fmt: skip
+FIGURES = ("rms", "settling", "settling-from-afar", "errors", "errors-first-second",
+           "error-envelopes", "tip-paths", "tip-errors", "torques", "total-variation",
+           "chatter-share", "torque-spectra", "network-output")  # fmt: skip
 HOSTILE = "</script><script>alert(1)</script>"
 
 
@@ -31,7 +37,13 @@ def law_run(law):
 
 @pytest.fixture(scope="module")
 def comparison():
-    return Comparison([law_run("fixed_time_neural"), law_run("pid")])
+    runs = [law_run("fixed_time_neural"), law_run("pid")]
+    rows = [SettlingRow(np.full(3, 0.1), 0.4, bounds_kept=True),
+            SettlingRow(np.full(3, 1.0), None, bounds_kept=False)]  # fmt: skip
+    bounds = (2.5, None)
+    return Comparison(
+        runs, [SettlingTest(run.law, bound, rows) for run, bound in zip(runs, bounds, strict=True)]
+    )
 
 
 @pytest.fixture
@@ -145,8 +157,22 @@ def test_settling_bounds_are_drawn_for_the_laws_that_have_one(comparison):
     bounded = replace(first, summary={**first.summary, "tracking": tracking})
     tracking = {**second.summary["tracking"], "settling_bound_s": None}
     unbounded = replace(second, summary={**second.summary, "tracking": tracking})
-    names = [t.name for t in compare_figures_torque.settling(Comparison([bounded, unbounded])).data]
+    names = [
+        t.name for t in compare_figures_settling.settling(Comparison([bounded, unbounded])).data
+    ]
     assert [name for name in names if name.startswith("bound")] == ["bound of fixed_time_neural"]
+
+
+def test_starts_from_near_and_far_are_drawn_against_the_bound_of_the_law_that_has_one(comparison):
+    figure = compare_figures_settling.settling_from_afar(comparison)
+    traces = {trace.name: trace for trace in figure.data}
+    assert set(traces) == {"fixed_time_neural", "pid", "bound of fixed_time_neural"}
+    starts = traces["fixed_time_neural"]
+    assert starts.x == (0.1, 1.0)
+    assert starts.marker.symbol == ("circle", "x-thin-open")
+    assert starts.y == (0.4, 1.2)  # the second did not settle in the 1.2 s that it was watched
+    assert traces["bound of fixed_time_neural"].y == (2.5, 2.5)
+    assert compare_figures_settling.settling_from_afar(Comparison(comparison.runs)) is None
 
 
 def test_texts_from_a_run_are_shown_and_never_executed(comparison, page_of):

@@ -73,7 +73,7 @@ def run_of(
         JOINT_COMMANDS.name: rows(JOINT_COMMANDS, *commands),
         **others,
     }
-    return build_run_data(setup, payloads, clock="lockstep", link="zenoh", lost=3)
+    return build_run_data(setup, payloads, clock="lockstep", link="zenoh", lost={"joint_states": 3})
 
 
 def at(*errors_rad: float, **values: Any) -> dict[str, Any]:
@@ -222,7 +222,9 @@ def test_events_tell_how_it_ended(setup: Setup) -> None:
     assert summary["timing"]["success_rate"] == pytest.approx(0.75)  # 1 miss in 4 ticks
     assert summary["faults"] == ["plant at 0.002 s: it broke"]
     assert summary["transport"]["downlink"] == counts
-    assert summary["recorder"] == {"messages": 5 + 3, "lost": 3}
+    assert summary["recorder"] == {
+        "messages": 5 + 3, "lost": 3, "lost_by_topic": {"joint_states": 3}, "complete": True
+    }  # fmt: skip
 
 
 def test_digest_depends_on_every_byte_and_on_the_order(setup: Setup) -> None:

@@ -13,9 +13,11 @@ import yaml
 
 from bus_schema.cdr_layout import Record
 from bus_schema.mcap_log import LogContents, read_log
+from bus_schema.record_file import RecordFile
 from bus_schema.rmw_wire import Attachment, node_token
 from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Topic, layout
 from bus_schema.zenoh_session import ZenohSession
+from deploy import recorder as recorder_module
 from deploy.recorder import Recorder, stamp_of
 from deploy.scenario import Setup, load_setup
 
@@ -98,9 +100,10 @@ def test_gaps_in_the_numbers_of_each_sender_are_losses(bench: Bench) -> None:
         bench.send(topic, state(sequence), number(sequence, gid))
     bench.await_messages(len(sent))
     log = bench.leave()
-    assert bench.recorder.lost == 5 + 1
+    assert bench.recorder.lost == {"joint_states": 5 + 1}
     assert bench.recorder.messages == len(sent)
     assert log.metadata["recorder"] == {"messages": str(len(sent)), "lost": "6"}
+    assert log.metadata["lost"] == {"joint_states": "6"}
     assert log.sequences["joint_states"] == [1, 2, 5, 6, 10, 1, 3, 10, 9, 11]
     assert log.complete
 
@@ -108,7 +111,7 @@ def test_gaps_in_the_numbers_of_each_sender_are_losses(bench: Bench) -> None:
 def test_first_messages_that_never_came_are_losses_too(bench: Bench) -> None:
     bench.send(JOINT_STATES, state(0), number(4))
     bench.await_messages(1)
-    assert bench.recorder.lost == 3
+    assert bench.recorder.lost == {"joint_states": 3}
 
 
 def test_message_without_a_number_is_recorded_and_counts_as_no_loss(bench: Bench) -> None:
@@ -116,7 +119,7 @@ def test_message_without_a_number_is_recorded_and_counts_as_no_loss(bench: Bench
         bench.send(JOINT_STATES, state(0), attachment)
     bench.await_messages(3)
     log = bench.leave()
-    assert bench.recorder.lost == 0
+    assert bench.recorder.lost == {}
     assert log.sequences["joint_states"] == [0, 0, 0]
 
 
@@ -138,6 +141,37 @@ def test_scenario_and_robot_travel_with_the_recording(bench: Bench, setup: Setup
         "scenario": "paper_arm", "law": "fixed_time_neural",
         "clock": setup.scenario.clock, "link": "zenoh",
     }  # fmt: skip
+
+
+def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In real time: the backlog is bounded, and what does not fit in is counted."""
+    monkeypatch.setattr(recorder_module, "_LARGEST_BACKLOG", 100)
+    disk_works = threading.Event()
+    disk_works.set()
+    write = RecordFile.write
+
+    def write_when_possible(file: RecordFile, data: bytes) -> int:
+        assert disk_works.wait(HANG_S)
+        return write(file, data)
+
+    monkeypatch.setattr(RecordFile, "write", write_when_possible)
+    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
+    bench = Bench(load_setup("paper_arm", ["clock=realtime", *endpoints]), tmp_path / "run.mcap")
+    disk_works.clear()
+    count, padding = 3000, bytes(20_000)  # 60 MB: more than all buffers on the way would hold
+    for index in range(1, count + 1):
+        bench.send(JOINT_STATES, state(index) + padding, number(index))
+    disk_works.set()
+    await_true(lambda: bench.recorder.messages + bench.recorder.lost.total() == count)
+    log = bench.leave()
+    bench.give_up()
+    kept = log.sequences["joint_states"]
+    assert log.complete
+    assert kept[-1] == count
+    assert bench.recorder.lost == {"joint_states": count - len(kept)}
+    assert len(kept) < count // 2
 
 
 def test_stamp_stands_behind_the_encapsulation_header() -> None:

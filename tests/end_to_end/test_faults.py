@@ -29,7 +29,7 @@ from plant_emulator.arm_plant import Mode
 
 STRUCK_AT_S = 1.0
 PERIOD_S = 0.001
-# In real time a busy machine may well hold up a loop for the 100 ms that are the default.
+# In real time a busy machine may well hold up a loop for the 200 ms that are the default.
 COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 1.0}
 LONG = settings(duration_s=40, link__reply_timeout_s=1, link__connect_timeout_s=60)
 ROLES = {"controller", "plant", "recorder"}
@@ -137,6 +137,37 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
     assert not struck.run.data.complete
     # What the recorder had heard up to a second before it died is on the disk.
     assert struck.run.data.times_s(PLANT_TRUTH)[-1] >= struck.struck_s - 1.0
+    assert not (struck.run.folder / "run.mcap").exists()  # there is no whole recording
+    assert struck.run.summary["recorder"]["lost"] is None  # nobody counted to the end
+    for command in ("report", "replay") if clock == "lockstep" else ():
+        looked_at = funnel_hil(command, str(struck.run.folder), out=None)
+        assert looked_at.code == 0, looked_at.output
+        assert "The recording is partial" in looked_at.output
+
+
+def test_full_disk_ends_the_recording_and_not_the_run(small_disk: Path) -> None:
+    words = ["run", "paper_arm", *settings(clock="lockstep", duration_s=2)]
+    run = funnel_hil(*words, out=small_disk / "run")
+    assert run.code == 1
+    assert "the recording is partial: No space left on device" in run.output
+    assert run.output.count("Traceback") == 0
+    assert run.summary["transport"]["uplink"]["sent"] is None  # said at the end, when it was full
+    assert not run.data.complete
+    recorder, ticks = run.summary["recorder"], 2000
+    for topic in ("joint_states", "joint_commands", "plant_status"):
+        kept = len(run.data.tables[topic])
+        assert 0 < kept < ticks
+        assert recorder["lost_by_topic"][topic] == ticks - kept  # so the run went on to its end
+    assert recorder["lost"] == sum(recorder["lost_by_topic"].values())
+
+
+def test_folder_that_is_gone_is_told_by_the_recorder(tmp_path: Path) -> None:
+    log = tmp_path / "gone" / "run.mcap"
+    ended = funnel_hil("record", "paper_arm", "--log", str(log), out=None)
+    assert ended.code == 1
+    assert f"{log}: " in ended.output
+    assert "No such file or directory" in ended.output
+    assert "Traceback" not in ended.output
 
 
 @pytest.mark.parametrize(
@@ -164,7 +195,7 @@ def test_interrupted_run_leaves_complete_files(
 def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) -> None:
     def has_come(run: Running) -> bool:
         if moment == "recording has begun":
-            return (run.folder / "run.mcap").is_file()
+            return (run.folder / "run.partial.mcap").is_file()
         return processes_of(run.folder).keys() >= ROLES
 
     words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections.abc import Mapping
+from typing import Any
 
 from bus_schema import topics
 from bus_schema.rmw_wire import Attachment
@@ -20,10 +22,12 @@ _TRY_S = 0.1
 class Near:
     """The end that asks."""
 
-    def __init__(self, messages: Messages) -> None:
-        self.address = f"tcp/127.0.0.1:{free_port()}"
+    def __init__(
+        self, messages: Messages, protocol: str = "tcp", security: Mapping[str, Any] | None = None
+    ) -> None:
+        self.address = f"{protocol}/127.0.0.1:{free_port()}"
         self._replies: queue.SimpleQueue[Delivery] = queue.SimpleQueue()
-        self._session = ZenohSession([self.address], [], low_latency=True)
+        self._session = ZenohSession([self.address], [], low_latency=True, security=security)
         self._requests = [
             (
                 self._session.publisher(topic.key_expression(_DOMAIN)),
@@ -60,9 +64,9 @@ class Near:
         return True
 
 
-def answer(address: str, messages: Messages) -> None:
+def answer(address: str, messages: Messages, security: Mapping[str, Any] | None = None) -> None:
     """Answer every state, on the network thread as the real controller does."""
-    session = ZenohSession([], [address], low_latency=True)
+    session = ZenohSession([], [address], low_latency=True, security=security)
     publisher = session.publisher(topics.JOINT_COMMANDS.key_expression(_DOMAIN))
     session.subscribe(topics.PLANT_STATUS.key_expression(_DOMAIN), lambda _: None)
     session.subscribe(
