@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -122,9 +122,10 @@ def trial(setup: Setup) -> tuple[float, float]:
     return cost(setup), START_S + scenario.duration_s
 
 
-def tuning_setup(scenario: str, law: str) -> Setup:
-    """A scenario under a law, as it is tuned on."""
-    return load_setup(scenario, [f"controller.law={law}", f"duration_s={DURATION_S}", *HARDWARE])
+def tuning_setup(scenario: str, law: str, overrides: Sequence[str] = ()) -> Setup:
+    """A scenario under a law, as it is tuned on, with overrides of its own such as gains."""
+    tuned_on = [f"controller.law={law}", f"duration_s={DURATION_S}", *HARDWARE]
+    return load_setup(scenario, [*overrides, *tuned_on])
 
 
 def tune(setup: Setup, budget_s: float = BUDGET_S, seed: int = 1) -> tuple[Any, float]:

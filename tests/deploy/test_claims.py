@@ -1,4 +1,7 @@
-"""What the project claims of its laws on the nominal scenario, whatever the rivals' gains."""
+"""What the project claims of its laws on `paper_arm`, and what it does not.
+
+Minutes of evidence with more gains: controller/README.md, "How the laws were tuned".
+"""
 
 from __future__ import annotations
 
@@ -7,60 +10,79 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.experiments.metrics import summarise
+from deploy.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, judge, load_gains
 from deploy.experiments.settling import settling_test
 from deploy.experiments.simulate import simulate
-from deploy.experiments.tuning import varied, with_gains
 from deploy.scenario import load_setup
 
-RIVALS = ("pid", "smc", "tsmc", "ftsmc")
 
-
-def setup_of(law, duration_s):
-    return load_setup("paper_arm", [f"controller.law={law}", f"duration_s={duration_s}"])
-
-
-def judged(setup):
-    return summarise(simulate(setup).data())
+def setup_of(law, duration_s, overrides=()):
+    return load_setup(
+        "paper_arm", [*overrides, f"controller.law={law}", f"duration_s={duration_s}"]
+    )
 
 
 @pytest.fixture(scope="module")
-def summaries():
-    return {law: judged(setup_of(law, 20)) for law in LAWS}
+def shipped():
+    """Every law with the gains of the scenario, over all of it."""
+    return {law: judge(setup_of(law, 20)) for law in LAWS}
 
 
-def rms(summary):
-    return np.array(summary["tracking"]["rms_rad"])
+@pytest.fixture(scope="module")
+def brief():
+    """The neural law and its rivals with the gains of the scenario, over 5 s."""
+    return {law: judge(setup_of(law, 5)) for law in (PROPOSED, *RIVALS)}
 
 
-def variation(summary):
-    return np.array(summary["torque"]["total_variation_nm_per_s"])
+@pytest.fixture(scope="module")
+def tuned():
+    """Every law with the gains that the one procedure found for it, over as long as it looked."""
+    return {law: judge(setup_of(law, 8, load_gains(EQUALLY_TUNED))) for law in (PROPOSED, *RIVALS)}
 
 
-def test_fixed_time_laws_keep_their_bounds_and_the_pid_does_not(summaries):
-    assert summaries["fixed_time_neural"]["bounds"]["kept"]
-    assert summaries["fixed_time_model_based"]["bounds"]["kept"]
-    assert not summaries["pid"]["bounds"]["kept"]
+def test_fixed_time_laws_keep_their_bounds_and_the_pid_does_not(shipped, tuned):
+    assert shipped[PROPOSED].kept
+    assert shipped["fixed_time_model_based"].kept
+    assert not shipped["pid"].kept
+    assert tuned[PROPOSED].kept  # the model-based law's tuned gains do not, over 20 s
+    assert not tuned["pid"].kept
 
 
 @pytest.mark.parametrize("rival", RIVALS)
-def test_neural_law_has_at_most_half_the_error_of_each_rival_on_every_joint(summaries, rival):
-    assert (rms(summaries["fixed_time_neural"]) <= 0.5 * rms(summaries[rival])).all()
+def test_neural_law_has_at_most_half_the_error_of_each_rival_as_shipped(shipped, rival):
+    assert (shipped[PROPOSED].rms_mrad <= 0.5 * shipped[rival].rms_mrad).all()
 
 
-def test_neural_law_is_as_smooth_as_claimed(summaries):
-    neural = variation(summaries["fixed_time_neural"])
-    assert (neural <= 0.01 * variation(summaries["smc"])).all()
-    assert (neural <= 8.0 * variation(summaries["pid"])).all()
+def test_equally_tuned_the_best_rival_has_less_error_on_the_elbow_and_more_elsewhere(tuned):
+    best = np.min([tuned[rival].rms_mrad for rival in RIVALS], axis=0)
+    assert (tuned[PROPOSED].rms_mrad < best).tolist() == [True, True, False]
 
 
-@pytest.mark.parametrize("seed", range(3))
+def test_neural_law_is_as_smooth_as_claimed(shipped):
+    neural = shipped[PROPOSED].variation_nm_per_s
+    assert (neural <= 0.01 * shipped["smc"].variation_nm_per_s).all()
+    assert (neural <= 8.0 * shipped["pid"].variation_nm_per_s).all()
+
+
+@pytest.mark.parametrize("rival", ["smc", "tsmc", "ftsmc"])
+def test_no_equally_tuned_switching_law_is_nearly_as_smooth(tuned, rival):
+    # 2.2 % of SMC's on the elbow, and far less on the other joints.
+    ratios = tuned[PROPOSED].variation_nm_per_s / tuned[rival].variation_nm_per_s
+    assert ratios.max() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("rival", RIVALS)
-def test_moderate_changes_of_a_rivals_gains_do_not_reverse_the_result(rival, seed):
-    random = np.random.default_rng(seed)
-    setup = setup_of(rival, 8)
-    gains = varied(setup.gains, lambda joints: random.uniform(0.7, 1.3, joints))
-    neural = rms(judged(setup_of("fixed_time_neural", 8)))
-    assert (neural < rms(judged(with_gains(setup, gains)))).all()
+def test_moderate_changes_of_a_rivals_shipped_gains_do_not_reverse_the_result(brief, rival, seed):
+    changed = judge(drawn(setup_of(rival, 5), seed))
+    assert (brief[PROPOSED].rms_mrad < changed.rms_mrad).all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nor_do_moderate_changes_of_the_neural_laws_gains(brief, seed):
+    changed = judge(drawn(setup_of(PROPOSED, 5), seed))
+    assert changed.kept
+    assert (changed.rms_mrad < np.min([brief[rival].rms_mrad for rival in RIVALS], axis=0)).all()
 
 
 @pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
@@ -75,10 +97,11 @@ def test_settling_time_stays_below_one_bound_from_near_and_far(law):
 @pytest.mark.parametrize("scenario", ["paper_arm", "iiwa", "panda"])
 def test_every_law_runs_on_every_arm_with_derived_gains(scenario, law):
     overrides = [f"controller.law={law}", f"controller.gains.{law}=null", "duration_s=3"]
-    summary = judged(load_setup(scenario, overrides))
+    summary = summarise(simulate(load_setup(scenario, overrides)).data())
     assert summary["completed"]
     assert not summary["faults"]
+    rms_rad = max(summary["tracking"]["rms_rad"])
     if law != "pid":  # which has nothing against gravity but its integral
         assert summary["bounds"]["kept"]
-        assert rms(summary).max() < 5e-3
-    assert rms(summary).max() < 0.1
+        assert rms_rad < 5e-3
+    assert rms_rad < 0.1
