@@ -20,7 +20,9 @@ class EventKind(StrEnum):
     """
 
     STARTED = "started"
-    TRACKING = "tracking"
+    MODE = "mode"
+    COMMANDER = "commander"
+    LIMIT = "limit"
     FAULT = "fault"
     STOPPED = "stopped"
     COUNTS = "counts"

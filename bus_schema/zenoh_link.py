@@ -92,6 +92,9 @@ class ZenohPlantLink:
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self._node.has_publisher(topics.JOINT_COMMANDS)
 
+    def sender_has_left(self, sender: bytes) -> bool:
+        return self._node.has_left(sender)
+
     def await_recorded(self) -> None:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
         self._node.await_acknowledgement(self._link.reply_timeout_s)

@@ -53,7 +53,10 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     loop.warm_up()
     for state in states:
-        loop.cycle(state, statuses.get(state[_STAMP]))
+        try:
+            loop.cycle(state, statuses.get(state[_STAMP]))
+        except Exception:  # noqa: BLE001 (a law that failed in the recording fails again)
+            break
     replayed = [command.payload for command in bus.commands]
     if not contents.complete:
         whole = min(len(recorded), len(replayed))
