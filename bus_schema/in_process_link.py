@@ -23,12 +23,13 @@ class InProcessBus:
             collector finds nothing to do while a loop runs.
         on_state: the controller; None before it came and after it failed.
         failure: the exception that ended the controller's service of states, if any.
+        commands_sent: number of the newest command.
         commands: commands that the plant has not taken yet.
     """
 
     def __init__(self, plant_clock: Clock) -> None:
         self._clock = plant_clock
-        self._commands_sent = 0
+        self.commands_sent = 0
         self.topics: list[Topic] = []
         self.payloads: list[bytes] = []
         self.on_state: StateHandler | None = None
@@ -41,7 +42,7 @@ class InProcessBus:
         self.payloads.append(payload)
         if topic is not JOINT_COMMANDS:
             return 0
-        self._commands_sent = sequence = self._commands_sent + 1
+        self.commands_sent = sequence = self.commands_sent + 1
         self.commands.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))
         return sequence
 

@@ -108,15 +108,8 @@ class ZenohPlantLink:
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
             return  # a flood: what comes after is no use, and memory is bounded
-        attachment = Attachment.decode(delivery.attachment)
-        self._arrivals.put(
-            CommandArrival(
-                delivery.payload[: MAX_PAYLOAD_BYTES + 1],
-                attachment.sequence if attachment else 0,
-                attachment.gid if attachment else b"",
-                self._clock.now_ns(),
-            )
-        )
+        now_ns = self._clock.now_ns()
+        self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
 
 
 class ZenohControllerLink:
@@ -205,6 +198,17 @@ class ZenohControllerLink:
         except Exception as error:  # noqa: BLE001 (raised again by join, on the main thread)
             self.failure = error
             self._over.set()
+
+
+def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
+    """A command as the plant takes it in; a sender without an attachment has no name."""
+    known = Attachment.decode(attachment)
+    return CommandArrival(
+        payload[: MAX_PAYLOAD_BYTES + 1],
+        known.sequence if known else 0,
+        known.gid if known else b"",
+        now_ns,
+    )
 
 
 _TELEMETRY: dict[Role, Sequence[Topic]] = {

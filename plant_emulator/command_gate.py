@@ -45,6 +45,8 @@ class CommandGate:
         rejections: what was kept out.
         awaited_ns: stamp of the state whose answer is waited for; None once it has come, be it
             new or a repetition.
+        newest_ns: stamp answered by the newest command; none that answers an older one comes
+            through. -1 before the first.
         commander: session of the one sender that is heard; None before the first valid command.
     """
 
@@ -55,7 +57,7 @@ class CommandGate:
         self._record = Record(self._layout)
         self._has_left = has_left
         self.rejections = Rejections("command", logger)
-        self._newest_ns = -1
+        self.newest_ns = -1
         self._newest_sequence = 0
         self.awaited_ns: int | None = None
         self.commander: bytes | None = None
@@ -84,9 +86,9 @@ class CommandGate:
         self._require_commander(arrival)
         if stamp_ns == self.awaited_ns:
             self.awaited_ns = None
-        if stamp_ns <= self._newest_ns:
+        if stamp_ns <= self.newest_ns:
             raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
-        self._newest_ns = stamp_ns
+        self.newest_ns = stamp_ns
         self._newest_sequence = arrival.sequence
         self.commander = arrival.sender
         return Command(torque.copy(), arrival.sequence, stamp_ns)
