@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import struct
 from collections import Counter
@@ -18,10 +19,12 @@ from bus_schema.events import EventKind, RunEvent
 from bus_schema.in_process_link import InProcessBus, InProcessControllerLink
 from bus_schema.mcap_log import McapLog
 from bus_schema.message_types import JOINT_STATE, TYPESTORE
+from bus_schema.modes import Mode
 from bus_schema.rmw_wire import Attachment, Entity, EntityKind, endpoint_token
 from bus_schema.topics import Role
 from bus_schema.zenoh_link import arrival_of
 from controller.control_loop import ControlLoop
+from controller.torque_guard import ControllerError
 from deploy.recorder import stamp_of
 from deploy.scenario import load_setup
 from plant_emulator.command_gate import Command, CommandGate
@@ -36,6 +39,7 @@ class Target:
 
     Attributes:
         accepted: mutations that came through as commands, each of them checked.
+        stops: mutated states on which the law failed, and the controller stopped in order.
         kinds: mutations by what was mutated.
     """
 
@@ -46,12 +50,13 @@ class Target:
         self._mutator = Mutator(seed)
         self._gate = CommandGate(self._names)
         self._bus = InProcessBus(VirtualClock())
-        self._loop = ControlLoop(self._setup.control_task(), InProcessControllerLink(self._bus))
+        self._loop = self._controller()
         self._log = McapLog(folder / "fuzz.mcap", bytes_per_s=1e6)
         self._payloads = {topic: self._payload(topic) for topic in topics.TOPICS}
         self._sequence = 0
         self._stamp_ns = 0
         self.accepted = 0
+        self.stops = 0
         self.kinds: Counter[str] = Counter()
 
     def close(self) -> None:
@@ -90,11 +95,25 @@ class Target:
         payload = self._mutator.bytes(self._payloads[topics.JOINT_STATES])
         stamp_of(payload)
         before = self._loop.stamp_ns
-        self._loop.cycle(payload, self._payloads[topics.PLANT_STATUS])
+        try:
+            self._loop.cycle(payload, self._payloads[topics.PLANT_STATUS])
+        except ControllerError:  # of absurd but finite numbers a law may make what is no torque
+            self._check_stop()
+            return
         assert self._loop.stamp_ns >= before
         for command in self._bus.commands:
             assert np.isfinite(self._effort(command.payload)).all()
         self._loop.stamp_ns = -1  # a state of the far future would make all others late
+
+    def _check_stop(self) -> None:
+        """The controller stopped in order, and its last torque is zero."""
+        assert self._loop.mode is Mode.FAULT
+        assert self._effort(self._bus.commands[-1].payload).tolist() == [0.0, 0.0, 0.0]
+        self.stops += 1
+        self._loop = self._controller()
+
+    def _controller(self) -> ControlLoop:
+        return ControlLoop(self._setup.control_task(), InProcessControllerLink(self._bus))
 
     def _attack_status(self) -> None:
         payload = self._mutator.bytes(self._payloads[topics.PLANT_STATUS])
@@ -102,10 +121,8 @@ class Target:
 
     def _attack_event(self) -> None:
         payload = self._mutator.bytes(self._payloads[topics.RUN_EVENTS])
-        try:
+        with contextlib.suppress(InvalidMessageError):
             RunEvent.decode(payload).values()
-        except InvalidMessageError:
-            pass
 
     def _attack_key(self) -> None:
         token = endpoint_token(0, "abc", "node", 1, EntityKind.PUBLISHER, topics.JOINT_COMMANDS)
