@@ -166,6 +166,8 @@ class Launcher:
             Role.PLANT: ["plant", scenario, "--await-recorder"],
             Role.CONTROLLER: ["controller", scenario, "--await-recorder"],
         }
+        if self._setup.scenario.link.kind == "can":
+            arguments[Role.PLANT] += ["--can-log", str(self._folder.can_log)]
         try:
             for role, words in arguments.items():
                 self._children[role] = Child(role, words, self._heard)

@@ -51,6 +51,7 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.log = path / "run.mcap"
+        self.can_log = path / "can.log"
         self.scenario = path / "scenario.yaml"
         self.summary = path / "summary.json"
         self.manifest = path / "manifest.json"
@@ -73,7 +74,8 @@ class RunFolder:
         if not os.access(path, os.W_OK):
             raise ScenarioError(f"--out {path}: is not writable")
         folder = RunFolder(path)
-        for file in (folder.log, folder.summary, folder.manifest, folder.report, folder.fault):
+        judged = (folder.summary, folder.manifest, folder.report, folder.fault)
+        for file in (folder.log, folder.can_log, *judged):
             file.unlink(missing_ok=True)
             partial_path(file).unlink(missing_ok=True)
         return folder

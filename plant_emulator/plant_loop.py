@@ -206,6 +206,8 @@ class PlantLoop:
         self._journal.send(self._link)
         self._lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
+        if self._arm.mode in _COMMANDABLE and (reason := self._link.fault()) is not None:
+            self._begin_stop(reason)
 
     def _deliver(self, measurement: _Measurement) -> None:
         self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
@@ -226,7 +228,8 @@ class PlantLoop:
                 self._collect_commands()
             elif self._link.controller_has_left():
                 self._controller_is_lost = True
-                self._fail("the controller has left the bus")
+                if self._arm.mode in _COMMANDABLE and self._link.fault() is None:
+                    self._fail("the controller has left the bus")
                 return
             elif time.monotonic() > give_up_s:
                 self._controller_is_lost = True
@@ -298,9 +301,13 @@ class PlantLoop:
             self._stop_safely(f"beyond its limits: {name_of(beyond)}")
 
     def _stop_safely(self, reason: str) -> None:
+        self._begin_stop(f"{reason}: safe stop ({self._task.plant.safe_stop})")
+
+    def _begin_stop(self, reason: str) -> None:
+        """Stop the arm, and end the run when it has had the time for it."""
         self._arm.stop()
         self._announce_mode(f"safe stop ({self._task.plant.safe_stop})")
-        self._fail(f"{reason}: safe stop ({self._task.plant.safe_stop})")
+        self._fail(reason)
         stop_ticks = round(self._task.plant.stop_duration_s * 1e9 / self._grid.period_ns)
         self._end_tick = min(self._end_tick, self.tick + 1 + stop_ticks)
 
@@ -359,7 +366,7 @@ class PlantLoop:
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
             "downlink": self._downlink.statistics().summary() | {"rejected": rejected},
             "limits": self._limits.summary(),
-        }
+        } | self._link.report()
         if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")
         self._announce(EventKind.COUNTS, json.dumps(counts))

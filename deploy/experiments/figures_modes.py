@@ -31,9 +31,11 @@ def timeline(run: RunData) -> go.Figure | None:
     if not spans:
         return None
     end_s = max(span[3] for span in spans)
-    figure = go.Figure([_bars(spans, mode, end_s) for mode in Mode] + _marks(run))
+    figure = go.Figure([_bars(spans, mode, end_s) for mode in reversed(Mode)] + _marks(run))
     style(figure, _HEIGHT_PX, legend=True)
-    figure.update_layout(barmode="overlay", bargap=0.35, legend={"y": -0.35})
+    figure.update_layout(
+        barmode="overlay", bargap=0.35, legend={"y": -0.35, "traceorder": "reversed"}
+    )
     figure.update_xaxes(title_text="time (s)", range=[0.0, max(end_s, 1e-9) * 1.01])
     figure.update_yaxes(categoryorder="array", categoryarray=[str(role) for role in _ROLES])
     return figure

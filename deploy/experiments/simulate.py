@@ -13,6 +13,7 @@ from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, In
 from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
 from deploy.experiments.run_data import RunData, build_run_data
+from deploy.experiments.simulate_can import run_over_can
 from deploy.recorder import close_log, open_log, stamp_of
 from deploy.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
@@ -41,7 +42,11 @@ class Simulation:
         by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             by_topic[topic.name].append(payload)
-        return build_run_data(self.setup, by_topic, clock=CLOCK, link=LINK)
+        return build_run_data(self.setup, by_topic, clock=CLOCK, link=self._link)
+
+    @property
+    def _link(self) -> str:
+        return "can" if self.setup.scenario.link.kind == "can" else LINK
 
     def write_log(self, path: Path) -> None:
         """Write the recording that a recorder would have made.
@@ -49,7 +54,7 @@ class Simulation:
         Raises:
             OSError: the disk does not take it.
         """
-        log = open_log(self.setup, path, clock=CLOCK, link=LINK)
+        log = open_log(self.setup, path, clock=CLOCK, link=self._link)
         sequences: Counter[str] = Counter()
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             sequences[topic.name] += 1
@@ -60,15 +65,23 @@ class Simulation:
             raise log.failure
 
 
-def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:
+def simulate(
+    setup: Setup,
+    on_start: Callable[[PlantLoop], None] | None = None,
+    can_log: Path | None = None,
+) -> Simulation:
     """Run a scenario in virtual time.
 
     Args:
         setup: the scenario.
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
+        can_log: file for the frames of a CAN bus.
     """
     clock = VirtualClock()
     bus = InProcessBus(clock)
+    if setup.scenario.link.kind == "can":
+        stopped_by = run_over_can(setup, bus, clock, on_start, can_log)
+        return Simulation(setup, bus.topics, bus.payloads, stopped_by)
     controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     arm = setup.arm()
     plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)

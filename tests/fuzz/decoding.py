@@ -119,7 +119,10 @@ class Target:
 
     def _attack_status(self) -> None:
         payload = self._mutator.bytes(self._payloads[topics.PLANT_STATUS])
-        self._loop.cycle(self._payloads[topics.JOINT_STATES], payload)
+        try:
+            self._loop.cycle(self._payloads[topics.JOINT_STATES], payload)
+        except ControllerError:  # it says when the run began, and so what the reference is
+            self._check_stop()
 
     def _attack_event(self) -> None:
         payload = self._mutator.bytes(self._payloads[topics.RUN_EVENTS])
