@@ -9,7 +9,9 @@ import yaml
 from mutation import Mutator
 
 from deploy.experiments.simulate import simulate
-from deploy.scenario import SHIPPED, ScenarioError, load_setup
+from deploy.links import check_link
+from deploy.scenario import SHIPPED, load_setup
+from deploy.yaml_files import ScenarioError
 
 _TICKS = 3
 
@@ -25,6 +27,7 @@ def try_scenario(mutator: Mutator, folder: Path) -> str:
     file.write_text(text)
     try:
         setup = load_setup(str(file))
+        check_link(setup, one_process=True)
     except ScenarioError as error:
         assert str(file) in str(error), str(error)
         return "refused"
