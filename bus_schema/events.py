@@ -20,7 +20,9 @@ class EventKind(StrEnum):
     """
 
     STARTED = "started"
-    TRACKING = "tracking"
+    MODE = "mode"
+    COMMANDER = "commander"
+    LIMIT = "limit"
     FAULT = "fault"
     STOPPED = "stopped"
     COUNTS = "counts"
@@ -70,6 +72,6 @@ class RunEvent:
         """The JSON object in `detail`; empty where there is none."""
         try:
             parsed = json.loads(self.detail)
-        except json.JSONDecodeError:
+        except (json.JSONDecodeError, RecursionError):  # it may be a stranger's
             return {}
         return parsed if isinstance(parsed, dict) else {}

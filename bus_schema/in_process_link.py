@@ -22,16 +22,19 @@ class InProcessBus:
         topics: topic of each message that was on the bus, in order.
         payloads: its payload. Two flat lists: with no container per message, Python's garbage
             collector finds nothing to do while a loop runs.
-        on_state: the controller.
+        on_state: the controller; None before it came and after it failed.
+        failure: the exception that ended the controller's service of states, if any.
+        commands_sent: number of the newest command.
         commands: commands that the plant has not taken yet.
     """
 
     def __init__(self, plant_clock: Clock) -> None:
         self._clock = plant_clock
-        self._commands_sent = 0
+        self.commands_sent = 0
         self.topics: list[Topic] = []
         self.payloads: list[bytes] = []
         self.on_state: StateHandler | None = None
+        self.failure: Exception | None = None
         self.commands: list[CommandArrival] = []
 
     def publish(self, topic: Topic, payload: bytes) -> int:
@@ -40,7 +43,7 @@ class InProcessBus:
         self.payloads.append(payload)
         if topic is not JOINT_COMMANDS:
             return 0
-        self._commands_sent = sequence = self._commands_sent + 1
+        self.commands_sent = sequence = self.commands_sent + 1
         self.commands.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))
         return sequence
 
@@ -63,8 +66,12 @@ class InProcessPlantLink:
     def send_state(self, state: bytes, status: bytes) -> None:
         self.publish(PLANT_STATUS, status)
         self.publish(JOINT_STATES, state)
-        if self._bus.on_state is not None:
+        if self._bus.on_state is None:
+            return
+        try:
             self._bus.on_state(state, status)
+        except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
+            self._bus.on_state, self._bus.failure = None, error
 
     def await_command(self, timeout_s: float) -> bool:  # noqa: ARG002 (the interface)
         return bool(self._bus.commands)
@@ -72,6 +79,9 @@ class InProcessPlantLink:
     def controller_has_left(self) -> bool:
         # A controller that has not answered by now never will: there is no other thread.
         return not self._bus.commands
+
+    def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (the interface)
+        return self._bus.on_state is None
 
     def take_commands(self) -> list[CommandArrival]:
         taken, self._bus.commands = self._bus.commands, []

@@ -69,6 +69,10 @@ class PlantLink(Publisher, Protocol):
         """Whether the controller was on the bus and is there no longer."""
         ...
 
+    def sender_has_left(self, sender: bytes) -> bool:
+        """Whether the session that sends commands as `sender` was on the bus and is gone."""
+        ...
+
     def take_commands(self) -> list[CommandArrival]:
         """All commands that arrived since the last call, in order of arrival."""
         ...

@@ -42,7 +42,7 @@ class Attachment:
         if len(data) != _ATTACHMENT.size:
             return None
         sequence, source_time_ns, gid_bytes, gid = _ATTACHMENT.unpack(data)
-        if gid_bytes != GID_BYTES or sequence < 0:
+        if gid_bytes != GID_BYTES or sequence < 0 or source_time_ns < 0:
             return None
         return Attachment(sequence, source_time_ns, gid)
 

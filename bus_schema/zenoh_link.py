@@ -93,6 +93,9 @@ class ZenohPlantLink:
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self._node.has_publisher(topics.JOINT_COMMANDS)
 
+    def sender_has_left(self, sender: bytes) -> bool:
+        return self._node.has_left(sender)
+
     def await_recorded(self) -> None:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
         self._node.await_acknowledgement(self._link.reply_timeout_s)
@@ -112,15 +115,8 @@ class ZenohPlantLink:
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
             return  # a flood: what comes after is no use, and memory is bounded
-        attachment = Attachment.decode(delivery.attachment)
-        self._arrivals.put(
-            CommandArrival(
-                delivery.payload[: MAX_PAYLOAD_BYTES + 1],
-                attachment.sequence if attachment else 0,
-                attachment.gid if attachment else b"",
-                self._clock.now_ns(),
-            )
-        )
+        now_ns = self._clock.now_ns()
+        self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
 
 
 class ZenohControllerLink:
@@ -209,6 +205,17 @@ class ZenohControllerLink:
         except Exception as error:  # noqa: BLE001 (raised again by join, on the main thread)
             self.failure = error
             self._over.set()
+
+
+def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
+    """A command as the plant takes it in; a sender without an attachment has no name."""
+    known = Attachment.decode(attachment)
+    return CommandArrival(
+        payload[: MAX_PAYLOAD_BYTES + 1],
+        known.sequence if known else 0,
+        known.gid if known else b"",
+        now_ns,
+    )
 
 
 _TELEMETRY: dict[Role, Sequence[Topic]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable
 
 from bus_schema import topics
@@ -28,6 +28,7 @@ from bus_schema.zenoh_session import Delivery, Mailbox, ZenohPublisher, ZenohSes
 
 POLL_S = 0.05
 _BATCH = 32
+_REMEMBERED_DEPARTED = 1000
 _PATIENCE_S = 60.0
 _REALTIME_PATIENCE_S = 0.02
 """A loop in real time is held up at most once and for so long by a recorder that stops reading."""
@@ -59,6 +60,7 @@ class ZenohNode:
         self._role = role
         self._node = node_name(role)
         self._entities: dict[str, Entity] = {}
+        self._departed: deque[bytes] = deque(maxlen=_REMEMBERED_DEPARTED)
         self._acknowledged = threading.Event()
         self._waiting: list[tuple[ZenohPublisher, bytes, bytes]] = []
         self._waiting_lock = threading.Lock()
@@ -115,6 +117,10 @@ class ZenohNode:
             entity.kind == EntityKind.PUBLISHER and entity.topic == topic.name
             for entity in self._others()
         )
+
+    def has_left(self, gid: bytes) -> bool:
+        """Whether a publisher had announced itself and is gone."""
+        return gid in self._departed
 
     def await_role(
         self, role: Role, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -180,8 +186,8 @@ class ZenohNode:
         entity = Entity.from_token(token)
         if entity is not None and alive:
             self._entities[token] = entity
-        else:
-            self._entities.pop(token, None)
+        elif self._entities.pop(token, None) is not None:
+            self._departed.append(endpoint_gid(token))
 
 
 def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:

@@ -6,6 +6,8 @@ same states give the same torques, bit for bit, in a simulation, over a bus and 
 
 from __future__ import annotations
 
+import contextlib
+import json
 import logging
 import time
 from dataclasses import dataclass
@@ -16,16 +18,20 @@ from bus_schema import topics
 from bus_schema.arrays import Vector
 from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.errors import InvalidMessageError
+from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
+from bus_schema.limits import name_of
 from bus_schema.link import ControllerLink
+from bus_schema.modes import Cue, Mode, follow, mode_event
 from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
+from bus_schema.topics import Role
 from controller.command_timeline import Echo
 from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
 from controller.delay_compensation import DelayCompensation
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference
-from controller.torque_guard import TorqueGuard
+from controller.torque_guard import ControllerError, TorqueGuard
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +52,7 @@ class ControlLoop:
     """One cycle per joint state: read, update, write.
 
     Attributes:
+        mode: what the controller does; changes as `bus_schema.modes.TRANSITIONS` has it.
         cycles: states answered with a torque of their own.
         late: states older than the newest seen, answered with the torque in force.
         rejections: unusable states, which are not answered.
@@ -77,6 +84,10 @@ class ControlLoop:
         self.cycles = 0
         self.late = 0
         self.rejections = Rejections("joint state", logger)
+        self.mode = Mode.IDLE
+        self._to_announce: list[tuple[EventKind, str]] = []
+        task.guard.watch(self._motion)
+        self._change_mode(Cue.BEGIN, "waiting for the first joint state")
         link.serve(self.cycle)
 
     def warm_up(self) -> None:
@@ -89,18 +100,53 @@ class ControlLoop:
         self._require_finite()
         self._task.law.reset()
         self._task.guard.reset()
+        # The codec of a message type is made at its first use, which takes longer than a few ticks.
+        RunEvent(0, Role.CONTROLLER, EventKind.STARTED, "").encode()
 
     def cycle(self, state: bytes, plant_status: bytes | None) -> None:
         """Answer one joint state.
 
         Raises:
             InvalidTorqueError: the law returned something that is no torque.
+            Exception: whatever else the law raised; the controller has stopped then.
         """
         started_ns = time.perf_counter_ns()
-        if self._read(state, plant_status):
-            torque = self._update()
-            sequence = self._write(torque)
-            self._report(sequence, started_ns)
+        if self.mode is Mode.FAULT:
+            return
+        try:
+            if self._read(state, plant_status):
+                torque = self._update()
+                sequence = self._write(torque)
+                self._report(sequence, started_ns)
+        except Exception as error:
+            self.stop(str(error) if isinstance(error, ControllerError) else _named(error))
+            raise
+
+    def stop(self, reason: str) -> None:
+        """Stop for a fault: the last torque that is sent is zero, whatever the rate limits say."""
+        if self.mode not in (Mode.READY, Mode.TRACKING):
+            return
+        self._change_mode(Cue.FAIL, "zero torque")
+        self._command.put_stamp(stamp_word(max(self.stamp_ns, 0)))
+        self._effort[:] = 0.0
+        with contextlib.suppress(Exception):  # the bus may be what has failed
+            self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+        self._change_mode(Cue.STOPPED, "gives no more torques")
+        self._to_announce.append((EventKind.FAULT, reason))
+        with contextlib.suppress(Exception):
+            self._announce()
+
+    def end(self) -> dict[str, object]:
+        """Say goodbye; what was counted."""
+        if self.mode in (Mode.READY, Mode.TRACKING):
+            self._change_mode(Cue.END, "gives no more torques")
+        counts = {
+            "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
+            "limits": self._task.guard.counts.summary(),
+        }  # fmt: skip
+        self._to_announce.append((EventKind.ENDED, json.dumps(counts)))
+        self._announce()
+        return counts
 
     def _read(self, state: bytes, plant_status: bytes | None) -> bool:
         """Take in a state; whether it calls for a new torque."""
@@ -161,6 +207,29 @@ class ControlLoop:
         self._link.publish(topics.CONTROL_STATUS, status.payload())
         self._cycle_started_ns = started_ns
         self.cycles += 1
+        if self.mode is Mode.READY:
+            self._change_mode(Cue.COMMAND, "first torque sent")
+        if self._task.guard.hits:
+            self._note_hits(self._task.guard)
+        if self._to_announce:
+            self._announce()
+
+    def _note_hits(self, guard: TorqueGuard) -> None:
+        new = guard.counts.note(guard.hits)
+        if new:
+            detail = f"reached for the first time: {name_of(new)}"
+            self._to_announce.append((EventKind.LIMIT, detail))
+
+    def _change_mode(self, cue: Cue, why: str) -> None:
+        self.mode = follow(self.mode, cue)
+        self._to_announce.append((EventKind.MODE, mode_event(self.mode, why)))
+
+    def _announce(self) -> None:
+        """Send what there is to tell; the torque is already on its way."""
+        told, self._to_announce = self._to_announce, []
+        for kind, detail in told:
+            event = RunEvent(max(self.stamp_ns, 0), Role.CONTROLLER, kind, detail)
+            self._link.publish(topics.RUN_EVENTS, event.encode())
 
     def _require_finite(self) -> None:
         if not all_finite(self._motion):
@@ -202,3 +271,7 @@ class ControlLoop:
         if self._compensation is not None:
             self._compensation.report_into(*foresight)
         return tracking
+
+
+def _named(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"

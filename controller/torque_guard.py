@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bus_schema.arrays import Vector
-from bus_schema.compiled import compiled
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.finite import all_finite
+from bus_schema.limits import JointLimits, LimitCounts, limit_torques
 
 
 class ControllerError(Exception):
@@ -32,19 +32,30 @@ class TorqueGuard:
 
     Args:
         law: name of the law, for error messages.
-        limits_nm: largest torque per joint, shape (joints,).
-        rate_limits_nm_s: largest change per second and joint, shape (joints,); inf for none.
+        limits: what the controller keeps within.
+
+    Attributes:
+        hits: limits that the newest torque or the motion ran into: a sum of
+            `bus_schema.limits.Hit`.
+        counts: how often each limit was hit.
     """
 
-    def __init__(self, law: str, limits_nm: Vector, rate_limits_nm_s: Vector) -> None:
+    def __init__(self, law: str, limits: JointLimits) -> None:
         self._law = law
-        self._limits = limits_nm
-        self._rate_limits = rate_limits_nm_s
-        self._out: Vector = np.zeros(limits_nm.size)
+        self._table = limits.table()
+        self._out: Vector = np.zeros(limits.torque_nm.size)
+        self._motion: Matrix = np.zeros((2, limits.torque_nm.size))
+        self.hits = 0
+        self.counts = LimitCounts()
+
+    def watch(self, motion: Matrix) -> None:
+        """Look at this motion from now on: positions and velocities as rows, shape (2, joints)."""
+        self._motion = motion
 
     def reset(self) -> None:
         """Forget the torque before."""
         self._out[:] = 0.0
+        self.hits = 0
 
     def admit(self, torque: Vector, tick: int, step_s: float) -> Vector:
         """The torque to send, shape (joints,), N m.
@@ -61,17 +72,5 @@ class TorqueGuard:
             raise InvalidTorqueError(self._law, tick, f"{torque.dtype} where float64 is expected")
         if not all_finite(torque):
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
-        _limit(torque, self._limits, self._rate_limits, step_s, self._out)
+        self.hits = limit_torques(torque, self._motion, self._table, step_s, self._out)
         return self._out
-
-
-@compiled
-def _limit(
-    torque: Vector, limits: Vector, rate_limits: Vector, step_s: float, previous_and_out: Vector
-) -> None:
-    for i in range(torque.size):
-        limited = min(max(torque[i], -limits[i]), limits[i])
-        if step_s > 0.0:
-            change = rate_limits[i] * step_s
-            limited = min(max(limited, previous_and_out[i] - change), previous_and_out[i] + change)
-        previous_and_out[i] = limited

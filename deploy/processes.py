@@ -17,9 +17,8 @@ from rich.console import Console
 from bus_schema.can_link import CanControllerLink
 from bus_schema.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
 from bus_schema.errors import BusError
-from bus_schema.events import EventKind, RunEvent
 from bus_schema.realtime import go_realtime
-from bus_schema.topics import RUN_EVENTS, Role
+from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
@@ -149,21 +148,14 @@ def _control(
     voice: Voice,
 ) -> int:
     """Answer states to the end, and say goodbye; the exit code."""
-
-    def publish(kind: EventKind, detail: str) -> None:
-        event = RunEvent(max(loop.stamp_ns, 0), Role.CONTROLLER, kind, detail)
-        link.publish(RUN_EVENTS, event.encode())
-
     code = FINISHED
     try:
         link.join(is_stop_requested=lambda: stop.is_set)
     except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
         voice.say("fault", text=str(error))
-        publish(EventKind.FAULT, str(error))
+        loop.stop(str(error))
         code = FAULT
-    counts = {"cycles": loop.cycles, "late": loop.late, "rejected": loop.rejections.counts}
-    voice.say("result", **counts)
-    publish(EventKind.ENDED, json.dumps(counts))
+    voice.say("result", **loop.end())
     link.await_recorded()
     return code
 

@@ -86,6 +86,24 @@ def stamp_of(payload: bytes) -> int | None:
     return stamp_ns if stamp_ns >= 0 else None
 
 
+class GapCounter:
+    """Counts messages that never came, by the gaps in their senders' numbers.
+
+    Attributes:
+        missed: messages that are missing, by topic.
+    """
+
+    def __init__(self) -> None:
+        self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
+        self.missed: Counter[str] = Counter()
+
+    def note(self, topic: str, sender: bytes, sequence: int) -> None:
+        """A message came; what is missing since the last one of its sender is missed."""
+        last = self._last_sequence[topic, sender]
+        self.missed[topic] += max(0, sequence - last - 1)
+        self._last_sequence[topic, sender] = max(sequence, last)
+
+
 class Recorder:
     """Writes what it hears until both sides have left.
 
@@ -102,9 +120,8 @@ class Recorder:
         self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind)
         domain = setup.scenario.link.domain
         self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
-        self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
+        self._gaps = GapCounter()
         self._last_stamp_ns = 0
-        self._missed: Counter[str] = Counter()
         lossless = setup.scenario.clock == "lockstep"
         self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=lossless)
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG, lossless=lossless)
@@ -118,7 +135,7 @@ class Recorder:
     @property
     def lost(self) -> Counter[str]:
         """Messages that are not: by gaps in their senders' numbers, and by the disk; by topic."""
-        return self._missed + self._log.lost
+        return self._gaps.missed + self._log.lost
 
     @property
     def failure(self) -> OSError | None:
@@ -158,8 +175,8 @@ class Recorder:
             topic = self._topics.get(key)
             if topic is not None:
                 self._count_gap(topic, delivery)
-                self._missed[topic.name] += 1
-        close_log(self._log, self._missed)
+                self._gaps.missed[topic.name] += 1
+        close_log(self._log, self._gaps.missed)
         self._node.close()
 
     def _write_what_came(self) -> bool:
@@ -187,9 +204,7 @@ class Recorder:
         """Count what is missing since the last message of this sender on this topic."""
         attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
         if attachment.sequence:
-            key = (topic.name, attachment.gid)
-            self._missed[topic.name] += max(0, attachment.sequence - self._last_sequence[key] - 1)
-            self._last_sequence[key] = max(attachment.sequence, self._last_sequence[key])
+            self._gaps.note(topic.name, attachment.gid, attachment.sequence)
         return attachment
 
     def _acknowledge(self, payload: bytes, gid: bytes) -> None:

@@ -1,4 +1,7 @@
-"""What a run leaves behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``."""
+"""What a run leaves behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``.
+
+And, where something went wrong, ``fault.json``.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from typing import Any
 
 from bus_schema.mcap_log import LogContents, read_log
 from bus_schema.whole_files import partial_path, write_whole
+from deploy.experiments.fault_record import fault_record
 from deploy.experiments.metrics import summarise
 from deploy.experiments.report import write_report
 from deploy.experiments.run_data import RunData, build_run_data
@@ -52,6 +56,7 @@ class RunFolder:
         self.summary = path / "summary.json"
         self.manifest = path / "manifest.json"
         self.report = path / "report.html"
+        self.fault = path / "fault.json"
 
     @staticmethod
     def create(name: str, out: Path | None) -> RunFolder:
@@ -69,7 +74,8 @@ class RunFolder:
         if not os.access(path, os.W_OK):
             raise ScenarioError(f"--out {path}: is not writable")
         folder = RunFolder(path)
-        for file in (folder.log, folder.can_log, folder.summary, folder.manifest, folder.report):
+        judged = (folder.summary, folder.manifest, folder.report, folder.fault)
+        for file in (folder.log, folder.can_log, *judged):
             file.unlink(missing_ok=True)
             partial_path(file).unlink(missing_ok=True)
         return folder
@@ -100,6 +106,9 @@ class RunFolder:
         summary["faults"] = [*extra_faults, *summary["faults"]]
         summary["completed"] = summary["completed"] and not extra_faults
         self.write_summary(summary)
+        record = fault_record(run)
+        if record is not None:
+            write_whole(self.fault, json.dumps(record, indent=1) + "\n")
         write_report(run, summary, self.report)
         return summary
 

@@ -26,6 +26,7 @@ from bus_schema.configuration import (
     expand,
 )
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.limits import LimitsConfiguration
 from bus_schema.link_configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from controller.configuration import (
@@ -89,6 +90,7 @@ class Scenario(StrictModel):
     controller: ControllerConfiguration = ControllerConfiguration()
     link: LinkConfiguration = LinkConfiguration()
     plant: PlantConfiguration = PlantConfiguration()
+    limits: LimitsConfiguration = LimitsConfiguration()
     metrics: MetricsConfiguration = MetricsConfiguration()
 
 
@@ -119,15 +121,14 @@ class Setup:
     def control_task(self) -> ControlTask:
         """A fresh task for a controller."""
         controller = self.scenario.controller
-        limits = self.robot.effort_limits_nm
+        own_rates = controller.torque_rate_limits(self.robot.joints)
+        limits = self.scenario.limits.of_controller(self.robot, own_rates)
         return ControlTask(
             robot=self.robot,
             reference=self.reference,
             funnel=self.funnel,
             law=controller.build_law(self.gains, self.robot),
-            guard=TorqueGuard(
-                controller.law, limits, controller.torque_rate_limits(self.robot.joints)
-            ),
+            guard=TorqueGuard(controller.law, limits),
             compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
         )
 
@@ -157,6 +158,7 @@ class Setup:
             self.start_position_rad,
             self.grid.substep_s,
             self.scenario.seed,
+            self.scenario.limits,
         )
 
 
@@ -240,7 +242,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     setup.control_task()
     if scenario.link.kind == "can":
         check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
-    ArmPlant.check(scenario.plant, robot, start, grid.substep_s)
+    ArmPlant.check(scenario.plant, robot, start, grid.substep_s, scenario.limits)
     return setup
 
 

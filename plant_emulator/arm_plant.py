@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import os
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.modes import Cue, Mode, follow
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.joint_hardware import Encoders
 from plant_emulator.joint_torques import JointTorques
 from plant_emulator.pybullet_arm import PybulletArm
-
-
-class Mode(IntEnum):
-    """What the arm does; numbers as in PlantStatus.msg."""
-
-    BRAKED = 0
-    TRACKING = 1
-    STOPPING = 2
-    FAULT = 3
 
 
 class ArmPlant:
@@ -35,9 +27,11 @@ class ArmPlant:
         start_position_rad: joint positions at the start, shape (joints,).
         substep_s: length of a substep.
         seed: seed of everything random in the arm.
+        limits: section ``limits`` of the scenario.
 
     Attributes:
-        mode: what the arm does.
+        mode: what the arm does; changes as `bus_schema.modes.TRANSITIONS` has it.
+        stops_at: limits at which the arm has to be stopped safely.
         torques: torques of the last substep.
         position: true joint positions, rad, shape (joints,).
         velocity: true joint velocities, rad/s, shape (joints,).
@@ -51,14 +45,16 @@ class ArmPlant:
         start_position_rad: Vector,
         substep_s: float,
         seed: int,
+        limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
     ) -> None:
         disturbance_seed, encoder_seed = np.random.SeedSequence(seed).spawn(2)
         self._safe_stop = configuration.safe_stop
+        self.stops_at = limits.stops_at
         self._stop_damping = expand(
             configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s"
         )
         self.torques = JointTorques(
-            configuration, robot, substep_s, np.random.default_rng(disturbance_seed)
+            configuration, robot, substep_s, np.random.default_rng(disturbance_seed), limits
         )
         self._encoders = Encoders(
             configuration.encoder, robot.joints, np.random.default_rng(encoder_seed)
@@ -74,7 +70,7 @@ class ArmPlant:
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
         self._set_brakes(engaged=True)
-        self.mode = Mode.BRAKED
+        self.mode = Mode.IDLE
 
     @staticmethod
     def check(
@@ -82,6 +78,7 @@ class ArmPlant:
         robot: RobotDescription,
         start_position_rad: Vector,
         substep_s: float,
+        limits: LimitsConfiguration,
     ) -> None:
         """Check that such an arm can be made.
 
@@ -92,22 +89,27 @@ class ArmPlant:
         if configuration.gui and not os.environ.get("DISPLAY"):
             raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
         without_window = configuration.model_copy(update={"gui": False})
-        ArmPlant(without_window, robot, start_position_rad, substep_s, seed=0).close()
+        ArmPlant(without_window, robot, start_position_rad, substep_s, 0, limits).close()
 
     def warm_up(self) -> None:
         """Compile what a step calls, and leave no trace of it."""
-        self.torques.act(self._commanded, self.velocity, 0.0)
+        self.torques.act(self._commanded, self.motion, 0.0)
         self.torques.rest()
+        self.torques.hits = 0
 
     def read_encoders(self, into_position: Vector, into_velocity: Vector) -> None:
         """Write what a controller gets to see of the motion."""
         self._encoders.read(self.position, self.velocity, into_position, into_velocity)
 
+    def begin(self) -> None:
+        """Take part in a run: the brakes hold until the first torque."""
+        self.mode = follow(self.mode, Cue.BEGIN)
+
     def command(self, torque_nm: Vector) -> None:
         """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
-        if self.mode is Mode.BRAKED:
+        if self.mode is Mode.READY:
             self._set_brakes(engaged=False)
-            self.mode = Mode.TRACKING
+            self.mode = follow(self.mode, Cue.COMMAND)
         if self.mode is Mode.TRACKING:
             self._commanded[:] = torque_nm
 
@@ -121,14 +123,14 @@ class ArmPlant:
 
     def stop(self) -> None:
         """Begin the configured safe stop. There is no way back."""
-        self.mode = Mode.STOPPING
+        self.mode = follow(self.mode, Cue.FAIL)
         self._commanded[:] = 0.0
         if self._safe_stop == "brake":
             self._set_brakes(engaged=True)
 
     def brake(self) -> None:
         """Engage the brakes for good: the run is over."""
-        self.mode = Mode.FAULT if self.mode is Mode.STOPPING else Mode.BRAKED
+        self.mode = follow(self.mode, Cue.STOPPED if self.mode is Mode.STOPPING else Cue.END)
         self._commanded[:] = 0.0
         self._set_brakes(engaged=True)
 
@@ -141,7 +143,7 @@ class ArmPlant:
         if self.mode is Mode.STOPPING and self._safe_stop == "damping":
             np.multiply(self._stop_damping, self.velocity, out=self._commanded)
             np.negative(self._commanded, out=self._commanded)
-        total = self.torques.act(self._commanded, self.velocity, time_s)
+        total = self.torques.act(self._commanded, self.motion, time_s)
         if self._holds_some:
             self.torques.rest_at(self._held)
         self._arm.step(total)

@@ -130,6 +130,9 @@ class CanPlantLink:
         is_gone = self._controller_was_seen and not self._telemetry.sees(Role.CONTROLLER)
         return is_gone or self._drives.is_off
 
+    def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (on this bus, all are one)
+        return False
+
     def take_commands(self) -> list[CommandArrival]:
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
 

@@ -1,8 +1,9 @@
-"""The gate every command passes: nothing invalid, stale or unasked-for comes through."""
+"""The gate every command passes: nothing invalid, stale, replayed or foreign comes through."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from typing import NamedTuple
 
 from bus_schema import topics
@@ -31,20 +32,35 @@ class Command(NamedTuple):
 
 
 class CommandGate:
-    """Decodes commands and keeps out what is not valid, finite, right-sized and newer.
+    """Keeps out commands that are not valid, finite, right-sized, newer and of the one commander.
+
+    The first sender of a valid command becomes the commander, and no other is heard until it has
+    left the bus. A controller that was started again is another session, and so another sender.
+
+    Args:
+        joint_names: names of the joints.
+        has_left: whether a sender was on the bus and is there no longer.
 
     Attributes:
         rejections: what was kept out.
         awaited_ns: stamp of the state whose answer is waited for; None once it has come, be it
             new or a repetition.
+        newest_ns: stamp answered by the newest command; none that answers an older one comes
+            through. -1 before the first.
+        commander: session of the one sender that is heard; None before the first valid command.
     """
 
-    def __init__(self, joint_names: tuple[str, ...]) -> None:
+    def __init__(
+        self, joint_names: tuple[str, ...], has_left: Callable[[bytes], bool] = lambda _: False
+    ) -> None:
         self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
         self._record = Record(self._layout)
+        self._has_left = has_left
         self.rejections = Rejections("command", logger)
-        self._newest_ns = -1
+        self.newest_ns = -1
+        self._newest_sequence = 0
         self.awaited_ns: int | None = None
+        self.commander: bytes | None = None
 
     def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
         """The command in `arrival`, or None if it must change nothing.
@@ -67,9 +83,24 @@ class CommandGate:
             raise InvalidMessageError("not_finite", "a torque is not finite")
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
+        self._require_commander(arrival)
         if stamp_ns == self.awaited_ns:
             self.awaited_ns = None
-        if stamp_ns <= self._newest_ns:
+        if stamp_ns <= self.newest_ns:
             raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
-        self._newest_ns = stamp_ns
+        self.newest_ns = stamp_ns
+        self._newest_sequence = arrival.sequence
+        self.commander = arrival.sender
         return Command(torque.copy(), arrival.sequence, stamp_ns)
+
+    def _require_commander(self, arrival: CommandArrival) -> None:
+        """Refuse whoever is not the commander, and what the commander has sent before.
+
+        A sender that gives no numbers has the stamps alone to protect it.
+        """
+        if arrival.sender == self.commander:
+            if arrival.sequence <= self._newest_sequence and self._newest_sequence:
+                raise InvalidMessageError("replayed", "its number is no newer than the last one's")
+            self._newest_sequence = arrival.sequence
+        elif self.commander is not None and not self._has_left(self.commander):
+            raise InvalidMessageError("other_commander", "another session is in command")

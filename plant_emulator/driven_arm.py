@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Vector
+from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
@@ -20,6 +21,7 @@ class DrivenArm(ArmPlant):
         start_position_rad: joint positions at the start, shape (joints,).
         substep_s: length of a substep.
         seed: seed of everything random in the arm.
+        limits: section ``limits`` of the scenario.
     """
 
     def __init__(
@@ -29,9 +31,10 @@ class DrivenArm(ArmPlant):
         start_position_rad: Vector,
         substep_s: float,
         seed: int,
+        limits: LimitsConfiguration,
     ) -> None:
         left_alone = configuration.model_copy(update={"safe_stop": "zero_torque"})
-        super().__init__(left_alone, robot, start_position_rad, substep_s, seed)
+        super().__init__(left_alone, robot, start_position_rad, substep_s, seed, limits)
         self._bank: DriveBank | None = None
 
     def attach(self, bank: DriveBank) -> None:

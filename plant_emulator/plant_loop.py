@@ -21,11 +21,13 @@ from bus_schema.clock import Clock, TickGrid
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
+from bus_schema.limits import LimitCounts, name_of
 from bus_schema.link import PlantLink
 from bus_schema.link_configuration import LinkConfiguration
+from bus_schema.modes import Mode, mode_event
 from bus_schema.robot_description import RobotDescription
 from bus_schema.topics import Role
-from plant_emulator.arm_plant import ArmPlant, Mode
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel import Channel
 from plant_emulator.command_gate import Command, CommandGate
 from plant_emulator.configuration import PlantConfiguration
@@ -93,8 +95,9 @@ class PlantLoop:
         self._grid = task.grid
         self._uplink: Channel[_Measurement] = open_uplink(task.link, task.seed)
         self._downlink = open_downlink(task.link, task.seed)
-        self._gate = CommandGate(names)
-        self._overtaken = 0
+        self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
+        self._unused: Counter[str] = Counter()
+        self._limits = LimitCounts()
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
         mean_ns = self._uplink.mean_delay_ns + self._downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
@@ -138,18 +141,36 @@ class PlantLoop:
         started_s = time.monotonic()
         self._clock.start()
         self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
+        self._arm.begin()
+        self._announce_mode("brakes engaged until the first valid command")
+        try:
+            self._go()
+        except Exception as error:  # noqa: BLE001 (whatever happens, the arm is stopped)
+            self._break_off(error)
+        self._arm.brake()
+        self._announce_mode("brakes engaged")
+        self._outcome.ticks = self.tick
+        self._outcome.completed = self.tick >= self._task.ticks and not self._outcome.faults
+        self._outcome.wall_s = time.monotonic() - started_s
+        self._say_goodbye()
+        return self._outcome
+
+    def _go(self) -> None:
         self._journal.begin_cycle(0)
         self._note_truth(was_skipped=False)
         self._measure()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
         self._exchange_until(self._grid.tick_ns(self.tick))
-        self._arm.brake()
-        self._outcome.ticks = self.tick
-        self._outcome.completed = self.tick >= self._task.ticks and not self._outcome.faults
-        self._outcome.wall_s = time.monotonic() - started_s
-        self._say_goodbye()
-        return self._outcome
+
+    def _break_off(self, error: Exception) -> None:
+        """Stop the arm because the loop cannot go on."""
+        reason = f"the plant cannot go on: {type(error).__name__}: {error}"
+        logger.exception("the plant cannot go on", exc_info=error)
+        if self._arm.mode in _COMMANDABLE:
+            self._stop_safely(reason)
+        else:
+            self._fail(reason)
 
     def _cycle(self) -> None:
         tick = self._next_tick()
@@ -218,10 +239,15 @@ class PlantLoop:
     def _collect_commands(self) -> None:
         arrivals = self._link.take_commands()
         if self._controller_is_lost:
-            return  # whatever comes now answers a world that has moved on without it
+            # Whatever comes now answers a world that has moved on without it.
+            self._unused["after_loss"] += len(arrivals)
+            return
         for arrival in arrivals:
+            commander = self._gate.commander
             command = self._gate.admit(arrival, self._newest_sent_ns)
             if command is not None:
+                if arrival.sender != commander:
+                    self._announce_commander(arrival.sender, commander)
                 self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
 
     def _advance_to(self, tick: int) -> None:
@@ -234,7 +260,8 @@ class PlantLoop:
                 if downlink.next_due_ns <= now_ns:
                     self._put_into_force(now_ns)
                 if watchdog.expires_ns < now_ns and arm.mode in _COMMANDABLE:
-                    self._stop_safely()
+                    timeout_ms = self._task.plant.command_timeout_ms
+                    self._stop_safely(f"no valid command for {timeout_ms:g} ms")
                 arm.step(now_ns * 1e-9)
             if self.tick + 1 == tick:
                 return
@@ -249,25 +276,37 @@ class PlantLoop:
     def _put_into_force(self, now_ns: int) -> None:
         for effective_ns, command in self._downlink.take_due(now_ns):
             if self._in_force is not None and command.stamp_ns <= self._in_force.stamp_ns:
-                self._overtaken += 1
+                self._unused["overtaken"] += 1
+                continue
+            if self._arm.mode not in _COMMANDABLE:
+                self._unused["after_stop"] += 1
                 continue
             self._watchdog.feed(effective_ns)
             self._journal.round_trip_ns = effective_ns - command.stamp_ns
-            if self._arm.mode is Mode.BRAKED:
-                self._announce(EventKind.TRACKING, "first valid command: brakes released")
-            if self._arm.mode in _COMMANDABLE:
-                self._in_force = command
-                self._command_delay_ns = now_ns - command.stamp_ns
-                self._arm.command(command.torque_nm)
+            self._in_force = command
+            self._command_delay_ns = now_ns - command.stamp_ns
+            is_first = self._arm.mode is Mode.READY
+            self._arm.command(command.torque_nm)
+            if is_first:
+                self._announce_mode("first valid command, brakes released")
 
-    def _stop_safely(self) -> None:
-        timeout_ms = self._task.plant.command_timeout_ms
-        kind = self._task.plant.safe_stop
-        self._begin_stop(f"no valid command for {timeout_ms:g} ms: safe stop ({kind})")
+    def _heed_limits(self) -> None:
+        """Count the limits that were hit during a tick, and stop where that is asked for."""
+        hits, self._arm.torques.hits = self._arm.torques.hits, 0
+        new = self._limits.note(hits)
+        if new:
+            self._announce(EventKind.LIMIT, f"reached for the first time: {name_of(new)}")
+        beyond = self._arm.stops_at & hits
+        if beyond and self._arm.mode is Mode.TRACKING:
+            self._stop_safely(f"beyond its limits: {name_of(beyond)}")
+
+    def _stop_safely(self, reason: str) -> None:
+        self._begin_stop(f"{reason}: safe stop ({self._task.plant.safe_stop})")
 
     def _begin_stop(self, reason: str) -> None:
         """Stop the arm, and end the run when it has had the time for it."""
         self._arm.stop()
+        self._announce_mode(f"safe stop ({self._task.plant.safe_stop})")
         self._fail(reason)
         stop_ticks = round(self._task.plant.stop_duration_s * 1e9 / self._grid.period_ns)
         self._end_tick = min(self._end_tick, self.tick + 1 + stop_ticks)
@@ -289,6 +328,8 @@ class PlantLoop:
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
 
     def _note_truth(self, *, was_skipped: bool) -> None:
+        if self._arm.torques.hits:
+            self._heed_limits()
         sequence = self._in_force.sequence if self._in_force else 0
         self._journal.note_truth(
             self._grid.tick_ns(self.tick), self.tick, self._arm, sequence, self._command_age_ns(),
@@ -305,15 +346,26 @@ class PlantLoop:
         logger.error("%s", reason)
         self._announce(EventKind.FAULT, reason)
 
+    def _announce_mode(self, why: str) -> None:
+        self._announce(EventKind.MODE, mode_event(self._arm.mode, why))
+
+    def _announce_commander(self, sender: bytes, former: bytes | None) -> None:
+        name = f"session {sender.hex()}" if sender else "a session without a name"
+        took_over = (
+            f", after {former.hex() or 'one without a name'} left" if former is not None else ""
+        )
+        self._announce(EventKind.COMMANDER, name + took_over)
+
     def _announce(self, kind: EventKind, detail: str) -> None:
         self._journal.note_event(self._grid.tick_ns(self.tick), kind, detail)
 
     def _say_goodbye(self) -> None:
         outcome = self._outcome
-        rejected = self._gate.rejections.counts + Counter(overtaken=self._overtaken)
+        rejected = self._gate.rejections.counts + self._unused
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
             "downlink": self._downlink.statistics().summary() | {"rejected": rejected},
+            "limits": self._limits.summary(),
         } | self._link.report()
         if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")
@@ -326,4 +378,4 @@ class PlantLoop:
 _START = (0, 0)
 """Seconds and nanoseconds at which a run starts on its own clock."""
 _PATIENCE_S = 0.1
-_COMMANDABLE = (Mode.BRAKED, Mode.TRACKING)
+_COMMANDABLE = (Mode.READY, Mode.TRACKING)

@@ -6,6 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from bus_schema.events import EventKind
+from bus_schema.topics import Role
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
 from deploy.experiments.run_data import RunData
@@ -82,7 +83,7 @@ def recorded_run(setup: Setup) -> RunData:
 
 
 def _wall_us(run: RunData) -> float:
-    ended = run.plant_event(EventKind.ENDED)
+    ended = run.last_event(Role.PLANT, EventKind.ENDED)
     if ended is None:
         raise RuntimeError("a run did not come to its end")
     return float(ended.values()["wall_s"]) / run.setup.ticks * 1e6

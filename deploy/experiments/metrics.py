@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bus_schema import topics
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.events import EventKind
+from bus_schema.topics import Role
 from deploy.experiments.chattering import chatter_shares
 from deploy.experiments.run_data import RunData, stamps_s
 from deploy.experiments.settling_bound import settling_bound_s
@@ -22,7 +23,7 @@ def summarise(run: RunData) -> dict[str, Any]:
     """The summary of a run, ready for JSON."""
     setup = run.setup
     truth = run.tables[topics.PLANT_TRUTH.name]
-    ended = run.plant_event(EventKind.ENDED)
+    ended = run.last_event(Role.PLANT, EventKind.ENDED)
     outcome = ended.values() if ended is not None else {}
     ticks = int(outcome.get("ticks", max(len(truth) - 1, 0)))
     duration_s = ticks * setup.grid.period_ns * 1e-9
@@ -42,6 +43,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "torque": _torque(run),
         "timing": _timing(run, ticks),
         "transport": _transport(run),
+        "limits": _limits(run),
         "recorder": {
             "messages": run.messages,
             "lost": None if run.lost is None else sum(run.lost.values()),
@@ -156,8 +158,18 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
     return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
 
 
+def _limits(run: RunData) -> dict[str, Any]:
+    """How often each side met each limit: the controller by torques, the plant by ticks."""
+    plant = run.last_event(Role.PLANT, EventKind.COUNTS)
+    controller = run.last_event(Role.CONTROLLER, EventKind.ENDED)
+    return {
+        "controller": controller.values().get("limits") if controller is not None else None,
+        "plant": plant.values().get("limits") if plant is not None else None,
+    }
+
+
 def _transport(run: RunData) -> dict[str, Any]:
-    event = run.plant_event(EventKind.COUNTS)
+    event = run.last_event(Role.PLANT, EventKind.COUNTS)
     counts = event.values() if event is not None else {}
     unknown: dict[str, Any] = {
         **dict.fromkeys(_CHANNEL), "rejected": {},

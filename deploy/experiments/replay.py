@@ -55,7 +55,10 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     loop.warm_up()
     for state in states:
-        loop.cycle(state, statuses.get(state[_STAMP]))
+        try:
+            loop.cycle(state, statuses.get(state[_STAMP]))
+        except Exception:  # noqa: BLE001 (a law that failed in the recording fails again)
+            break
     replayed = [command.payload for command in bus.commands]
     if setup.scenario.link.kind == "can":
         replayed = _as_delivered(setup, replayed)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.whole_files import write_whole
-from deploy.experiments import figures, figures_timing, report_tables
+from deploy.experiments import figures, figures_modes, figures_timing, report_tables
 from deploy.experiments.arm_pictures import arm_pictures
 from deploy.experiments.report_page import Panel, page, plot, render_sections
 from deploy.experiments.report_verdict import judge
@@ -55,6 +55,16 @@ def _pictures(run: RunData, _: str) -> str:
 
 
 _SECTIONS = {
+    "What happened when": (
+        Panel(
+            "timeline",
+            "Modes of both sides",
+            "A good run is ready for an instant and tracking to its end. Every way to a fault leads"
+            " through stopping. Crosses are faults, triangles are limits reached for the first"
+            " time; what lasts an instant is drawn wider than it was.",
+            plot(figures_modes.timeline),
+        ),
+    ),
     "Tracking error": (
         Panel(
             "error-in-funnel",

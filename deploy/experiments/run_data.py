@@ -61,9 +61,9 @@ class RunData:
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
         return np.asarray(truth["position"] - wanted)
 
-    def plant_event(self, kind: EventKind) -> RunEvent | None:
-        """The last event of a kind that the plant told of."""
-        found = [e for e in self.events if e.kind == kind and e.source == Role.PLANT]
+    def last_event(self, role: Role, kind: EventKind) -> RunEvent | None:
+        """The last event of a kind that one of the processes told of."""
+        found = [e for e in self.events if e.kind == kind and e.source == role]
         return found[-1] if found else None
 
     def faults(self) -> list[str]:

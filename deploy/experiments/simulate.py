@@ -12,7 +12,6 @@ from bus_schema.events import EventKind, RunEvent
 from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
-from controller.torque_guard import ControllerError
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.experiments.simulate_can import run_over_can
 from deploy.recorder import close_log, open_log, stamp_of
@@ -88,18 +87,18 @@ def simulate(
     plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
         on_start(plant)
-    failure: Exception | None = None
     try:
-        controller.warm_up()
-        plant.run()
-    except ControllerError as error:
-        failure = error
-        stamp_ns = setup.grid.tick_ns(plant.tick)
-        event = RunEvent(stamp_ns, Role.CONTROLLER, EventKind.FAULT, str(error))
-        bus.publish(RUN_EVENTS, event.encode())
+        try:
+            controller.warm_up()
+        except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
+            bus.failure = error
+            controller.stop(str(error))
+        else:
+            plant.run()
+        controller.end()
     finally:
         arm.close()
-    return Simulation(setup, bus.topics, bus.payloads, failure)
+    return Simulation(setup, bus.topics, bus.payloads, bus.failure)
 
 
 def attempt(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:

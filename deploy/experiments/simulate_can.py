@@ -10,9 +10,7 @@ from pathlib import Path
 from bus_schema.can_link import CanControllerLink
 from bus_schema.can_session import open_can_bus
 from bus_schema.clock import VirtualClock
-from bus_schema.events import EventKind, RunEvent
 from bus_schema.in_process_link import InProcessBus, InProcessTelemetry
-from bus_schema.topics import RUN_EVENTS, Role
 from controller.control_loop import ControlLoop
 from deploy.links import can_controller_link, can_plant_link
 from deploy.scenario import Setup
@@ -87,11 +85,9 @@ class _Controller(threading.Thread):
             self._link.join(is_stop_requested=lambda: self._stop_requested)
         except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
             self.failure = error
-            event = RunEvent(
-                max(self._loop.stamp_ns, 0), Role.CONTROLLER, EventKind.FAULT, str(error)
-            )
-            self._telemetry.publish(RUN_EVENTS, event.encode())
+            self._loop.stop(str(error))
         finally:
+            self._loop.end()
             self._telemetry.controller_is_there = False
 
     def stop(self) -> None:

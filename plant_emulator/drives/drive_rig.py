@@ -76,6 +76,7 @@ class DriveRig:
     def run(self, ticks: int | None = None) -> None:
         """Run for a number of ticks, or until asked to stop."""
         self._clock.start()
+        self._arm.begin()
         self._measure()
         while not self._stop_requested and (ticks is None or self.counts.ticks < ticks):
             self._hear_until(self._grid.tick_ns(self.counts.ticks + 1))

@@ -248,6 +248,34 @@ def test_plant_knows_when_its_controller_has_left() -> None:
         await_true(plant.controller_has_left)
 
 
+def test_commander_is_followed_only_once_it_has_left() -> None:
+    link = fresh_link()
+
+    def command(controller: ZenohControllerLink, plant: ZenohPlantLink, stamp_ns: int) -> Any:
+        record = Record(layout(JOINT_COMMANDS, JOINTS))
+        record.stamp_ns = stamp_ns
+        record.fields["effort"][:] = 1.0
+        controller.publish(JOINT_COMMANDS, record.payload())
+        assert plant.await_command(HANG_S)
+        (arrival,) = plant.take_commands()
+        return gate.admit(arrival, 100)
+
+    with plant_on(link) as plant:
+        gate = CommandGate(JOINTS, plant.sender_has_left)
+        with controller_on(link) as first:
+            first.take_command(await_recorder=False)
+            plant.await_controller(HANG_S)
+            assert command(first, plant, 1) is not None
+        commander = gate.commander or b""
+        await_true(lambda: plant.sender_has_left(commander))
+        with controller_on(link) as again:  # the same controller, started again: a new session
+            again.take_command(await_recorder=False)
+            plant.await_controller(HANG_S)
+            assert command(again, plant, 2) is not None
+            assert gate.commander not in (None, commander)
+    assert not gate.rejections.counts
+
+
 def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it() -> None:
     with plant_on(fresh_link()) as plant:
         with pytest.raises(PeerSilentError, match="the controller is silent") as silence:

@@ -8,9 +8,13 @@ from hypothesis import strategies as st
 from bus_schema import topics
 from bus_schema.cdr_layout import Record
 from bus_schema.clock import VirtualClock
+from bus_schema.events import EventKind, RunEvent
 from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, InProcessPlantLink
+from bus_schema.limits import JointLimits
 from bus_schema.message_types import JOINT_STATE, PLANT_STATUS, TYPESTORE
+from bus_schema.modes import Mode, mode_in
 from bus_schema.robot_description import load_robot
+from bus_schema.topics import RUN_EVENTS
 from controller.configuration import ControllerConfiguration, FunnelConfiguration
 from controller.control_loop import ControlLoop, ControlTask
 from controller.reference import CartesianPath, JointSinusoids
@@ -32,7 +36,9 @@ class Bench:
         gains = configuration.build_gains(ROBOT, np.zeros((1, 3)))
         self.funnel = FunnelConfiguration().build(OFFSET)
         self.reference = reference
-        guard = TorqueGuard(law, ROBOT.effort_limits_nm, np.full(3, rate_limit))
+        guard = TorqueGuard(
+            law, JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))
+        )
         self.law = configuration.build_law(gains, ROBOT)
         task = ControlTask(ROBOT, reference, self.funnel, self.law, guard)
         self.bus = InProcessBus(VirtualClock())
@@ -313,7 +319,18 @@ def test_law_that_returns_nan_is_told_by_name_and_cycle():
     leaving = np.array([[0.9, 1.0, 0, 0, 0], [0.1, 0, 0, 0, 0], [0.5, 0, 0, 0, 0]])
     bench = Bench("pid", CartesianPath(leaving, 0.25, 0.70, 0.60))
     bench.send(0)
-    with pytest.raises(InvalidTorqueError, match="law pid") as caught:
-        bench.plant.send_state(state(1000 * MS, np.zeros(3)), status(0))
-    assert caught.value.tick == 1
-    assert len(bench.answers()) == 0
+    bench.plant.send_state(state(1000 * MS, np.zeros(3)), status(0))
+    failure = bench.bus.failure
+    assert isinstance(failure, InvalidTorqueError)
+    assert "law pid" in str(failure)
+    assert failure.tick == 1
+    ((stamp_ns, torque, _),) = bench.answers()  # the torque of stopping, and nothing after it
+    assert (stamp_ns, torque) == (1000 * MS, [0.0, 0.0, 0.0])
+    bench.loop.cycle(state(1001 * MS, np.zeros(3)), status(0))
+    assert bench.answers() == []
+    assert bench.loop.mode is Mode.FAULT
+    told = [RunEvent.decode(payload) for topic, payload in bench.heard if topic is RUN_EVENTS]
+    assert [mode_in(event.detail) for event in told if event.kind == EventKind.MODE] == [
+        Mode.READY, Mode.TRACKING, Mode.STOPPING, Mode.FAULT,
+    ]  # fmt: skip
+    assert [event.detail for event in told if event.kind == EventKind.FAULT] == [str(failure)]

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus_schema.limits import JointLimits
 from bus_schema.robot_description import load_robot
 from controller.configuration import ControllerConfiguration
 from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER, Tracking
@@ -195,7 +196,10 @@ def test_torque_is_finite_on_a_real_model_too(name, errors, error_rates, time_s)
 @given(motion=st.lists(st.tuples(per_joint(1e6), per_joint(1e6)), min_size=1, max_size=10))
 def test_torque_stays_within_the_limits_behind_the_guard(name, motion):
     limits = np.array([400.0, 700.0, 300.0])
-    law, guard = law_of(name), TorqueGuard(name, limits, np.full(JOINTS, np.inf))
+    law, guard = (
+        law_of(name),
+        TorqueGuard(name, JointLimits.of_torques(limits, np.full(JOINTS, np.inf))),
+    )
     for tick, (errors, error_rates) in enumerate(motion):
         torque = law.torque(situation(errors, error_rates, 1e-3 * tick))
         assert (np.abs(guard.admit(torque, tick, 1e-3)) <= limits).all()

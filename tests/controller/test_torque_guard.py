@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus_schema.limits import JointLimits
 from controller.torque_guard import ControllerError, InvalidTorqueError, TorqueGuard
 
 LIMITS = np.array([400.0, 700.0, 300.0])
@@ -14,13 +15,15 @@ TORQUE = st.lists(st.floats(-1e300, 1e300), min_size=3, max_size=3).map(np.array
 @given(torque=TORQUE, step_s=st.floats(0.0, 1.0))
 def test_torque_within_limits_passes_unchanged_and_beyond_them_is_cut(torque, step_s):
     given_torque = torque.copy()
-    out = TorqueGuard("pid", LIMITS, UNLIMITED).admit(torque, 0, step_s)
+    out = TorqueGuard("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 0, step_s)
     assert out.tolist() == np.clip(given_torque, -LIMITS, LIMITS).tolist()
     assert torque.tolist() == given_torque.tolist()
 
 
 def test_infinite_limits_hold_nothing_back():
-    out = TorqueGuard("pid", UNLIMITED, UNLIMITED).admit(np.array([1e9, -1e9, 0.0]), 0, 1e-3)
+    out = TorqueGuard("pid", JointLimits.of_torques(UNLIMITED, UNLIMITED)).admit(
+        np.array([1e9, -1e9, 0.0]), 0, 1e-3
+    )
     assert out.tolist() == [1e9, -1e9, 0.0]
 
 
@@ -28,7 +31,7 @@ def test_infinite_limits_hold_nothing_back():
 @given(torques=st.lists(TORQUE, min_size=2, max_size=10), step_s=st.floats(1e-4, 0.1))
 def test_no_torque_changes_faster_than_its_rate_limit(torques, step_s):
     rates = np.array([1000.0, 500.0, np.inf])
-    guard = TorqueGuard("pid", LIMITS, rates)
+    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, rates))
     previous = guard.admit(np.zeros(3), 0, 0.0).copy()
     for tick, torque in enumerate(torques):
         out = guard.admit(torque, tick, step_s)
@@ -43,7 +46,7 @@ def test_no_torque_changes_faster_than_its_rate_limit(torques, step_s):
 
 def test_first_torque_is_not_rate_limited():
     # Without a step there is no rate; the brakes held the arm until now.
-    guard = TorqueGuard("pid", LIMITS, np.full(3, 1.0))
+    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, np.full(3, 1.0)))
     assert guard.admit(np.array([100.0, 0.0, 0.0]), 0, 0.0).tolist() == [100.0, 0.0, 0.0]
     assert guard.admit(np.array([200.0, 0.0, 0.0]), 1, 1.0).tolist() == [101.0, 0.0, 0.0]
 
@@ -54,7 +57,7 @@ def test_not_finite_torque_is_refused_by_law_and_tick(bad, joint):
     torque = np.zeros(3)
     torque[joint] = bad
     with pytest.raises(InvalidTorqueError, match=r"law pid .* at tick 17") as caught:
-        TorqueGuard("pid", LIMITS, UNLIMITED).admit(torque, 17, 1e-3)
+        TorqueGuard("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 17, 1e-3)
     assert (caught.value.law, caught.value.tick) == ("pid", 17)
     assert str(torque.tolist()) in str(caught.value)
     assert isinstance(caught.value, ControllerError)
@@ -66,11 +69,11 @@ def test_not_finite_torque_is_refused_by_law_and_tick(bad, joint):
 )
 def test_wrong_shape_is_refused_by_law_and_tick(wrong):
     with pytest.raises(InvalidTorqueError, match=r"law smc .*shape \(3,\).* at tick 4"):
-        TorqueGuard("smc", LIMITS, UNLIMITED).admit(wrong, 4, 1e-3)
+        TorqueGuard("smc", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(wrong, 4, 1e-3)
 
 
 def test_refused_torque_leaves_the_rate_limit_where_it_was():
-    guard = TorqueGuard("pid", LIMITS, np.full(3, 10.0))
+    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, np.full(3, 10.0)))
     guard.admit(np.full(3, 50.0), 0, 0.0)
     with pytest.raises(InvalidTorqueError):
         guard.admit(np.array([0.0, 0.0, np.nan]), 1, 1.0)

@@ -20,8 +20,8 @@ from deploy.experiments.simulate import simulate
 from deploy.scenario import load_setup
 from plant_emulator.pybullet_arm import PybulletArm
 
-FIGURES = ("error-in-funnel", "error-first-second", "transformed-error", "torques", "tip-path",
-           "tip-error", "arm", "network-output", "timing-percentiles")  # fmt: skip
+FIGURES = ("timeline", "error-in-funnel", "error-first-second", "transformed-error", "torques",
+           "tip-path", "tip-error", "arm", "network-output", "timing-percentiles")  # fmt: skip
 
 HOSTILE = "</script><script>alert(1)</script>"
 

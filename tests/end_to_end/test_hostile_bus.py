@@ -60,8 +60,8 @@ def ammunition() -> list[tuple[str, bytes]]:
         ("wrong_names", command([HUGE_NM] * 4, names=(*JOINTS, "wrist"))),
         ("not_finite", command([np.nan, 0.0, 0.0])),
         ("not_finite", command([0.0, 0.0, -np.inf])),
-        ("stale", command([HUGE_NM] * 3)),
-        ("stale", command([HUGE_NM] * 3, stamp_s=-1)),
+        ("other_commander", command([HUGE_NM] * 3)),
+        ("other_commander", command([HUGE_NM] * 3, stamp_s=-1)),
         ("from_the_future", valid),
     ]
 

@@ -3,10 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus_schema.modes import Mode
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.robot_files import find_urdf
-from plant_emulator.arm_plant import ArmPlant, Mode
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 
 SUBSTEP_S = 2.5e-4
@@ -21,6 +22,7 @@ class Bench:
     def __init__(self, robot=ROBOT, start=START, seed=1, **plant):
         configuration = PlantConfiguration.model_validate(plant)
         self.arm = ArmPlant(configuration, robot, start, SUBSTEP_S, seed)
+        self.arm.begin()
         self.steps = 0
 
     def run(self, duration_s):
@@ -55,7 +57,7 @@ def test_brakes_hold_under_gravity(bench, name, payload_kg):
     start = np.resize(START, robot.joints)
     held = bench(robot=robot, start=start, payload_kg=payload_kg)
     positions, _ = held.run(1.0)
-    assert held.arm.mode is Mode.BRAKED
+    assert held.arm.mode is Mode.READY
     # A velocity motor under load creeps by the order of a substep of free fall per second, 0.3
     # mrad; released, the arm would fall by more than 100 mrad in the first 0.2 s.
     assert np.abs(positions - start).max() < 1e-3

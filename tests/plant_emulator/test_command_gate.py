@@ -22,11 +22,16 @@ def payload(stamp_ns, torque=(1.0, 2.0, 3.0), names=NAMES):
 
 class Bench:
     def __init__(self):
-        self.gate = CommandGate(NAMES)
+        self.gone = set()
+        self.gate = CommandGate(NAMES, self.gone.__contains__)
         self.rejected = self.gate.rejections.counts
+        self.sent = 0
 
-    def admit(self, data, newest_state_ns=NEWEST_NS, sequence=7):
-        return self.gate.admit(CommandArrival(data, sequence, b"sender", 0), newest_state_ns)
+    def admit(self, data, newest_state_ns=NEWEST_NS, sequence=None, sender=b"sender"):
+        """Send a command under the next number, or under the one given."""
+        self.sent += 1
+        number = self.sent if sequence is None else sequence
+        return self.gate.admit(CommandArrival(data, number, sender, 0), newest_state_ns)
 
 
 def foreign(names, effort, stamp_ns=5):
@@ -44,7 +49,7 @@ def test_valid_command_comes_through():
     bench.gate.awaited_ns = 5
     command = bench.admit(payload(5))
     assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
-    assert (command.sequence, command.stamp_ns) == (7, 5)
+    assert (command.sequence, command.stamp_ns) == (1, 5)
     assert bench.gate.awaited_ns is None
     assert not bench.rejected
 
@@ -97,6 +102,55 @@ def test_only_a_repeated_answer_counts_as_an_answer(data, reason):
     bench.admit(data)
     assert bench.gate.awaited_ns == (None if data == payload(4) else 4)
     assert bench.rejected[reason] == 1
+
+
+def test_another_sender_is_not_heard_until_the_commander_has_left():
+    bench = Bench()
+    assert bench.admit(payload(5), sender=b"first") is not None
+    assert bench.admit(payload(6), sender=b"second") is None
+    assert bench.rejected == {"other_commander": 1}
+    bench.gone.add(b"first")
+    assert bench.admit(payload(7), sender=b"second", sequence=1) is not None
+    assert bench.gate.commander == b"second"
+    assert bench.admit(payload(8), sender=b"first", sequence=99) is None  # it is another one now
+    assert bench.rejected == {"other_commander": 2}
+
+
+@pytest.mark.parametrize(("data", "reason"), REJECTIONS, ids=[reason for _, reason in REJECTIONS])
+def test_only_a_valid_command_makes_a_commander(data, reason):
+    bench = Bench()
+    if reason != "stale":  # before the first command, no answer to a state is too old
+        assert bench.admit(data, sender=b"stranger") is None
+        assert bench.gate.commander is None
+    assert bench.admit(payload(6), sender=b"controller") is not None
+    assert bench.gate.commander == b"controller"
+
+
+def test_replayed_number_is_refused_whatever_stamp_it_bears():
+    bench = Bench()
+    bench.gate.awaited_ns = 6
+    assert bench.admit(payload(5), sequence=3) is not None
+    for sequence in (3, 2, 0, -1):
+        assert bench.admit(payload(6), sequence=sequence) is None
+    assert bench.rejected == {"replayed": 4}
+    assert bench.gate.awaited_ns == 6  # a replay is no answer
+    assert bench.admit(payload(6), sequence=4) is not None
+
+
+def test_late_answer_uses_up_its_number():
+    bench = Bench()
+    bench.admit(payload(5), sequence=3)
+    bench.admit(payload(4), sequence=8)
+    assert bench.admit(payload(6), sequence=8) is None
+    assert bench.rejected == {"stale": 1, "replayed": 1}
+
+
+def test_sender_without_name_and_numbers_can_be_the_commander():
+    bench = Bench()
+    for stamp_ns in (5, 6, 7):
+        assert bench.admit(payload(stamp_ns), sequence=0, sender=b"") is not None
+    assert bench.admit(payload(8), sender=b"sender") is None
+    assert bench.rejected == {"other_commander": 1}
 
 
 def test_newest_state_itself_may_be_answered():

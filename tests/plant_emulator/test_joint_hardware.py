@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
 from deploy.robot_files import find_urdf
 from plant_emulator.configuration import (
@@ -31,7 +32,9 @@ def encoders_of(seed=0, **values):
 
 def torques_of(**values):
     configuration = PlantConfiguration(actuator=ActuatorConfiguration(**values))
-    return JointTorques(configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0))
+    return JointTorques(
+        configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration()
+    )
 
 
 @settings(deadline=None)
@@ -92,16 +95,16 @@ def test_noise_leaves_positions_and_the_truth_alone():
 
 def test_saturation_defaults_to_the_limits_of_the_urdf():
     torques = torques_of()
-    total = torques.act(np.array([1e6, -1e6, 299.0]), np.zeros(3), 0.0)
+    total = torques.act(np.array([1e6, -1e6, 299.0]), np.zeros((2, 3)), 0.0)
     assert total.tolist() == [400.0, -700.0, 299.0]
     assert torques.saturated
-    torques.act(np.array([399.0, -699.0, 299.0]), np.zeros(3), 0.0)
+    torques.act(np.array([399.0, -699.0, 299.0]), np.zeros((2, 3)), 0.0)
     assert not torques.saturated
 
 
 def test_saturation_can_be_set():
     torques = torques_of(saturation_nm=[10.0, 20.0, 30.0])
-    assert torques.act(np.full(3, 25.0), np.zeros(3), 0.0).tolist() == [10.0, 20.0, 25.0]
+    assert torques.act(np.full(3, 25.0), np.zeros((2, 3)), 0.0).tolist() == [10.0, 20.0, 25.0]
     assert torques.saturated
 
 
@@ -114,7 +117,7 @@ def test_without_lag_the_torque_is_there_at_once():
 def test_lag_is_the_exact_discretisation_of_a_first_order_filter(lag_ms):
     torques, command = torques_of(lag_ms=lag_ms), np.array([100.0, -200.0, 50.0])
     for step in range(1, 200):
-        torques.act(command, np.zeros(3), 0.0)
+        torques.act(command, np.zeros((2, 3)), 0.0)
         expected = command * -np.expm1(-step * SUBSTEP_S / (1e-3 * lag_ms))
         # Only rounding: the exponential is exact at any ratio of substep to time constant.
         np.testing.assert_allclose(torques.actuator, expected, rtol=1e-12)
@@ -123,7 +126,7 @@ def test_lag_is_the_exact_discretisation_of_a_first_order_filter(lag_ms):
 def test_lag_filters_what_is_left_after_saturation():
     torques = torques_of(lag_ms=1.0)
     for _ in range(40):  # ten time constants
-        torques.act(np.full(3, 1e9), np.zeros(3), 0.0)
+        torques.act(np.full(3, 1e9), np.zeros((2, 3)), 0.0)
     np.testing.assert_allclose(torques.actuator, ROBOT.effort_limits_nm, rtol=1e-4)
     assert (torques.actuator < ROBOT.effort_limits_nm).all()
 
@@ -135,8 +138,12 @@ def test_total_is_actuator_less_friction_less_disturbance():
             "disturbance": {"terms": [{"joint": "elbow", "kind": "constant", "torque_nm": 7.0}]},
         }
     )
-    torques = JointTorques(configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0))
-    total = torques.act(np.array([10.0, 20.0, 30.0]), np.array([1.0, -1.0, 2.0]), 0.0)
+    torques = JointTorques(
+        configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration()
+    )
+    total = torques.act(
+        np.array([10.0, 20.0, 30.0]), np.array([np.zeros(3), [1.0, -1.0, 2.0]]), 0.0
+    )
     assert torques.actuator.tolist() == [10.0, 20.0, 30.0]
     assert torques.friction.tolist() == [1.0, -2.0, 6.0]
     assert torques.disturbance.tolist() == [0.0, 0.0, 7.0]

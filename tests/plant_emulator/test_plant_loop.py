@@ -39,6 +39,15 @@ class Station:
         self._layout.decode(state, record)
         self.delivered.append((self._clock.now_ns(), record.stamp_ns))
 
+    def sender_has_left(self, sender):
+        return False
+
+    def fault(self):
+        return None
+
+    def report(self):
+        return {}
+
     def take_commands(self):
         now_ns = self._clock.now_ns()
         here = [arrival for arrival in self.to_come if arrival.arrival_ns <= now_ns]

@@ -1,0 +1,220 @@
+"""Section ``limits`` of a scenario, and the kernel by which both sides keep a torque within it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.compiled import compiled
+from bus_schema.configuration import (
+    PerJointNonNegative,
+    PerJointPositive,
+    StrictModel,
+    expand,
+)
+from bus_schema.robot_description import RobotDescription
+
+Reaction = Literal["count", "cut", "stop"]
+
+
+class Hit(IntFlag):
+    """Limits that a torque or the motion ran into."""
+
+    TORQUE = 1
+    TORQUE_RATE = 2
+    POSITION = 4
+    VELOCITY = 8
+
+
+class LimitsConfiguration(StrictModel):
+    """What no joint may exceed. The controller keeps a margin; the plant acts at the limit itself.
+
+    Attributes:
+        torque_nm: largest torque; by default the URDF's effort limits.
+        torque_rate_nm_s: largest change of a torque per second; none by default.
+        velocity_rad_s: largest speed; by default the URDF's velocity limits.
+        position_margin_rad: by how much the controller stays away from the ends of the URDF's
+            ranges.
+        velocity_margin: share of the largest speed that the controller leaves.
+        on_position: what follows at the end of a range: ``count``; ``cut`` torques that push
+            further out, too; or also ``stop`` the arm safely (the plant).
+        on_velocity: what follows above the largest speed; ``cut`` takes away accelerating torques.
+    """
+
+    torque_nm: PerJointPositive | None = None
+    torque_rate_nm_s: PerJointPositive | None = None
+    velocity_rad_s: PerJointPositive | None = None
+    position_margin_rad: PerJointNonNegative = Field(default_factory=lambda: np.zeros(1))
+    velocity_margin: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    on_position: Reaction = "cut"
+    on_velocity: Reaction = "count"
+
+    def of_plant(self, robot: RobotDescription) -> JointLimits:
+        """The limits at which the plant acts.
+
+        Raises:
+            ConfigurationError: a value does not fit the arm.
+        """
+        return JointLimits(
+            torque_nm=_chosen(self.torque_nm, robot.effort_limits_nm, "torque_nm"),
+            torque_rate_nm_s=_chosen(
+                self.torque_rate_nm_s, np.full(robot.joints, np.inf), "torque_rate_nm_s"
+            ),
+            lower_rad=robot.lower_rad,
+            upper_rad=robot.upper_rad,
+            velocity_rad_s=_chosen(
+                self.velocity_rad_s, robot.velocity_limits_rad_s, "velocity_rad_s"
+            ),
+            cuts_position=self.on_position != "count",
+            cuts_velocity=self.on_velocity != "count",
+        )
+
+    def of_controller(self, robot: RobotDescription, torque_rate_nm_s: Vector) -> JointLimits:
+        """The limits that the controller keeps: the margins are off.
+
+        Args:
+            robot: the arm.
+            torque_rate_nm_s: what the controller allows itself anyway, shape (joints,).
+
+        Raises:
+            ConfigurationError: a value does not fit the arm.
+        """
+        plant = self.of_plant(robot)
+        margin = expand(self.position_margin_rad, robot.joints, "limits.position_margin_rad")
+        return JointLimits(
+            torque_nm=plant.torque_nm,
+            torque_rate_nm_s=np.minimum(plant.torque_rate_nm_s, torque_rate_nm_s),
+            lower_rad=plant.lower_rad + margin,
+            upper_rad=plant.upper_rad - margin,
+            velocity_rad_s=plant.velocity_rad_s * (1.0 - self.velocity_margin),
+            cuts_position=plant.cuts_position,
+            cuts_velocity=plant.cuts_velocity,
+        )
+
+    @property
+    def stops_at(self) -> Hit:
+        """Limits at which the plant stops the arm."""
+        stops = Hit(0)
+        if self.on_position == "stop":
+            stops |= Hit.POSITION
+        if self.on_velocity == "stop":
+            stops |= Hit.VELOCITY
+        return stops
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of one side, shape (joints,) each; infinite for none.
+
+    Attributes:
+        cuts_position: whether torques are cut that push out of the range.
+        cuts_velocity: whether torques are cut that accelerate beyond the largest speed.
+    """
+
+    torque_nm: Vector
+    torque_rate_nm_s: Vector
+    lower_rad: Vector
+    upper_rad: Vector
+    velocity_rad_s: Vector
+    cuts_position: bool = True
+    cuts_velocity: bool = False
+
+    @staticmethod
+    def of_torques(torque_nm: Vector, torque_rate_nm_s: Vector) -> JointLimits:
+        """Limits of torques alone."""
+        none = np.full(torque_nm.size, np.inf)
+        return JointLimits(torque_nm, torque_rate_nm_s, -none, none, none)
+
+    def table(self, step_s: float = 1.0) -> Matrix:
+        """The limits as `limit_torques` takes them, shape (7, joints).
+
+        Args:
+            step_s: time between two torques, where it is always the same.
+        """
+        ones = np.ones(self.torque_nm.size)
+        return np.array([
+            self.torque_nm, self.torque_rate_nm_s * step_s, self.lower_rad, self.upper_rad,
+            self.velocity_rad_s, ones * self.cuts_position, ones * self.cuts_velocity,
+        ])  # fmt: skip
+
+
+class LimitCounts:
+    """How often each limit was hit.
+
+    Attributes:
+        seen: limits that were hit at all.
+    """
+
+    def __init__(self) -> None:
+        self._by_hits: Counter[int] = Counter()
+        self.seen = Hit(0)
+
+    def note(self, hits: int) -> Hit:
+        """Count a torque that hit these limits; those among them that were never hit before."""
+        self._by_hits[hits] += 1
+        new = Hit(hits & ~self.seen)
+        self.seen |= new
+        return new
+
+    def summary(self) -> dict[str, int]:
+        """Number of torques that hit each limit, by its name."""
+        return {
+            name_of(hit): sum(count for hits, count in self._by_hits.items() if hits & hit)
+            for hit in Hit
+        }
+
+
+def name_of(hit: Hit) -> str:
+    """Names of limits in words, as they stand in ``summary.json``."""
+    return ", ".join(str(single.name).lower() for single in hit)
+
+
+@compiled
+def limit_torques(
+    wanted: Vector, motion: Matrix, table: Matrix, step_s: float, previous_and_out: Vector
+) -> int:
+    """Write torques within the limits; which limits were hit.
+
+    A torque that pushes out of a joint's range, or accelerates beyond its largest speed, becomes
+    zero at once, whatever the largest rate of change: that is a limit of comfort, these are not.
+
+    Args:
+        wanted: torques asked for, N m, shape (joints,).
+        motion: positions and velocities as rows, shape (2, joints).
+        table: `JointLimits.table`.
+        step_s: time since the torques before; 0 for the first.
+        previous_and_out: the torques before, replaced by those to send, shape (joints,).
+    """
+    hits = 0
+    for i in range(wanted.size):
+        torque = min(max(wanted[i], -table[0, i]), table[0, i])
+        if torque != wanted[i]:
+            hits |= 1
+        if step_s > 0.0:
+            change, previous = table[1, i] * step_s, previous_and_out[i]
+            slower = min(max(torque, previous - change), previous + change)
+            if slower != torque:
+                hits |= 2
+            torque = slower
+        position, velocity = motion[0, i], motion[1, i]
+        if position > table[3, i] or position < table[2, i]:
+            hits |= 4
+            pushes_out = torque > 0.0 if position > table[3, i] else torque < 0.0
+            if pushes_out and table[5, i] > 0.0:
+                torque = 0.0
+        if abs(velocity) > table[4, i]:
+            hits |= 8
+            if torque * velocity > 0.0 and table[6, i] > 0.0:
+                torque = 0.0
+        previous_and_out[i] = torque
+    return hits
+
+
+def _chosen(given: Vector | None, otherwise: Vector, name: str) -> Vector:
+    return otherwise if given is None else expand(given, otherwise.size, f"limits.{name}")

@@ -1,0 +1,28 @@
+"""Fuzzing in short; `scripts/fuzz` does the same at length."""
+
+from __future__ import annotations
+
+from decoding import Target
+from scenarios import try_scenarios
+
+from bus_schema.mcap_log import read_log
+
+MUTATIONS = 20_000
+
+
+def test_mutations_crash_nothing_and_no_wrong_command_comes_through(tmp_path):
+    target = Target(seed=7, folder=tmp_path)
+    for _ in range(MUTATIONS):
+        target.attack()
+    target.close()
+    assert sum(target.kinds.values()) == MUTATIONS
+    assert target.accepted > 100  # else the checks of what comes through check nothing
+    assert set(target.rejected) >= {"malformed", "not_finite", "stale", "replayed", "wrong_names"}
+    assert len(target.rejected) <= 9  # reasons are ours, not the attacker's: counters are bounded
+    assert read_log(tmp_path / "fuzz.mcap").complete
+
+
+def test_mutated_scenario_runs_or_is_refused(tmp_path):
+    outcomes = try_scenarios(60, 11, tmp_path)
+    assert outcomes["ran"] > 0
+    assert outcomes["refused"] > 10
