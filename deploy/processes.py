@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,8 +24,10 @@ from bus_schema.topics import RUN_EVENTS, Role
 from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
+from deploy.fault_schedule import Order, process_strikes
 from deploy.recorder import Recorder
 from deploy.scenario import Setup
+from deploy.striker import order_values
 from plant_emulator.plant_loop import PlantLoop
 
 FINISHED, FAULT = 0, 1
@@ -54,6 +58,13 @@ class Voice:
         elif kind in ("progress", "result"):
             shown = ", ".join(f"{name} {value}" for name, value in values.items())
             self._console.print(f"{self._role}: {shown}", markup=False)
+
+    def order(self, order: Order, *, await_execution: bool) -> None:
+        """Have `run` strike a process; without `run` nobody does."""
+        if self._to_parent:
+            self.say("order", **order_values(order))
+            if await_execution:
+                sys.stdin.readline()
 
 
 class StopRequest:
@@ -88,7 +99,10 @@ def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         link = ZenohPlantLink(
             setup.scenario.link, clock, lossless=lockstep, await_recorder=await_recorder
         )
-        loop = PlantLoop(setup.plant_task(lockstep=lockstep), arm, link, clock)
+        strikes = process_strikes(
+            setup.scenario.faults, partial(voice.order, await_execution=lockstep)
+        )
+        loop = PlantLoop(setup.plant_task(lockstep=lockstep, strikes=strikes), arm, link, clock)
         loop.warm_up()
         stop = StopRequest(loop.request_stop)
         voice.say("note", text=f"listening at {setup.scenario.link.plant_endpoint}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -10,7 +11,9 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.robot_description import RobotDescription
+from plant_emulator.arm_faults import ArmFaults
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.fault_configuration import Fault
 from plant_emulator.joint_hardware import Encoders
 from plant_emulator.joint_torques import JointTorques
 from plant_emulator.pybullet_arm import PybulletArm
@@ -34,6 +37,7 @@ class ArmPlant:
         start_position_rad: joint positions at the start, shape (joints,).
         substep_s: length of a substep.
         seed: seed of everything random in the arm.
+        faults: what breaks, and when.
 
     Attributes:
         mode: what the arm does.
@@ -50,8 +54,9 @@ class ArmPlant:
         start_position_rad: Vector,
         substep_s: float,
         seed: int,
+        faults: Sequence[Fault] = (),
     ) -> None:
-        disturbance_seed, encoder_seed = np.random.SeedSequence(seed).spawn(2)
+        disturbance_seed, encoder_seed, fault_seed = np.random.SeedSequence(seed).spawn(3)
         self._safe_stop = configuration.safe_stop
         self._stop_damping = expand(
             configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s"
@@ -61,6 +66,11 @@ class ArmPlant:
         )
         self._encoders = Encoders(
             configuration.encoder, robot.joints, np.random.default_rng(encoder_seed)
+        )
+        self._faults = (
+            ArmFaults(faults, robot.joint_names, np.random.default_rng(fault_seed))
+            if faults
+            else None
         )
         self._commanded: Vector = np.zeros(robot.joints)
         self._arm = PybulletArm(
@@ -96,9 +106,11 @@ class ArmPlant:
         self.torques.act(self._commanded, self.velocity, 0.0)
         self.torques.rest()
 
-    def read_encoders(self, into_position: Vector, into_velocity: Vector) -> None:
-        """Write what a controller gets to see of the motion."""
+    def read_encoders(self, into_position: Vector, into_velocity: Vector, now_ns: int = 0) -> None:
+        """Write what a controller gets to see of the motion at `now_ns`."""
         self._encoders.read(self.position, self.velocity, into_position, into_velocity)
+        if self._faults is not None:
+            self._faults.sense(into_position, into_velocity, now_ns)
 
     def command(self, torque_nm: Vector) -> None:
         """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
@@ -123,6 +135,9 @@ class ArmPlant:
 
     def step(self, time_s: float) -> None:
         """Advance by one substep that starts at `time_s`."""
+        now_ns = round(time_s * 1e9)
+        if self._faults is not None and self._faults.payload_falls(now_ns):
+            self._arm.drop_payload()
         if self._is_braked:
             self.torques.rest()
             self._arm.step_braked()
@@ -130,7 +145,10 @@ class ArmPlant:
         if self.mode is Mode.STOPPING and self._safe_stop == "damping":
             np.multiply(self._stop_damping, self.velocity, out=self._commanded)
             np.negative(self._commanded, out=self._commanded)
-        self._arm.step(self.torques.act(self._commanded, self.velocity, time_s))
+        asked = self._commanded
+        if self._faults is not None:
+            asked = self._faults.ask(asked, now_ns)
+        self._arm.step(self.torques.act(asked, self.velocity, time_s))
 
     def close(self) -> None:
         """Free the physics server."""

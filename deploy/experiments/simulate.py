@@ -14,8 +14,9 @@ from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
 from deploy.experiments.run_data import RunData, build_run_data
+from deploy.fault_schedule import Blow, Order, process_faults, process_strikes
 from deploy.recorder import close_log, open_log, stamp_of
-from deploy.scenario import Setup
+from deploy.scenario import ScenarioError, Setup
 from plant_emulator.plant_loop import PlantLoop
 
 CLOCK = "virtual"
@@ -67,12 +68,26 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
     Args:
         setup: the scenario.
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
+
+    Raises:
+        ScenarioError: it strikes a process that is not there.
     """
+    _require_simulable(setup)
     clock = VirtualClock()
     bus = InProcessBus(clock)
-    controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
+    controllers_link = InProcessControllerLink(bus)
+    controller = ControlLoop(setup.control_task(), controllers_link)
+
+    def strike(order: Order) -> None:
+        """A controller that is dead or frozen is one that does not reply."""
+        if order.blow in (Blow.THAW, Blow.BRING_BACK):
+            controllers_link.serve(controller.cycle)
+        else:
+            controllers_link.close()
+
+    task = setup.plant_task(lockstep=True, strikes=process_strikes(setup.scenario.faults, strike))
     arm = setup.arm()
-    plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)
+    plant = PlantLoop(task, arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
         on_start(plant)
     failure = None
@@ -87,6 +102,15 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
     finally:
         arm.close()
     return Simulation(setup, bus.topics, bus.payloads, failure)
+
+
+def _require_simulable(setup: Setup) -> None:
+    for fault in process_faults(setup.scenario.faults):
+        if fault.target != Role.CONTROLLER:
+            raise ScenarioError(
+                f"{setup.source}: faults: target = {fault.target!r}: must be controller for"
+                " simulate, which has no other process to strike; run has"
+            )
 
 
 def attempt(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:
