@@ -29,14 +29,14 @@ class ProcessKilled(ProcessFault):
 
 
 class ProcessFrozen(ProcessFault):
-    """SIGSTOP, and SIGCONT after ``for_s``: of the plant's clock, or of the wall's for the plant."""
+    """SIGSTOP, and SIGCONT after ``for_s``, of the plant's clock; of the wall's for the plant."""
 
     kind: Literal["process_frozen"]
     for_s: Positive
 
 
 class ProcessRestarted(ProcessFault):
-    """SIGKILL, and a new process in its place after ``for_s``, as with `ProcessFrozen`."""
+    """SIGKILL, and a new process in its place after ``for_s``, likewise."""
 
     kind: Literal["process_restarted"]
     for_s: Positive

@@ -1,4 +1,4 @@
-"""Faults between the plant and its bus: messages that are spoilt, and whole processes that are struck.
+"""Faults between the plant and its bus: messages are spoilt, whole processes are struck.
 
 It stands in front of any link, so that the loop, the gate and the bus are those of every other run.
 """
@@ -117,7 +117,7 @@ class FaultyLink:
         return self._link.await_command(timeout_s)
 
     def take_commands(self) -> list[CommandArrival]:
-        taken = []
+        taken: list[CommandArrival] = []
         for arrival in self._link.take_commands():
             if self._gate.awaited_ns is not None and self._answers_last_state(arrival):
                 self._gate.awaited_ns = None

@@ -106,7 +106,7 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
 
 def _require_simulable(setup: Setup) -> None:
     for fault in process_faults(setup.scenario.faults):
-        if fault.target != Role.CONTROLLER:
+        if Role(fault.target) is not Role.CONTROLLER:
             raise ScenarioError(
                 f"{setup.source}: faults: target = {fault.target!r}: must be controller for"
                 " simulate, which has no other process to strike; run has"
