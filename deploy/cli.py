@@ -34,8 +34,9 @@ from deploy.keys import check_keys
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
 from deploy.processes import StopRequest, Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
 from deploy.terminal import RunProgress, show_summary
+from deploy.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 _SIMULATE_POLL_S = 0.1

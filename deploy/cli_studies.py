@@ -27,8 +27,8 @@ from deploy.experiments.study_folder import (
 from deploy.experiments.study_report import write_study_report
 from deploy.experiments.study_text import write_margin_table
 from deploy.experiments.sweep import Sweep, load_sweep
-from deploy.scenario import ScenarioError, parse_override, read_yaml
 from deploy.terminal_studies import StudyProgress, show_study
+from deploy.yaml_files import ScenarioError, parse_override, read_yaml
 
 Study = Sweep | Margin
 

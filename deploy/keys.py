@@ -22,7 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bus_schema.key_files import KeyFolder
 from bus_schema.topics import Role
-from deploy.scenario import ScenarioError
+from deploy.yaml_files import ScenarioError
 
 AUTHORITY_NAME = "funnel-hil authority"
 _CLOCKS_DIFFER_BY = dt.timedelta(minutes=5)

@@ -26,8 +26,9 @@ from deploy.recorder import (
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
 from deploy.scenario_text import effective_scenario, plain
+from deploy.yaml_files import ScenarioError
 
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import Field, ValidationError
 
 from bus_schema.arrays import Matrix, Vector
@@ -40,6 +39,7 @@ from controller.torque_guard import TorqueGuard
 from deploy.fault_schedule import ScheduledFault, check_faults, plant_faults
 from deploy.link_files import find_delay_files
 from deploy.robot_files import find_urdf
+from deploy.yaml_files import ScenarioError, explain, override, read_yaml
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faulty_link import Strike
@@ -49,7 +49,6 @@ SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
 _CHECKED_PER_SECOND = 100
 _MOST_CHECKED = 20_000
 _SIZED_BY = 100
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where it is there
 
 
 class RobotConfiguration(StrictModel):
@@ -91,10 +90,6 @@ class Scenario(StrictModel):
     plant: PlantConfiguration = PlantConfiguration()
     metrics: MetricsConfiguration = MetricsConfiguration()
     faults: tuple[ScheduledFault, ...] = ()
-
-
-class ScenarioError(Exception):
-    """A scenario cannot be used; the message names file, key, value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -179,8 +174,8 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
     """
     path = find_scenario(name_or_path)
     values = _read_scenario(path)
-    for override in overrides:
-        _override(values, override)
+    for text in overrides:
+        override(values, text)
     try:
         scenario = Scenario.model_validate(values)
     except ValidationError as error:
@@ -292,60 +287,3 @@ def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: S
 def _ranges(robot: RobotDescription) -> str:
     ends = zip(robot.lower_rad, robot.upper_rad, strict=True)
     return ", ".join(f"[{lower:.4g}, {upper:.4g}]" for lower, upper in ends)
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file that holds a mapping.
-
-    Raises:
-        ScenarioError: it cannot be read, or holds something else.
-    """
-    try:
-        values = yaml.load(path.read_text(), Loader=_LOADER)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
-    if not isinstance(values, dict):
-        raise ScenarioError(f"{path}: must be a mapping of keys to values")
-    return values
-
-
-def parse_override(override: str) -> tuple[str, Any]:
-    """Dotted key and YAML value of ``dotted.key=value``.
-
-    Raises:
-        ScenarioError: it is not of that form.
-    """
-    key, separator, text = override.partition("=")
-    if not separator or not key:
-        raise ScenarioError(f"--set {override}: the form is dotted.key=value")
-    try:
-        return key, yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ScenarioError(f"--set {override}: {text!r} is no YAML value") from error
-
-
-def _override(values: dict[str, Any], override: str) -> None:
-    key, value = parse_override(override)
-    *sections, last = key.split(".")
-    for section in sections:
-        inner = values.setdefault(section, {})
-        if not isinstance(inner, dict):
-            inner = values[section] = {}
-        values = inner
-    values[last] = value
-
-
-def explain(error: ValidationError, path: Path) -> str:
-    """What is wrong with the values of a file: key, value and what is allowed, a line each."""
-    lines = []
-    for problem in error.errors(include_url=False):
-        key = ".".join(str(part) for part in problem["loc"])
-        message = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden":
-            lines.append(f"{path}: {key}: there is no such key")
-        elif problem["type"] == "missing":
-            lines.append(f"{path}: {key}: is missing")
-        else:
-            allowed = message.removeprefix("Input should be ")
-            lines.append(f"{path}: {key} = {problem['input']!r}: must be {allowed}")
-    return "\n".join(lines)

@@ -130,7 +130,8 @@ class PlantConfiguration(StrictModel):
     Attributes:
         substeps: physics steps per tick.
         payload_kg: point mass at the tip that the nominal model does not know of.
-        command_timeout_ms: time without a valid command after which the arm is stopped.
+        command_timeout_ms: time without a valid command after which the arm is stopped; an outage
+            of 100 ms is survived by default.
         safe_stop: how it is stopped: by the brakes, by damping torques, or by zero torque.
         stop_damping_nm_s: torque per rad/s of the ``damping`` stop.
         stop_duration_s: time that a run goes on after a safe stop, for the record.
@@ -139,7 +140,7 @@ class PlantConfiguration(StrictModel):
 
     substeps: Annotated[int, Field(ge=1, le=100)] = 4
     payload_kg: NonNegative = 0.0
-    command_timeout_ms: Positive = 100.0
+    command_timeout_ms: Positive = 200.0
     safe_stop: Literal["brake", "damping", "zero_torque"] = "brake"
     stop_damping_nm_s: PerJointPositive = Field(default_factory=lambda: np.array([20.0]))
     stop_duration_s: NonNegative = 0.5

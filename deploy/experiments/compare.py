@@ -18,7 +18,8 @@ from deploy.experiments.run_rows import row, write_rows
 from deploy.experiments.settling import SettlingTest
 from deploy.experiments.simulate import Simulation
 from deploy.run_folder import RunFolder, RunFolderError, load_run
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
+from deploy.yaml_files import ScenarioError
 
 KIND = "comparison"
 

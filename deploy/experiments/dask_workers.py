@@ -14,7 +14,7 @@ from distributed.scheduler import KilledWorker
 
 from deploy.experiments.run_rows import Row, failed_row
 from deploy.experiments.study import Run, execute, labelled
-from deploy.scenario import ScenarioError
+from deploy.yaml_files import ScenarioError
 
 _ANSWER_S = 3.0
 _WORKERS_S = 5.0

@@ -18,7 +18,8 @@ from deploy.experiments.run_rows import Row
 from deploy.experiments.study import Run
 from deploy.experiments.study_definition import Name, Seeds, override, scenario_from
 from deploy.experiments.study_statistics import held, spread_of_runs
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
+from deploy.yaml_files import ScenarioError
 
 KIND = "margin"
 _COLUMNS = {"arm": "string", "compensation": "bool", "quantity": "string", "value": "double",

@@ -16,7 +16,8 @@ from controller.torque_guard import ControllerError
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.fault_schedule import Blow, Order, process_faults, process_strikes
 from deploy.recorder import close_log, open_log, stamp_of
-from deploy.scenario import ScenarioError, Setup
+from deploy.scenario import Setup
+from deploy.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 CLOCK = "virtual"

@@ -12,7 +12,8 @@ from pydantic import BeforeValidator, Field, ValidationError
 
 from bus_schema.configuration import StrictModel
 from deploy.scenario import SHIPPED as SHIPPED_SCENARIOS
-from deploy.scenario import ScenarioError, explain, find_scenario, read_yaml
+from deploy.scenario import find_scenario
+from deploy.yaml_files import ScenarioError, explain, read_yaml
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 

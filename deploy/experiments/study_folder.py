@@ -20,8 +20,9 @@ from bus_schema.whole_files import write_whole
 from deploy.experiments.run_rows import Row, read_rows, write_rows
 from deploy.experiments.study import Run
 from deploy.run_folder import RunFolder, RunFolderError, provenance
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
 from deploy.scenario_text import effective_scenario
+from deploy.yaml_files import ScenarioError
 
 STUDY_FILE = "study.yaml"
 _FLUSH_S = 1.0

@@ -23,7 +23,8 @@ from deploy.experiments.study_definition import (
     scenario_from,
 )
 from deploy.experiments.study_statistics import spread_of_runs
-from deploy.scenario import ScenarioError, Setup, load_setup
+from deploy.scenario import Setup, load_setup
+from deploy.yaml_files import ScenarioError
 
 KIND = "sweep"
 _MOST_VALUES = 10_000

@@ -12,7 +12,8 @@ from deploy.experiments.compare import load_setups, parse_laws
 from deploy.experiments.run_rows import row, write_rows
 from deploy.experiments.simulate import attempt, simulate
 from deploy.run_folder import load_run
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import load_setup
+from deploy.yaml_files import ScenarioError
 
 SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
 

@@ -10,7 +10,8 @@ from controller.laws import LAWS
 from deploy.experiments.metrics import summarise
 from deploy.experiments.replay import replay
 from deploy.experiments.simulate import simulate
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import load_setup
+from deploy.yaml_files import ScenarioError
 
 ON = "controller.delay_compensation.enabled=true"
 

@@ -10,8 +10,9 @@ import pytest
 import controller
 from deploy.cli import main
 from deploy.experiments.simulate import simulate
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import load_setup
 from deploy.scenario_text import effective_scenario
+from deploy.yaml_files import ScenarioError
 
 SOURCE = """
 import numpy as np

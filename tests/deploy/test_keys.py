@@ -17,7 +17,8 @@ from bus_schema.key_files import KeyFolder
 from bus_schema.topics import Role
 from deploy import cli
 from deploy.keys import check_keys, common_name, create_authority, hosts_of, issue
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import load_setup
+from deploy.yaml_files import ScenarioError
 
 DAY = 24 * 3600
 

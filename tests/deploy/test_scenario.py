@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from deploy.experiments.simulate import simulate
-from deploy.scenario import SHIPPED, ScenarioError, load_setup
+from deploy.scenario import SHIPPED, load_setup
 from deploy.scenario_text import effective_scenario, plain
+from deploy.yaml_files import ScenarioError
 
 NAMES = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 

@@ -19,7 +19,8 @@ from deploy.experiments.study_folder import StudyFolder, create_folder, find_fol
 from deploy.experiments.study_report import write_study_report
 from deploy.experiments.study_text import margin_table
 from deploy.experiments.sweep import Sweep, SweepDefinition, load_sweep
-from deploy.scenario import ScenarioError, load_setup
+from deploy.scenario import load_setup
+from deploy.yaml_files import ScenarioError
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"
 
