@@ -26,6 +26,7 @@ _POLL_S = 0.05
 _PR_SET_PDEATHSIG = 1
 _KILL_AFTER_S = 3.0
 _FAREWELL_S = 2.0
+_NEWCOMER_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class Child:
         self._asked_to_stop = False
         self.faults: list[str] = []
         self.errors: list[str] = []
+        self.is_there = threading.Event()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "deploy.cli", *arguments, "--to-parent"],
             stdin=subprocess.PIPE,
@@ -138,7 +140,9 @@ class Child:
             except (ValueError, KeyError, AttributeError):
                 self.errors.append(line.rstrip())
                 continue
-            if utterance.kind == "fault":
+            if utterance.kind == "note":
+                self.is_there.set()  # its first words, once it is on the bus
+            elif utterance.kind == "fault":
                 self.faults.append(utterance.values["text"])
             heard.put(utterance)
 
@@ -196,7 +200,9 @@ class Launcher:
             Role.PLANT: ["plant", scenario, "--await-recorder"],
             Role.CONTROLLER: ["controller", scenario, "--await-recorder"],
         }
-        self._children[role] = Child(role, words[role], self._heard)
+        self._children[role] = child = Child(role, words[role], self._heard)
+        if gone is not None and self._setup.scenario.clock == "lockstep":
+            child.is_there.wait(_NEWCOMER_S)  # virtual time waits for it
 
     def _watch(self, on_utterance: Callable[[Utterance], None]) -> None:
         """Follow the children until the plant is done and the others had time to follow."""

@@ -80,10 +80,8 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
     controller = ControlLoop(setup.control_task(), controllers_link)
 
     def strike(order: Order) -> None:
-        """A controller that is dead or frozen is one that does not reply."""
-        if order.blow in (Blow.THAW, Blow.BRING_BACK):
-            controllers_link.serve(controller.cycle)
-        else:
+        """Silence the controller for good: the plant gives up on it at the first missed reply."""
+        if order.blow not in (Blow.THAW, Blow.BRING_BACK):
             controllers_link.close()
 
     task = setup.plant_task(lockstep=True, strikes=process_strikes(setup.scenario.faults, strike))

@@ -21,6 +21,9 @@ from deploy.experiments.fault_table import (
     needs_processes,
     to_safe_state_ms,
 )
+from deploy.experiments.figure_style import ALARM
+from deploy.experiments.figures import error_in_funnel
+from deploy.experiments.figures_faults import fault_spans_s, with_faults
 from deploy.experiments.metrics import summarise
 from deploy.experiments.replay import replay
 from deploy.experiments.simulate import simulate
@@ -237,3 +240,10 @@ def test_table_in_the_readme_is_what_is_measured():
     readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
     shown = readme.split(BEGIN)[1].split(END)[0]
     assert shown.count("\n") == 2 + len(fault_scenarios())
+
+
+def test_report_shades_the_time_of_a_fault():
+    figure = with_faults(error_in_funnel)(measured("faults/encoder_stuck").run)
+    shades = [(shape.x0, shape.x1) for shape in figure.layout.shapes if shape.fillcolor == ALARM]
+    assert shades == [(1.0, 1.3)] * 3  # one for each joint
+    assert fault_spans_s(measured("faults/payload_dropped").run) == [(1.0, 2.0)]
