@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import subprocess
 import sys
@@ -23,6 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bus_schema import topics
+from bus_schema.whole_files import partial_path
+from deploy.experiments.metrics import summarise
 from deploy.experiments.run_data import RunData
 from deploy.launcher import with_free_endpoints
 from deploy.run_folder import load_run
@@ -31,6 +32,7 @@ _SAMPLE_S = 1.0
 _WARM_UP_SHARE, _SHORTEST_WARM_UP_S = 0.2, 10.0
 _LARGEST_GROWTH = 0.05
 _MIB = 1 << 20
+_ONE_SECOND_BYTES = 200_000
 _BURN = "while True: pass"
 
 
@@ -44,9 +46,10 @@ class Check(NamedTuple):
 
 def soak(minutes: float, folder: Path) -> list[Check]:
     """Run for so long; what must hold, and whether it did."""
-    words = _scenario(minutes)
+    words, log = _scenario(minutes), folder / "run.mcap"
+    folder.mkdir(parents=True, exist_ok=True)
     roles = {
-        "recorder": ["deploy.benchmarks.slow_recorder", "record", "--out", str(folder)],
+        "recorder": ["deploy.benchmarks.slow_recorder", "record", "--log", str(log)],
         "plant": ["deploy.cli", "plant", "--await-recorder"],
         "controller": ["deploy.cli", "controller", "--await-recorder"],
     }
@@ -59,14 +62,14 @@ def soak(minutes: float, folder: Path) -> list[Check]:
             )
             for role, (module, verb, *options) in roles.items()
         }
-        samples = _sample(processes)
+        samples = _sample(processes, partial_path(log))
         codes = {role: process.wait() for role, process in processes.items()}
     checks = [
         Check(f"{role} ended well", f"code {code}", code == 0) for role, code in codes.items()
     ]
     checks += [_memory(role, np.array(sizes)) for role, sizes in samples.items()]
     data, _ = load_run(folder)
-    return checks + _counts(data, json.loads((folder / "summary.json").read_text()))
+    return checks + _counts(data, summarise(data))
 
 
 def _scenario(minutes: float) -> list[str]:
@@ -90,8 +93,10 @@ def _process(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
         process.wait()
 
 
-def _sample(processes: dict[str, subprocess.Popen[bytes]]) -> dict[str, list[int]]:
-    """Resident memory of every process, bytes, once a second while all of them run."""
+def _sample(processes: dict[str, subprocess.Popen[bytes]], recording: Path) -> dict[str, list[int]]:
+    """Resident memory of every process, bytes, once a second from when the loops run."""
+    while not _has_begun(recording) and all(p.poll() is None for p in processes.values()):
+        time.sleep(_SAMPLE_S)
     samples: dict[str, list[int]] = {role: [] for role in processes}
     page = os.sysconf("SC_PAGE_SIZE")
     while all(process.poll() is None for process in processes.values()):
@@ -101,6 +106,10 @@ def _sample(processes: dict[str, subprocess.Popen[bytes]]) -> dict[str, list[int
                 samples[role].append(int(pages) * page)
         time.sleep(_SAMPLE_S)
     return samples
+
+
+def _has_begun(recording: Path) -> bool:
+    return recording.exists() and recording.stat().st_size > _ONE_SECOND_BYTES
 
 
 def _memory(role: str, sizes: np.ndarray[Any, Any]) -> Check:
