@@ -38,5 +38,5 @@ class SlowFile(RecordFile):
 
 
 if __name__ == "__main__":
-    mcap_log.RecordFile = SlowFile  # type: ignore[misc]
+    mcap_log.RecordFile = SlowFile  # type: ignore[attr-defined]
     cli.main()
