@@ -22,18 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
+from bus_schema.cdr_types import ENCAPSULATION_BYTES, NUMPY_TYPES, Cursor, fields_of, zero_message
 from bus_schema.errors import InvalidMessageError
 from bus_schema.message_types import TYPESTORE
 
-ENCAPSULATION_BYTES = 4
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Nothing on our topics comes near this; larger payloads are refused before they are parsed."""
 
-_NUMPY_TYPES = {
-    "bool": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "uint16": "<u2", "int16": "<i2",
-    "uint32": "<u4", "int32": "<i4", "uint64": "<u8", "int64": "<i8",
-    "float32": "<f4", "float64": "<f8",
-}  # fmt: skip
 _STRUCT_CODES = {
     "u1": "B", "i1": "b", "u2": "H", "i2": "h", "u4": "I", "i4": "i", "u8": "Q", "i8": "q",
     "f4": "f", "f8": "d",
@@ -141,7 +136,7 @@ class MessageLayout:
         self.type_name = type_name
         self._lengths = defaultdict(lambda: length, lengths or {})
         self._strings = {name: list(values) for name, values in (strings or {}).items()}
-        message = _zero_message(type_name, self._lengths, self._strings)
+        message = zero_message(type_name, self._lengths, self._strings)
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         self.size = len(self.template)
         self.dtype = self._numpy_type()
@@ -189,7 +184,7 @@ class MessageLayout:
                 view[:] = value if order is None else value[order]
 
     def _numpy_type(self) -> np.dtype[np.void]:
-        cursor = _Cursor()
+        cursor = Cursor()
         fields = list(self._walk(self.type_name, "", cursor))
         return np.dtype(
             {
@@ -200,9 +195,9 @@ class MessageLayout:
             }
         )
 
-    def _walk(self, type_name: str, prefix: str, cursor: _Cursor) -> Iterator[tuple[str, Any, int]]:
+    def _walk(self, type_name: str, prefix: str, cursor: Cursor) -> Iterator[tuple[str, Any, int]]:
         """Path, NumPy format and offset of each numeric field, in wire order."""
-        for field, kind, argument in _fields(type_name):
+        for field, kind, argument in fields_of(type_name):
             path = prefix + field
             if kind == Nodetype.NAME:
                 yield from self._walk(argument, path + ".", cursor)
@@ -215,7 +210,7 @@ class MessageLayout:
                 continue
             if kind == Nodetype.SEQUENCE:
                 cursor.take(4, 4)
-            scalar = np.dtype(_NUMPY_TYPES[base])
+            scalar = np.dtype(NUMPY_TYPES[base])
             if not is_array:
                 yield path, scalar, cursor.take(scalar.itemsize, scalar.itemsize)
             elif count := self._lengths[path] if kind == Nodetype.SEQUENCE else argument[1]:
@@ -245,25 +240,6 @@ class MessageLayout:
         return bytes(mask)
 
 
-class _Cursor:
-    """Position in a CDR stream; offsets count from the start of the payload."""
-
-    def __init__(self) -> None:
-        self._position = 0
-
-    def take(self, size: int, alignment: int) -> int:
-        start = -(-self._position // alignment) * alignment
-        self._position = start + size
-        return start + ENCAPSULATION_BYTES
-
-    def skip_strings(self, values: Sequence[str], *, counted: bool) -> None:
-        if counted:
-            self.take(4, 4)
-        for value in values:
-            self.take(4, 4)
-            self.take(len(value.encode()) + 1, 1)
-
-
 def parse(payload: bytes, type_name: str) -> Any:
     """Parse a payload with rosbags.
 
@@ -280,12 +256,6 @@ def parse(payload: bytes, type_name: str) -> Any:
         raise InvalidMessageError("malformed", f"not a {type_name}: {error}") from error
 
 
-def _fields(type_name: str) -> Iterator[tuple[str, Nodetype, Any]]:
-    """Name, kind and argument of each field of a type, as rosbags' type store has them."""
-    for name, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
-        yield name, kind, argument
-
-
 def _attribute(message: Any, dotted: str) -> Any:
     for part in dotted.split("."):
         message = getattr(message, part)
@@ -296,23 +266,3 @@ def _permutation(received: list[str], expected: list[str], name: str) -> list[in
     if sorted(received) != sorted(expected):
         raise InvalidMessageError("wrong_names", f"{name} is {received!r}, expected {expected!r}")
     return [received.index(value) for value in expected]
-
-
-def _zero_message(
-    type_name: str, lengths: Mapping[str, int], strings: Mapping[str, list[str]], prefix: str = ""
-) -> Any:
-    values: dict[str, Any] = {}
-    for field, kind, argument in _fields(type_name):
-        path = prefix + field
-        if kind == Nodetype.NAME:
-            values[field] = _zero_message(argument, lengths, strings, path + ".")
-        elif kind == Nodetype.BASE:
-            values[field] = {"string": "", "bool": False}.get(argument[0], 0)
-        elif argument[0][1][0] == "string":
-            values[field] = strings.get(path, [])
-        else:
-            base = _NUMPY_TYPES[argument[0][1][0]]
-            values[field] = np.zeros(
-                lengths[path] if kind == Nodetype.SEQUENCE else argument[1], base
-            )
-    return TYPESTORE.types[type_name](**values)

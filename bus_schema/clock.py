@@ -60,6 +60,23 @@ class MonotonicClock:
         return -remaining_ns
 
 
+class SyncedClock(MonotonicClock):
+    """A monotonic clock of a run that began with a sign from outside, not when it was noticed."""
+
+    def __init__(self) -> None:
+        self._sign_ns: int | None = None
+        super().__init__()
+
+    def note_sign(self, lead_ns: int) -> None:
+        """The sign is given: the run's time 0 was `lead_ns` ago."""
+        self._sign_ns = time.monotonic_ns() - lead_ns
+
+    def start(self) -> None:
+        super().start()
+        if self._sign_ns is not None:
+            self._start_ns = self._sign_ns
+
+
 class TickGrid:
     """The absolute grid of ticks and substeps of a run.
 

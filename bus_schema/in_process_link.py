@@ -7,11 +7,12 @@ It models no transport: nothing is delayed, lost or reordered here. A state is a
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
 from bus_schema.link import CommandArrival, StateHandler, never
-from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Topic
+from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Role, Topic
 
 
 class InProcessBus:
@@ -76,6 +77,12 @@ class InProcessPlantLink:
         taken, self._bus.commands = self._bus.commands, []
         return taken
 
+    def fault(self) -> str | None:
+        return None
+
+    def report(self) -> dict[str, Any]:
+        return {}
+
     def close(self) -> None:
         """Nothing to close."""
 
@@ -92,3 +99,27 @@ class InProcessControllerLink:
 
     def close(self) -> None:
         self._bus.on_state = None
+
+
+class InProcessTelemetry:
+    """Telemetry of loops whose states and torques go over CAN: to an `InProcessBus`.
+
+    Attributes:
+        controller_is_there: whether the controller is still at work.
+    """
+
+    def __init__(self, bus: InProcessBus) -> None:
+        self.publish = bus.publish
+        self.controller_is_there = True
+
+    def sees(self, role: Role) -> bool:
+        return role is not Role.CONTROLLER or self.controller_is_there
+
+    def await_recorder(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> None:
+        """There is nobody to wait for."""
+
+    def await_recorded(self) -> None:
+        """There is nobody to wait for."""
+
+    def close(self) -> None:
+        """Nothing to close."""

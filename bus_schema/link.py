@@ -6,7 +6,7 @@ Messages cross it as CDR payloads, so that what a loop sends is what a recorder 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from bus_schema.topics import Topic
 
@@ -71,6 +71,14 @@ class PlantLink(Publisher, Protocol):
 
     def take_commands(self) -> list[CommandArrival]:
         """All commands that arrived since the last call, in order of arrival."""
+        ...
+
+    def fault(self) -> str | None:
+        """Why the arm must stop now, as what hangs on the bus tells; None if all is well."""
+        ...
+
+    def report(self) -> dict[str, Any]:
+        """What the link has to add to the transport's counts."""
         ...
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
+from bus_schema.can_configuration import CanConfiguration
 from bus_schema.channel_configuration import ChannelConfiguration
 from bus_schema.configuration import NonNegative, Positive, StrictModel
 from bus_schema.key_files import DEFAULT_FOLDER, KeyFolder
@@ -48,7 +49,8 @@ class LinkConfiguration(StrictModel, validate_default=True):
     """The link between controller and plant.
 
     Attributes:
-        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``).
+        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh).
         domain: ROS domain, the first part of every key.
         security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
@@ -62,9 +64,10 @@ class LinkConfiguration(StrictModel, validate_default=True):
             period beyond the link's own mean delay, or beyond the play-out where that is longer.
         connect_timeout_s: how long a process waits for its peers at the start, wall time.
         reply_timeout_s: how long a silent peer is waited for during a run, wall time.
+        can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 
-    kind: Literal["zenoh", "in_process"] = "zenoh"
+    kind: Literal["zenoh", "in_process", "can"] = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
@@ -76,6 +79,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     deadline_ms: Positive | None = None
     connect_timeout_s: Positive = 20.0
     reply_timeout_s: Positive = 5.0
+    can: CanConfiguration = CanConfiguration()
 
     @field_validator("plant_endpoint", "controller_endpoint", "router_endpoint")
     @classmethod

@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from bus_schema import topics
 from bus_schema.cdr_layout import MAX_PAYLOAD_BYTES
@@ -101,6 +102,12 @@ class ZenohPlantLink:
         for _ in range(self._arrivals.qsize()):
             taken.append(self._arrivals.get_nowait())
         return taken
+
+    def fault(self) -> str | None:
+        return None
+
+    def report(self) -> dict[str, Any]:
+        return {}
 
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:

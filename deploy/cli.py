@@ -15,7 +15,7 @@ from rich.markup import escape
 
 from bus_schema.topics import Role
 from bus_schema.whole_files import partial_path
-from deploy import cli_experiments, cli_keys, cli_studies
+from deploy import cli_drives, cli_experiments, cli_keys, cli_studies
 from deploy import doctor as doctor_module
 from deploy.cli_common import (
     BAD_INPUT,
@@ -32,6 +32,7 @@ from deploy.cli_common import (
 from deploy.experiments.simulate import simulate as simulate_setup
 from deploy.keys import check_keys
 from deploy.launcher import Launcher, RunOutcome, with_free_endpoints
+from deploy.links import check_link
 from deploy.processes import StopRequest, Voice, run_controller, run_plant, run_recorder
 from deploy.run_folder import RunFolder, RunFolderError, load_run
 from deploy.scenario import Setup, load_setup
@@ -63,11 +64,7 @@ def run(
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, with_free_endpoints(overrides or []))
-    if setup.scenario.link.kind == "in_process":
-        raise ScenarioError(
-            f"{setup.source}: link.kind = 'in_process': must be zenoh for run; simulate runs in one"
-            " process"
-        )
+    check_link(setup, one_process=False)
     _require_keys(setup, *Role)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
@@ -90,6 +87,7 @@ def simulate(
 ) -> None:
     """Run a scenario in one process and in virtual time."""
     setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=True)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
@@ -110,7 +108,7 @@ def simulate(
             )
 
         try:
-            simulation = simulate_setup(setup, watch)
+            simulation = simulate_setup(setup, watch, folder.can_log)
         finally:
             over.set()
     simulation.write_log(folder.log)
@@ -126,6 +124,7 @@ def controller(
 ) -> None:
     """Be the controller: answer the joint states of a plant on the bus."""
     setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=False)
     _require_keys(setup, Role.CONTROLLER)
     voice = Voice(Role.CONTROLLER, to_parent=to_parent)
     raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
@@ -136,13 +135,17 @@ def plant(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     await_recorder: AwaitRecorder = False,
+    can_log: Annotated[
+        Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
+    ] = None,
     to_parent: ToParent = False,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
     setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=False)
     _require_keys(setup, Role.PLANT)
     voice = Voice(Role.PLANT, to_parent=to_parent)
-    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder))
+    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder, can_log=can_log))
 
 
 @app.command()
@@ -178,6 +181,7 @@ for _command in (
     cli_experiments.report,
     cli_experiments.replay,
     cli_experiments.bench,
+    cli_drives.drives,
 ):
     app.command()(_command)
 

@@ -11,7 +11,14 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
 from bus_schema.topics import Role
-from plant_emulator.fault_configuration import Fault, JointFault, PayloadDropped, PlantFault
+from plant_emulator.fault_configuration import (
+    ChannelFault,
+    Fault,
+    JointFault,
+    MessageFault,
+    PayloadDropped,
+    PlantFault,
+)
 from plant_emulator.faulty_link import Strike
 
 
@@ -109,7 +116,11 @@ def process_strikes(faults: Iterable[Fault], strike: Callable[[Order], None]) ->
 
 
 def check_faults(
-    faults: Sequence[Fault], joint_names: tuple[str, ...], duration_s: float, payload_kg: float
+    faults: Sequence[Fault],
+    joint_names: tuple[str, ...],
+    duration_s: float,
+    payload_kg: float,
+    link_kind: str,
 ) -> None:
     """Check faults against the scenario they are part of.
 
@@ -120,6 +131,9 @@ def check_faults(
         key = f"faults.{index}"
         if fault.at_s >= duration_s:
             raise ConfigurationError(f"{key}.at_s", fault.at_s, f"below duration_s = {duration_s}")
+        if isinstance(fault, ChannelFault | MessageFault) and link_kind == "can":
+            allowed = "without link.kind can, where link.can.faults says what befalls the bus"
+            raise ConfigurationError(f"{key}.kind", fault.kind, allowed)
         if isinstance(fault, JointFault) and fault.joint not in joint_names:
             allowed = f"one of {', '.join(joint_names)}"
             raise ConfigurationError(f"{key}.joint", fault.joint, allowed)

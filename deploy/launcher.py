@@ -200,6 +200,8 @@ class Launcher:
             Role.PLANT: ["plant", scenario, "--await-recorder"],
             Role.CONTROLLER: ["controller", scenario, "--await-recorder"],
         }
+        if self._setup.scenario.link.kind == "can":
+            words[Role.PLANT] += ["--can-log", str(self._folder.can_log)]
         self._children[role] = child = Child(role, words[role], self._heard)
         if gone is not None and self._setup.scenario.clock == "lockstep":
             child.is_there.wait(_NEWCOMER_S)  # virtual time waits for it

@@ -16,15 +16,17 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from bus_schema.clock import Clock, MonotonicClock, VirtualClock
+from bus_schema.can_link import CanControllerLink
+from bus_schema.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
 from bus_schema.errors import BusError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.realtime import go_realtime
 from bus_schema.topics import RUN_EVENTS, Role
-from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
+from bus_schema.zenoh_link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
 from deploy.fault_schedule import Order, process_strikes
+from deploy.links import open_controller_link, open_plant_link
 from deploy.recorder import Recorder
 from deploy.scenario import Setup
 from deploy.striker import order_values
@@ -88,17 +90,17 @@ def _leave_in_order() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
-def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
+def run_plant(
+    setup: Setup, voice: Voice, *, await_recorder: bool, can_log: Path | None = None
+) -> int:
     """Be the plant for one run; the exit code."""
     lockstep = setup.scenario.clock == "lockstep"
-    clock: Clock = VirtualClock() if lockstep else MonotonicClock()
+    clock = _plant_clock(setup)
     arm = setup.arm()
     _go_realtime(setup, voice)
     link = None
     try:
-        link = ZenohPlantLink(
-            setup.scenario.link, clock, lossless=lockstep, await_recorder=await_recorder
-        )
+        link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
         strikes = process_strikes(
             setup.scenario.faults, partial(voice.order, await_execution=lockstep)
         )
@@ -124,12 +126,18 @@ def run_plant(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         arm.close()
 
 
+def _plant_clock(setup: Setup) -> Clock:
+    if setup.scenario.clock == "lockstep":
+        return VirtualClock()
+    return SyncedClock() if setup.scenario.link.kind == "can" else MonotonicClock()
+
+
 def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
     _go_realtime(setup, voice)
     try:
-        link = ZenohControllerLink(setup.scenario.link, lossless=setup.scenario.clock == "lockstep")
+        link = open_controller_link(setup)
     except BusError as error:
         voice.say("fault", text=str(error))
         return FAULT
@@ -148,7 +156,12 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         link.close()
 
 
-def _control(loop: ControlLoop, link: ZenohControllerLink, stop: StopRequest, voice: Voice) -> int:
+def _control(
+    loop: ControlLoop,
+    link: ZenohControllerLink | CanControllerLink,
+    stop: StopRequest,
+    voice: Voice,
+) -> int:
     """Answer states to the end, and say goodbye; the exit code."""
 
     def publish(kind: EventKind, detail: str) -> None:

@@ -47,6 +47,7 @@ class RunFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.log = path / "run.mcap"
+        self.can_log = path / "can.log"
         self.scenario = path / "scenario.yaml"
         self.summary = path / "summary.json"
         self.manifest = path / "manifest.json"
@@ -68,7 +69,7 @@ class RunFolder:
         if not os.access(path, os.W_OK):
             raise ScenarioError(f"--out {path}: is not writable")
         folder = RunFolder(path)
-        for file in (folder.log, folder.summary, folder.manifest, folder.report):
+        for file in (folder.log, folder.can_log, folder.summary, folder.manifest, folder.report):
             file.unlink(missing_ok=True)
             partial_path(file).unlink(missing_ok=True)
         return folder

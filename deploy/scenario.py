@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.can_run import CanRun
 from bus_schema.clock import TickGrid
 from bus_schema.configuration import (
     ConfigurationError,
@@ -36,12 +37,14 @@ from controller.control_loop import ControlTask
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference, sample_positions
 from controller.torque_guard import TorqueGuard
+from deploy.can_check import check_can_link
 from deploy.fault_schedule import ScheduledFault, check_faults, plant_faults
 from deploy.link_files import find_delay_files
 from deploy.robot_files import find_urdf
 from deploy.yaml_files import ScenarioError, explain, override, read_yaml
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.driven_arm import DrivenArm
 from plant_emulator.faulty_link import Strike
 from plant_emulator.plant_loop import PlantTask
 
@@ -150,9 +153,15 @@ class Setup:
             strikes=strikes,
         )
 
+    def can_run(self, *, lockstep: bool) -> CanRun:
+        """What both sides of a run over CAN must know of it."""
+        link, names = self.scenario.link, self.robot.joint_names
+        return CanRun(names, link, self.grid, self.ticks, lockstep=lockstep)
+
     def arm(self) -> ArmPlant:
-        """A fresh arm at its start."""
-        return ArmPlant(
+        """A fresh arm at its start; over CAN one that waits for its drives."""
+        kind = DrivenArm if self.scenario.link.kind == "can" else ArmPlant
+        return kind(
             self.scenario.plant,
             self.robot,
             self.start_position_rad,
@@ -250,7 +259,10 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
         raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
-    check_faults(scenario.faults, robot.joint_names, scenario.duration_s, scenario.plant.payload_kg)
+    check_faults(
+        scenario.faults, robot.joint_names, scenario.duration_s, scenario.plant.payload_kg,
+        scenario.link.kind,
+    )  # fmt: skip
     link = find_delay_files(scenario.link, source.parent)
     setup = Setup(
         scenario=scenario.model_copy(update={"link": link}),
@@ -263,6 +275,8 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         grid=grid,
     )
     setup.control_task()
+    if scenario.link.kind == "can":
+        check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
     ArmPlant.check(scenario.plant, robot, start, grid.substep_s)
     return setup
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
@@ -77,6 +78,8 @@ class ArmPlant:
             robot, substep_s, payload_kg=configuration.payload_kg, gui=configuration.gui
         )
         self._arm.place(start_position_rad)
+        self._held: NDArray[np.bool_] = np.zeros(robot.joints, dtype=np.bool_)
+        self._holds_some = False
         self.position: Vector = self._arm.position
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
@@ -120,6 +123,14 @@ class ArmPlant:
         if self.mode is Mode.TRACKING:
             self._commanded[:] = torque_nm
 
+    def hold(self, joints: NDArray[np.bool_]) -> None:
+        """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
+        if not np.array_equal(joints, self._held):
+            self._held[:] = joints
+            self._holds_some = bool(joints.any())
+            if not self._is_braked:
+                self._arm.hold(self._held.tolist())
+
     def stop(self) -> None:
         """Begin the configured safe stop. There is no way back."""
         self.mode = Mode.STOPPING
@@ -148,7 +159,10 @@ class ArmPlant:
         asked = self._commanded
         if self._faults is not None:
             asked = self._faults.ask(asked, now_ns)
-        self._arm.step(self.torques.act(asked, self.velocity, time_s))
+        total = self.torques.act(asked, self.velocity, time_s)
+        if self._holds_some:
+            self.torques.rest_at(self._held)
+        self._arm.step(total)
 
     def close(self) -> None:
         """Free the physics server."""
@@ -156,4 +170,6 @@ class ArmPlant:
 
     def _set_brakes(self, *, engaged: bool) -> None:
         self._arm.set_brakes(engaged=engaged)
+        if self._holds_some and not engaged:
+            self._arm.hold(self._held.tolist())
         self._is_braked = engaged

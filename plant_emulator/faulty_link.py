@@ -91,6 +91,7 @@ class FaultyLink:
         self._intruders_sequence = 0
         self.await_controller = link.await_controller
         self.controller_has_left = link.controller_has_left
+        self.fault, self.report = link.fault, link.report
         self.close = link.close
 
     def publish(self, topic: Topic, payload: bytes) -> int:

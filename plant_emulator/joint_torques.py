@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.compiled import compiled
@@ -65,6 +66,10 @@ class JointTorques:
         """The brakes hold the joints: nothing else is felt."""
         self._torques[:] = 0.0
         self.saturated = False
+
+    def rest_at(self, joints: NDArray[np.bool_]) -> None:
+        """The brakes of some joints, shape (joints,), hold: nothing else is felt there."""
+        self._torques[:, joints] = 0.0
 
 
 @compiled

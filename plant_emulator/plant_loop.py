@@ -195,6 +195,8 @@ class PlantLoop:
         self._journal.send(self._link)
         self._lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
+        if self._arm.mode in _COMMANDABLE and (reason := self._link.fault()) is not None:
+            self._begin_stop(reason)
 
     def _deliver(self, measurement: _Measurement) -> None:
         self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
@@ -215,7 +217,8 @@ class PlantLoop:
                 self._collect_commands()
             elif self._link.controller_has_left():
                 self._controller_is_lost = True
-                self._fail("the controller has left the bus")
+                if self._arm.mode in _COMMANDABLE and self._link.fault() is None:
+                    self._fail("the controller has left the bus")
                 return
             elif time.monotonic() > give_up_s:
                 self._controller_is_lost = True
@@ -270,8 +273,12 @@ class PlantLoop:
     def _stop_safely(self) -> None:
         timeout_ms = self._task.plant.command_timeout_ms
         kind = self._task.plant.safe_stop
+        self._begin_stop(f"no valid command for {timeout_ms:g} ms: safe stop ({kind})")
+
+    def _begin_stop(self, reason: str) -> None:
+        """Stop the arm, and end the run when it has had the time for it."""
         self._arm.stop()
-        self._fail(f"no valid command for {timeout_ms:g} ms: safe stop ({kind})")
+        self._fail(reason)
         stop_ticks = round(self._task.plant.stop_duration_s * 1e9 / self._grid.period_ns)
         self._end_tick = min(self._end_tick, self.tick + 1 + stop_ticks)
 
@@ -317,7 +324,7 @@ class PlantLoop:
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
             "downlink": self._downlink.statistics().summary() | {"rejected": rejected},
-        }
+        } | self._link.report()
         if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")
         self._announce(EventKind.COUNTS, json.dumps(counts))

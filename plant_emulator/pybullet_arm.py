@@ -99,7 +99,14 @@ class PybulletArm:
 
     def set_brakes(self, *, engaged: bool) -> None:
         """Engage or release brakes that hold every joint against ten times its largest torque."""
-        forces = self._brake_torques if engaged else [0.0] * len(self._joints)
+        self.hold([engaged] * len(self._joints))
+
+    def hold(self, joints: Sequence[bool]) -> None:
+        """Engage the brakes of some joints, shape (joints,), and release those of the others."""
+        forces = [
+            torque if is_held else 0.0
+            for torque, is_held in zip(self._brake_torques, joints, strict=True)
+        ]
         pybullet.setJointMotorControlArray(
             self._body, self._joints, pybullet.VELOCITY_CONTROL, forces=forces,
             physicsClientId=self._client,

@@ -164,4 +164,5 @@ def _transport(run: RunData) -> dict[str, Any]:
         "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),
         "loss_burst": dict.fromkeys(("mean", "longest")),
     }  # fmt: skip
-    return {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
+    channels = {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
+    return channels | ({"can": counts["can"]} if "can" in counts else {})

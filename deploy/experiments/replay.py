@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bus_schema import topics
+from bus_schema.can_codec import as_delivered, build_codec
+from bus_schema.cdr_layout import Record
 from bus_schema.clock import VirtualClock
 from bus_schema.in_process_link import InProcessBus, InProcessControllerLink
 from bus_schema.mcap_log import LogContents
@@ -57,6 +59,8 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     for state in states:
         loop.cycle(state, statuses.get(state[_STAMP]))
     replayed = [command.payload for command in bus.commands]
+    if setup.scenario.link.kind == "can":
+        replayed = _as_delivered(setup, replayed)
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
@@ -71,3 +75,15 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
         digest=digest(states, replayed),
         recorded_digest=digest(states, recorded),
     )
+
+
+def _as_delivered(setup: Setup, commands: list[bytes]) -> list[bytes]:
+    """Commands as the drives of a CAN bus get them: torques rounded for the wire."""
+    codec = build_codec(setup.scenario.link.can, setup.robot)
+    layout = topics.layout(topics.JOINT_COMMANDS, setup.robot.joint_names)
+    command, delivered = Record(layout), []
+    for payload in commands:
+        layout.decode(payload, command)
+        command.fields["effort"][:] = as_delivered(codec, command.fields["effort"])
+        delivered.append(command.payload())
+    return delivered

@@ -14,6 +14,7 @@ from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
 from deploy.experiments.run_data import RunData, build_run_data
+from deploy.experiments.simulate_can import run_over_can
 from deploy.fault_schedule import Blow, Order, process_faults, process_strikes
 from deploy.recorder import close_log, open_log, stamp_of
 from deploy.scenario import Setup
@@ -37,14 +38,18 @@ class Simulation:
     setup: Setup
     topics: list[Topic]
     payloads: list[bytes]
-    failure: ControllerError | None
+    failure: Exception | None
 
     def data(self) -> RunData:
         """The data of the run."""
         by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             by_topic[topic.name].append(payload)
-        return build_run_data(self.setup, by_topic, clock=CLOCK, link=LINK)
+        return build_run_data(self.setup, by_topic, clock=CLOCK, link=self._link)
+
+    @property
+    def _link(self) -> str:
+        return "can" if self.setup.scenario.link.kind == "can" else LINK
 
     def write_log(self, path: Path) -> None:
         """Write the recording that a recorder would have made.
@@ -52,7 +57,7 @@ class Simulation:
         Raises:
             OSError: the disk does not take it.
         """
-        log = open_log(self.setup, path, clock=CLOCK, link=LINK)
+        log = open_log(self.setup, path, clock=CLOCK, link=self._link)
         sequences: Counter[str] = Counter()
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             sequences[topic.name] += 1
@@ -63,12 +68,17 @@ class Simulation:
             raise log.failure
 
 
-def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:
+def simulate(
+    setup: Setup,
+    on_start: Callable[[PlantLoop], None] | None = None,
+    can_log: Path | None = None,
+) -> Simulation:
     """Run a scenario in virtual time.
 
     Args:
         setup: the scenario.
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
+        can_log: file for the frames of a CAN bus.
 
     Raises:
         ScenarioError: it strikes a process that is not there.
@@ -76,6 +86,9 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
     _require_simulable(setup)
     clock = VirtualClock()
     bus = InProcessBus(clock)
+    if setup.scenario.link.kind == "can":
+        stopped_by = run_over_can(setup, bus, clock, on_start, can_log)
+        return Simulation(setup, bus.topics, bus.payloads, stopped_by)
     controllers_link = InProcessControllerLink(bus)
     controller = ControlLoop(setup.control_task(), controllers_link)
 
@@ -89,7 +102,7 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
     plant = PlantLoop(task, arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
         on_start(plant)
-    failure = None
+    failure: Exception | None = None
     try:
         controller.warm_up()
         plant.run()
@@ -105,6 +118,11 @@ def simulate(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) 
 
 def _require_simulable(setup: Setup) -> None:
     for fault in process_faults(setup.scenario.faults):
+        if setup.scenario.link.kind == "can":
+            raise ScenarioError(
+                f"{setup.source}: faults: kind = {fault.kind!r}: must be of another kind for"
+                " simulate over CAN; run strikes processes"
+            )
         if Role(fault.target) is not Role.CONTROLLER:
             raise ScenarioError(
                 f"{setup.source}: faults: target = {fault.target!r}: must be controller for"

@@ -277,6 +277,25 @@ def test_run_needs_a_bus_between_its_processes(refuse: Refusal) -> None:
     assert "link.kind = 'in_process': must be zenoh" in message
 
 
+@pytest.mark.parametrize(
+    ("value", "complaint"),
+    [
+        ("link.can.interface=nope", "'nope': must be one that python-can knows"),
+        ("link.can.interface=virtual", "'virtual': reaches no other process"),
+        ("link.can.channel=10.0.0.1", "'10.0.0.1': must be a multicast address"),
+        ("link.can.bitrate=42", "42: must be 125000, 250000, 500000, 800000 or 1000000"),
+        ("link.can.node_ids=[1, 2, 2]", "given more than once: [2]"),
+        ("link.can.node_ids=[1, 2]", f"one for {ONE_EACH}"),
+        ("link.can.eds=/etc/hostname", "'/etc/hostname': must be a file that is an EDS"),
+        ("link.can.faults.drives=['drive:9@1s']", "must name one of the nodes 1, 2, 3"),
+        ("link.uplink.delay_ms=1", "link.uplink = {'delay_ms': 1.0}: must be left out"),
+        ("rate_hz=2000", "the nearest rate that fits is 1000 Hz"),
+    ],
+)
+def test_can_bus_that_cannot_be_is_refused(refuse: Refusal, value: str, complaint: str) -> None:
+    assert complaint in refuse("run", "paper_arm_can", "--set", value)
+
+
 @pytest.mark.parametrize("command", ["replay", "report"])
 def test_folder_without_a_run_is_refused(refuse: Refusal, tmp_path: Path, command: str) -> None:
     assert refuse(command, str(tmp_path)).startswith(f"{tmp_path}: ")

@@ -247,3 +247,10 @@ def test_report_shades_the_time_of_a_fault():
     shades = [(shape.x0, shape.x1) for shape in figure.layout.shapes if shape.fillcolor == ALARM]
     assert shades == [(1.0, 1.3)] * 3  # one for each joint
     assert fault_spans_s(measured("faults/payload_dropped").run) == [(1.0, 2.0)]
+
+
+@pytest.mark.parametrize("kind", ["link_cut", "link_corrupted"])
+def test_over_can_the_bus_has_faults_of_its_own(kind):
+    fault = f"faults=[{{kind: {kind}, direction: uplink, at_s: 1}}]"
+    with pytest.raises(ScenarioError, match="without link.kind can, where link.can.faults says"):
+        load_setup("paper_arm_can", [fault])

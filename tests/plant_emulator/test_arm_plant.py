@@ -231,3 +231,18 @@ def test_same_seed_same_bits_other_seed_other_noise(bench):
     assert runs[0] == runs[1]
     assert runs[0][0] != runs[2][0]
     assert runs[0][1] != runs[2][1]
+
+
+def test_held_joints_stay_where_they_are_and_feel_nothing_while_others_move(bench):
+    terms = [{"joint": "all", "kind": "constant", "torque_nm": 50.0}]
+    some = bench(disturbance={"terms": terms})
+    some.arm.hold(np.array([True, False, True]))
+    some.arm.command(PUSH)
+    positions, _ = some.run(0.2)
+    moved = np.abs(positions[-1] - START)
+    assert moved[1] > 0.05
+    assert moved[[0, 2]].max() < 2e-3
+    assert some.arm.torques.actuator.tolist() == [0.0, PUSH[1], 0.0]
+    some.arm.hold(np.array([False, False, False]))
+    positions, _ = some.run(0.2)
+    assert np.abs(positions[-1] - positions[0])[0] > 0.005

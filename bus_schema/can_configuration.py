@@ -1,0 +1,116 @@
+"""Section ``link.can`` of a scenario: which CAN bus, which drives, and how they are watched."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from bus_schema.configuration import (
+    ConfigurationError,
+    NonNegative,
+    PerJointPositive,
+    Positive,
+    StrictModel,
+)
+
+_CHANNELS = {"udp_multicast": "239.74.163.2", "virtual": "funnel_hil"}
+
+
+def _check_node_ids(node_ids: tuple[int, ...]) -> tuple[int, ...]:
+    repeated = sorted({each for each in node_ids if node_ids.count(each) > 1})
+    if repeated:
+        raise ValueError(f"numbers that are all different; given more than once: {repeated}")
+    return node_ids
+
+
+class CanFaults(StrictModel):
+    """What goes wrong on an emulated bus, and with the drives on it.
+
+    Attributes:
+        frame_error_probability: share of frames that are destroyed by an error frame and repeated.
+        bus_off_s: time at which the drives' side goes bus-off for good; null for never.
+        drives: what goes wrong with drives, in the form ``kind:node@time`` or
+            ``kind:node@time+duration``, such as ``drive:2@3s``; kinds are ``drive``, ``silent``,
+            ``encoder-frozen`` and ``over-temperature``.
+    """
+
+    frame_error_probability: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    bus_off_s: NonNegative | None = None
+    drives: tuple[str, ...] = ()
+
+
+class CanConfiguration(StrictModel):
+    """The CAN bus between controller and drives.
+
+    Attributes:
+        interface: python-can's name of the interface: ``socketcan``, ``udp_multicast`` between
+            processes, ``virtual`` within one, or any hardware's.
+        channel: what the interface calls the bus; by default ``vcan0``, a multicast address, or a
+            name.
+        port: UDP port of ``udp_multicast``.
+        bitrate: bits per second; on emulated buses it counts in the plant's time.
+        fd: the bus carries CAN FD frames too. Neither protocol sends any.
+        data_bitrate: bit rate of the data phase of FD frames.
+        protocol: what the drives speak: CiA 402 on CANopen, or ODrive's CANSimple.
+        node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
+        eds: description of the CiA 402 drives; by default the one that is shipped.
+        encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
+        rated_torque_nm: unit of CiA 402's torques, one for all or one per joint; by default a
+            32nd of the URDF's effort limits, so that these are nearly all that 16 bits can say.
+        heartbeat_ms: period of the heartbeats of master and drives, on the run's clock.
+        heartbeat_timeout_ms: silence after which a node counts as lost.
+        command_timeout_ms: time without a torque after which a drive stops by itself.
+        answer_timeout_s: how long the master waits for the answer to a request, wall time.
+        faults: what goes wrong on an emulated bus, and with the drives on it.
+    """
+
+    interface: str = "socketcan"
+    channel: str | None = None
+    port: Annotated[int, Field(ge=1, le=65_535)] = 43_113
+    bitrate: Literal[125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
+    fd: bool = False
+    data_bitrate: Annotated[int, Field(ge=125_000, le=8_000_000)] | None = None
+    protocol: Literal["cia402", "cansimple"] = "cia402"
+    node_ids: (
+        Annotated[tuple[Annotated[int, Field(ge=1, le=127)], ...], AfterValidator(_check_node_ids)]
+        | None
+    ) = None
+    eds: str | None = None
+    encoder_bits: Annotated[int, Field(ge=8, le=24)] = 20
+    rated_torque_nm: PerJointPositive | None = None
+    heartbeat_ms: Annotated[int, Field(ge=1, le=30_000)] = 20
+    heartbeat_timeout_ms: Annotated[int, Field(ge=2, le=65_000)] = 70
+    command_timeout_ms: Annotated[int, Field(ge=2, le=65_000)] = 50
+    answer_timeout_s: Positive = 2.0
+    faults: CanFaults = CanFaults()
+
+    @property
+    def resolved_channel(self) -> str:
+        """What the interface calls the bus."""
+        return self.channel or _CHANNELS.get(self.interface, "vcan0")
+
+    @property
+    def counts_per_turn(self) -> int:
+        return 1 << self.encoder_bits
+
+    def node_ids_of(self, joints: int) -> tuple[int, ...]:
+        """One address per joint.
+
+        Raises:
+            ConfigurationError: there are not as many as joints, or too large for the protocol.
+        """
+        node_ids = self.node_ids or tuple(range(1, joints + 1))
+        if len(node_ids) != joints:
+            raise ConfigurationError(
+                "link.can.node_ids", list(node_ids), f"one for each of the {joints} joints"
+            )
+        if self.protocol == "cansimple" and max(node_ids) > _LARGEST_CANSIMPLE_NODE:
+            raise ConfigurationError(
+                "link.can.node_ids", list(node_ids),
+                f"must be at most {_LARGEST_CANSIMPLE_NODE} with CANSimple",
+            )  # fmt: skip
+        return node_ids
+
+
+_LARGEST_CANSIMPLE_NODE = 63

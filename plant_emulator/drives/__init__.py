@@ -1,0 +1,1 @@
+"""Emulated motor drives on a CAN bus."""

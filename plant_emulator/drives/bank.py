@@ -1,0 +1,192 @@
+"""All drives of a robot: what stands between its joints and the CAN bus.
+
+For a plant in lockstep the bank counts what the controller does: `samplings` rises when it has
+sampled every axis (a SYNC; or, without one, a request to each axis), `take_targets` tells when it
+has given every axis a new target.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Vector
+from bus_schema.can_frame import BUS_OFF, BUS_RESTARTED, CanFrame
+from bus_schema.errors import InvalidMessageError
+from bus_schema.rejections import Rejections
+from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Send
+
+logger = logging.getLogger(__name__)
+
+
+class _Axis:
+    """A drive with what can be broken about it from outside."""
+
+    def __init__(self, protocol: type[Drive], settings: DriveSettings, send: Send) -> None:
+        self._send = send
+        self.drive = protocol(settings, self._send_if_connected)
+        self.node_id = settings.node_id
+        self.targets_taken = 0
+        self.is_silent = False
+        self.frozen_rad: float | None = None
+        self._position_rad = 0.0
+
+    def measure(self, position_rad: float, velocity_rad_s: float, torque_nm: float) -> None:
+        if self.frozen_rad is not None:
+            position_rad, velocity_rad_s = self.frozen_rad, 0.0
+        self._position_rad = position_rad
+        self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
+
+    def inject(self, fault: DriveFault, now_ns: int) -> None:
+        if fault is DriveFault.SILENT:
+            self.is_silent = True
+        elif fault is DriveFault.ENCODER_FROZEN:
+            self.frozen_rad = self._position_rad
+        else:
+            self.drive.inject(fault, now_ns)
+
+    def heal(self, fault: DriveFault, now_ns: int) -> None:
+        if fault is DriveFault.SILENT:
+            self.is_silent = False
+        elif fault is DriveFault.ENCODER_FROZEN:
+            self.frozen_rad = None
+        else:
+            self.drive.heal(fault, now_ns)
+
+    def _send_if_connected(self, frame: CanFrame) -> None:
+        if not self.is_silent:
+            self._send(frame)
+
+
+class DriveBank:
+    """The drives of a robot, in the order of its joints.
+
+    Args:
+        protocol: class of the drives.
+        settings: one for each joint.
+        send: takes every frame that a drive sends.
+
+    Attributes:
+        torque_nm: torques that the drives give, shape (joints,).
+        braked: whose brakes are engaged, shape (joints,).
+        rejections: frames that no drive could use, by reason.
+    """
+
+    def __init__(
+        self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
+    ) -> None:
+        self._axes = [_Axis(protocol, each, send) for each in settings]
+        self.torque_nm: Vector = np.zeros(len(self._axes))
+        self.braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
+        self.rejections = Rejections("frame", logger)
+
+    @property
+    def node_ids(self) -> tuple[int, ...]:
+        """Addresses, in the order of the joints."""
+        return tuple(axis.node_id for axis in self._axes)
+
+    @property
+    def samplings(self) -> int:
+        """How often the controller has sampled every axis that is still on the bus."""
+        return min((axis.drive.samplings for axis in self._axes if not axis.is_silent), default=0)
+
+    @property
+    def faults(self) -> list[str]:
+        """One sentence for each drive with a fault."""
+        return [
+            f"node {axis.node_id}: {axis.drive.fault}" for axis in self._axes if axis.drive.fault
+        ]
+
+    @property
+    def statuses(self) -> list[str]:
+        """State of each drive, and what is wrong with it."""
+        return [
+            f"node {axis.node_id}: {axis.drive.status}"
+            + (f", {axis.drive.fault}" if axis.drive.fault else "")
+            for axis in self._axes
+        ]
+
+    def take_targets(self) -> bool:
+        """Whether every axis still on the bus got a target since the last time it was so."""
+        listening = [axis for axis in self._axes if not axis.is_silent]
+        if not listening or any(axis.drive.targets <= axis.targets_taken for axis in listening):
+            return False
+        for axis in listening:
+            axis.targets_taken = axis.drive.targets
+        return True
+
+    def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
+        """Show the drives their joints, shape (joints,) each."""
+        rows = zip(position_rad.tolist(), velocity_rad_s.tolist(), torque_nm.tolist(), strict=True)
+        for axis, row in zip(self._axes, rows, strict=True):
+            axis.measure(*row)
+        self._note_demands()
+
+    def receive(self, frame: CanFrame, now_ns: int) -> None:
+        """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
+        if frame.is_error:
+            self._hear_controller(frame, now_ns)
+            return
+        try:
+            self._deliver(frame, now_ns)
+        except InvalidMessageError as error:
+            self.rejections.note(error)
+            self._note_demands()
+
+    def advance(self, now_ns: int) -> None:
+        """Let the drives do what is due at `now_ns`."""
+        for axis in self._axes:
+            axis.drive.advance(now_ns)
+        self._note_demands()
+
+    def inject(self, joint: int, fault: DriveFault, now_ns: int) -> None:
+        """Let something go wrong with the drive of a joint (counted from 0)."""
+        self._axes[joint].inject(fault, now_ns)
+        self._note_demands()
+
+    def heal(self, joint: int, fault: DriveFault, now_ns: int) -> None:
+        """Take the cause of a fault away."""
+        self._axes[joint].heal(fault, now_ns)
+        self._note_demands()
+
+    def describe(self, frame: CanFrame) -> str:
+        """A frame in words."""
+        for axis in self._axes:
+            text = axis.drive.describe(frame)
+            if text is not None:
+                return text
+        return "not for these drives"
+
+    def _deliver(self, frame: CanFrame, now_ns: int) -> None:
+        if frame.is_fd or frame.is_extended or len(frame.data) > _MOST_BYTES:
+            raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
+        understood = False
+        for joint, axis in enumerate(self._axes):
+            if not axis.is_silent and axis.drive.receive(frame, now_ns):
+                understood = True
+                self._note_demand(joint, axis)
+        if not understood:
+            raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
+
+    def _hear_controller(self, frame: CanFrame, now_ns: int) -> None:
+        for axis in self._axes:
+            if frame.identifier & BUS_OFF:
+                axis.drive.lose_bus(now_ns)
+            if frame.identifier & BUS_RESTARTED:
+                axis.drive.regain_bus(now_ns)
+        self._note_demands()
+
+    def _note_demands(self) -> None:
+        for joint, axis in enumerate(self._axes):
+            self._note_demand(joint, axis)
+
+    def _note_demand(self, joint: int, axis: _Axis) -> None:
+        torque_nm, is_released = axis.drive.demand()
+        self.torque_nm[joint] = torque_nm
+        self.braked[joint] = not is_released
+
+
+_MOST_BYTES = 8

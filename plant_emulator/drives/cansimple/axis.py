@@ -1,0 +1,234 @@
+"""What an ODrive axis does: states, errors, watchdog, torque control (firmware 0.6)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from enum import IntEnum, IntFlag
+
+from bus_schema.errors import InvalidMessageError
+from plant_emulator.drives.drive import (
+    AT_REST,
+    DriveFault,
+    DriveSettings,
+    JointDemand,
+    JointReading,
+)
+
+TORQUE_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 3, 1
+TORQUE_CONSTANT_NM_A = 1.0
+VELOCITY_LIMIT_TURNS_S = 10.0
+_VELOCITY_TOLERANCE = 1.2
+_BUS_VOLTAGE_V, _USUAL_TEMPERATURE_C, _HOT_C = 48.0, 25.0, 130.0
+_TURN_RAD = 2.0 * math.pi
+_REBOOT = 0
+_MS = 1_000_000
+_VERSION = {
+    "Protocol_Version": 2, "Hw_Version_Major": 4, "Hw_Version_Minor": 4, "Hw_Version_Variant": 58,
+    "Fw_Version_Major": 0, "Fw_Version_Minor": 6, "Fw_Version_Revision": 10,
+    "Fw_Version_Unreleased": 0,
+}  # fmt: skip
+
+
+class AxisState(IntEnum):
+    """The states this axis has."""
+
+    IDLE = 1
+    CLOSED_LOOP_CONTROL = 8
+
+
+class AxisError(IntFlag):
+    """The errors this axis can have."""
+
+    NONE = 0
+    BAD_CONFIG = 0x10
+    DRV_FAULT = 0x20
+    MOTOR_OVER_TEMP = 0x2000
+    VELOCITY_LIMIT_VIOLATION = 0x8000
+    WATCHDOG_TIMER_EXPIRED = 0x100_0000
+    ESTOP_REQUESTED = 0x200_0000
+
+
+class ProcedureResult(IntEnum):
+    """How the last request for a state ended."""
+
+    SUCCESS = 0
+    DISARMED = 3
+    INVALID_STATE = 13
+
+
+class Axis:
+    """An axis on a joint; all at the joint, in turns and N m.
+
+    Attributes:
+        targets: torques taken so far.
+        state: idle or in closed-loop control.
+    """
+
+    def __init__(self, settings: DriveSettings) -> None:
+        self._settings = settings
+        self._reading = JointReading()
+        self._is_hot = False
+        self._watchdog_fed_ns = 0
+        self.targets = 0
+        self._start()
+        self._reports: dict[str, Callable[[], Mapping[str, float]]] = {
+            "Get_Version": lambda: _VERSION,
+            "Heartbeat": self._heartbeat,
+            "Get_Error": lambda: {
+                "Active_Errors": self._errors, "Disarm_Reason": self._disarm_reason
+            },
+            "Get_Encoder_Estimates": self._estimates,
+            "Get_Iq": lambda: {
+                "Iq_Setpoint": self._given_nm() / TORQUE_CONSTANT_NM_A,
+                "Iq_Measured": self._reading.torque_nm / TORQUE_CONSTANT_NM_A,
+            },
+            "Get_Temperature": lambda: {
+                "FET_Temperature": _USUAL_TEMPERATURE_C,
+                "Motor_Temperature": _HOT_C if self._is_hot else _USUAL_TEMPERATURE_C,
+            },
+            "Get_Bus_Voltage_Current": lambda: {
+                "Bus_Voltage": _BUS_VOLTAGE_V, "Bus_Current": self._power_w() / _BUS_VOLTAGE_V
+            },
+            "Get_Torques": lambda: {
+                "Torque_Target": self._given_nm(), "Torque_Estimate": self._reading.torque_nm
+            },
+            "Get_Powers": lambda: {
+                "Electrical_Power": self._power_w(), "Mechanical_Power": self._power_w()
+            },
+        }  # fmt: skip
+
+    @property
+    def fault(self) -> str | None:
+        """What disarmed it."""
+        names = [error.name for error in self._errors if error.name]
+        return " and ".join(names) or None
+
+    def measure(self, reading: JointReading) -> None:
+        """Take in what the sensors show."""
+        self._reading = reading
+        limit = self._velocity_limit * _VELOCITY_TOLERANCE * _TURN_RAD
+        if self._is_armed() and abs(reading.velocity_rad_s) > limit:
+            self._disarm(AxisError.VELOCITY_LIMIT_VIOLATION)
+
+    def demand(self) -> JointDemand:
+        """What the axis does to its joint; a disarmed one has its brake engaged."""
+        return JointDemand(self._given_nm(), is_released=True) if self._is_armed() else AT_REST
+
+    def report(self, message: str) -> Mapping[str, float]:
+        """Signals of a message that the axis sends."""
+        return self._reports[message]()
+
+    def request(self, state: int) -> None:
+        """Change the state, if the axis has it and nothing is wrong."""
+        if state == AxisState.IDLE:
+            self.state = AxisState.IDLE
+            self._result = ProcedureResult.SUCCESS
+        elif state != AxisState.CLOSED_LOOP_CONTROL:
+            self._result = ProcedureResult.INVALID_STATE
+        elif self._mode != (TORQUE_CONTROL, PASSTHROUGH):
+            self._disarm(AxisError.BAD_CONFIG)
+        elif self._errors:
+            self._result = ProcedureResult.DISARMED
+        elif not self._is_armed():
+            self._torque_nm = 0.0
+            self._disarm_reason = AxisError.NONE
+            self.state = AxisState.CLOSED_LOOP_CONTROL
+            self._result = ProcedureResult.SUCCESS
+
+    def set_mode(self, control: int, inputs: int) -> None:
+        """Choose control and input mode; this axis can only control torque, passed through."""
+        self._mode = (control, inputs)
+        if self._is_armed() and self._mode != (TORQUE_CONTROL, PASSTHROUGH):
+            self._disarm(AxisError.BAD_CONFIG)
+
+    def set_torque(self, torque_nm: float) -> None:
+        """Take a torque."""
+        self._torque_nm = torque_nm
+        self.targets += 1
+
+    def set_limits(self, velocity_turns_s: float, current_a: float) -> None:
+        """Set the speed beyond which the axis is disarmed, and the largest current."""
+        if velocity_turns_s < 0.0 or current_a < 0.0:
+            raise InvalidMessageError("out_of_range", "limits are at least 0")
+        self._velocity_limit, self._current_limit = velocity_turns_s, current_a
+
+    def emergency_stop(self) -> None:
+        """Disarm."""
+        self._disarm(AxisError.ESTOP_REQUESTED)
+
+    def clear_errors(self) -> None:
+        """Forget errors whose causes are gone."""
+        self._errors = AxisError.MOTOR_OVER_TEMP if self._is_hot else AxisError.NONE
+        self._disarm_reason = self._errors
+
+    def reboot(self, action: int) -> None:
+        """Start anew; there is no configuration to save or erase."""
+        if action != _REBOOT:
+            raise InvalidMessageError("out_of_range", f"this axis cannot do action {action}")
+        self._start()
+
+    def inject(self, fault: DriveFault) -> None:
+        """Let something go wrong."""
+        if fault is DriveFault.OVER_TEMPERATURE:
+            self._is_hot = True
+            self._disarm(AxisError.MOTOR_OVER_TEMP)
+        else:
+            self._disarm(AxisError.DRV_FAULT)
+
+    def heal(self, fault: DriveFault) -> None:
+        """The motor cools down."""
+        if fault is DriveFault.OVER_TEMPERATURE:
+            self._is_hot = False
+
+    def feed_watchdog(self, now_ns: int) -> None:
+        """A frame has come."""
+        self._watchdog_fed_ns = now_ns
+
+    def advance(self, now_ns: int) -> None:
+        """Disarm if nothing has come for too long."""
+        timeout_ns = self._settings.watchdog_ms * _MS
+        if timeout_ns and self._is_armed() and now_ns - self._watchdog_fed_ns > timeout_ns:
+            self._disarm(AxisError.WATCHDOG_TIMER_EXPIRED)
+
+    def _start(self) -> None:
+        self.state = AxisState.IDLE
+        self.clear_errors()
+        self._result = ProcedureResult.SUCCESS
+        self._mode = (POSITION_CONTROL, PASSTHROUGH)
+        self._torque_nm = 0.0
+        self._velocity_limit = VELOCITY_LIMIT_TURNS_S
+        self._current_limit = self._settings.max_torque_nm / TORQUE_CONSTANT_NM_A
+
+    def _is_armed(self) -> bool:
+        return self.state is AxisState.CLOSED_LOOP_CONTROL
+
+    def _disarm(self, reason: AxisError) -> None:
+        self._errors |= reason
+        if self._is_armed():
+            self.state = AxisState.IDLE
+            self._disarm_reason = reason
+        self._result = ProcedureResult.DISARMED
+
+    def _given_nm(self) -> float:
+        if not self._is_armed():
+            return 0.0
+        most = min(self._current_limit * TORQUE_CONSTANT_NM_A, self._settings.max_torque_nm)
+        return min(max(self._torque_nm, -most), most)
+
+    def _power_w(self) -> float:
+        return self._reading.torque_nm * self._reading.velocity_rad_s
+
+    def _heartbeat(self) -> Mapping[str, float]:
+        return {
+            "Axis_Error": self._errors, "Axis_State": self.state,
+            "Procedure_Result": self._result, "Trajectory_Done_Flag": 0,
+        }  # fmt: skip
+
+    def _estimates(self) -> Mapping[str, float]:
+        counts_per_turn = self._settings.counts_per_turn
+        counts = round(self._reading.position_rad / _TURN_RAD * counts_per_turn)
+        return {
+            "Pos_Estimate": counts / counts_per_turn,
+            "Vel_Estimate": self._reading.velocity_rad_s / _TURN_RAD,
+        }

@@ -1,0 +1,188 @@
+"""An ODrive axis speaking CANSimple, as ODrive's public protocol description has it.
+
+CANSimple has no SYNC: estimates go out every 10 ms as a factory-fresh axis sends them, and at
+once whenever they are asked for by a remote frame, which is how a controller samples an axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import cantools
+from cantools.database.can import Database, Message
+from cantools.database.errors import Error as CantoolsError
+
+from bus_schema.can_files import CANSIMPLE_DBC
+from bus_schema.can_frame import CanFrame
+from bus_schema.errors import InvalidMessageError
+from plant_emulator.drives.cansimple.axis import Axis
+from plant_emulator.drives.drive import (
+    DriveFault,
+    DriveSettings,
+    JointDemand,
+    JointReading,
+    Send,
+)
+
+COMMAND_BITS = 5
+HEARTBEAT_MS = 100
+_MS = 1_000_000
+_COMMANDS = (1 << COMMAND_BITS) - 1
+_AXIS = "Axis"
+
+
+@cache
+def load_database() -> Database:
+    """The messages, for node 0."""
+    database = cantools.database.load_file(CANSIMPLE_DBC)
+    assert isinstance(database, Database)  # a DBC describes a CAN bus
+    return database
+
+
+@cache
+def _messages() -> dict[int, Message]:
+    return {message.frame_id: message for message in load_database().messages}
+
+
+class CanSimpleDrive:
+    """The bus side of an axis: messages in and out."""
+
+    def __init__(self, settings: DriveSettings, send: Send) -> None:
+        self._send = send
+        self._node_id = settings.node_id
+        self._axis = Axis(settings)
+        self._is_off_bus = False
+        self._heartbeat = _Cycle(HEARTBEAT_MS * _MS)
+        self._estimates = _Cycle(settings.estimates_ms * _MS)
+        self.samplings = 0
+        self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
+            "Estop": lambda _: self._axis.emergency_stop(),
+            "Set_Axis_State": lambda v: self._axis.request(v["Axis_Requested_State"]),
+            "Set_Controller_Mode": lambda v: self._axis.set_mode(
+                v["Control_Mode"], v["Input_Mode"]
+            ),
+            "Set_Input_Torque": lambda v: self._axis.set_torque(v["Input_Torque"]),
+            "Set_Limits": lambda v: self._axis.set_limits(v["Velocity_Limit"], v["Current_Limit"]),
+            "Reboot": lambda v: self._axis.reboot(v["Action"]),
+            "Clear_Errors": lambda _: self._axis.clear_errors(),
+        }
+
+    @property
+    def targets(self) -> int:
+        return self._axis.targets
+
+    @property
+    def status(self) -> str:
+        return self._axis.state.name
+
+    @property
+    def fault(self) -> str | None:
+        return self._axis.fault
+
+    def measure(self, reading: JointReading) -> None:
+        self._axis.measure(reading)
+
+    def demand(self) -> JointDemand:
+        return self._axis.demand()
+
+    def receive(self, frame: CanFrame, now_ns: int) -> bool:
+        if self._is_off_bus or frame.identifier >> COMMAND_BITS != self._node_id:
+            return False
+        message = _messages().get(frame.identifier & _COMMANDS)
+        if message is None:
+            raise InvalidMessageError("unknown_command", f"CANSimple has no such command: {frame}")
+        if _AXIS in message.senders:
+            self._answer(message, frame)
+        else:
+            self._take(message, frame)
+        self._axis.feed_watchdog(now_ns)
+        return True
+
+    def advance(self, now_ns: int) -> None:
+        self._axis.advance(now_ns)
+        if self._heartbeat.is_due(now_ns):
+            self._transmit("Heartbeat")
+        if self._estimates.is_due(now_ns):
+            self._transmit("Get_Encoder_Estimates")
+
+    def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+        self._axis.inject(fault)
+
+    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+        self._axis.heal(fault)
+
+    def lose_bus(self, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+        self._is_off_bus = True  # the axis itself notices by its watchdog only
+
+    def regain_bus(self, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+        self._is_off_bus = False
+
+    def describe(self, frame: CanFrame) -> str | None:
+        if frame.identifier >> COMMAND_BITS != self._node_id:
+            return None
+        message = _messages().get(frame.identifier & _COMMANDS)
+        if message is None:
+            return None
+        text = f"axis {self._node_id} {message.name}"
+        if frame.is_remote:
+            return f"{text} asked for"
+        try:
+            values = _decode(message, frame.data)
+        except InvalidMessageError as error:
+            return f"{text} ({error})"
+        return ", ".join([text, *(f"{name} {value}" for name, value in values.items())])
+
+    def _answer(self, message: Message, frame: CanFrame) -> None:
+        """What an axis tells is asked for by a remote frame, or by one without data."""
+        if frame.data:
+            raise InvalidMessageError("not_a_command", f"only an axis sends {message.name}")
+        self._transmit(message.name)
+        if message.name == "Get_Encoder_Estimates":
+            self.samplings += 1
+
+    def _take(self, message: Message, frame: CanFrame) -> None:
+        if frame.is_remote:
+            raise InvalidMessageError("not_readable", f"{message.name} cannot be asked for")
+        self._takers[message.name](_decode(message, frame.data))
+
+    def _transmit(self, name: str) -> None:
+        if self._is_off_bus:
+            return
+        message = load_database().get_message_by_name(name)
+        data = message.encode(self._axis.report(name))
+        self._send(CanFrame(self._node_id << COMMAND_BITS | message.frame_id, data))
+
+
+class _Cycle:
+    """Something that happens again and again, or never if its period is 0."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._next_ns = 0
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether it is time; if so, until the next time not again."""
+        if now_ns < self._next_ns or not self._period_ns:
+            return False
+        self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
+        return True
+
+
+def _decode(message: Message, data: bytes) -> dict[str, Any]:
+    """Signals of a message, enumerated ones as numbers; bytes beyond it are padding.
+
+    Raises:
+        InvalidMessageError: it is too short, or a number in it is not finite.
+    """
+    try:
+        values: dict[str, Any] = message.decode(  # type: ignore[assignment]
+            data[: message.length], decode_choices=False
+        )
+    except CantoolsError as error:
+        raise InvalidMessageError("too_short", f"{message.name}: {error}") from error
+    if not all(math.isfinite(value) for value in values.values()):
+        raise InvalidMessageError("not_finite", f"{message.name}: {values}")
+    return values

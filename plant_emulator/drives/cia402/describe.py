@@ -1,0 +1,91 @@
+"""CANopen frames in words, with the dictionary's names and the mapping in force."""
+
+from __future__ import annotations
+
+from bus_schema.can_frame import CanFrame
+from plant_emulator.drives.cia402.errors import ErrorCode
+from plant_emulator.drives.cia402.network_state import HEARTBEAT, NmtCommand, NmtState
+from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.pdo import Pdo
+from plant_emulator.drives.cia402.process_data import ProcessData
+
+_EMERGENCY_BYTES = 3
+_SDO_HEADER_BYTES = 4
+_SDO_WORDS = {
+    0x20: "SDO download request", 0x40: "SDO upload request", 0x60: "SDO upload segment request",
+    0x00: "SDO download segment", 0x80: "SDO abort", 0xA0: "SDO block upload",
+    0xC0: "SDO block download",
+}  # fmt: skip
+_SDO_ANSWERS = {
+    0x20: "SDO download segment done", 0x40: "SDO upload response", 0x60: "SDO download done",
+    0x00: "SDO upload segment", 0x80: "SDO abort",
+}  # fmt: skip
+
+
+def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str | None:
+    """A frame in words; None if it does not concern the node."""
+    identifier, data = frame.identifier, frame.data
+    if identifier == 0:
+        return _network(data)
+    if identifier == process_data.sync_identifier:
+        return "SYNC"
+    if identifier == node.emcy.cob_id and len(data) >= _EMERGENCY_BYTES:
+        code = int.from_bytes(data[:2], "little")
+        return f"node {node.node_id} EMCY {_name(code)}, register {data[2]}"
+    if identifier == HEARTBEAT + node.node_id and len(data) == 1:
+        state = NmtState(data[0]).name if data[0] in list(NmtState) else data[0]
+        return f"node {node.node_id} heartbeat {state}"
+    if identifier in (node.sdo.rx_cobid, node.sdo.tx_cobid):
+        return _sdo(data, node, is_request=identifier == node.sdo.rx_cobid)
+    for direction, pdo in (
+        ("RPDO", process_data.receiving(identifier)),
+        ("TPDO", process_data.sending(identifier)),
+    ):
+        if pdo is not None:
+            asked = " asked for" if frame.is_remote else _values(pdo, data, node)
+            return f"node {node.node_id} {direction}{asked}"
+    return None
+
+
+def _network(data: bytes) -> str:
+    if len(data) != 2 or data[0] not in list(NmtCommand):
+        return f"NMT {data.hex(' ')}"
+    whom = f"node {data[1]}" if data[1] else "all nodes"
+    return f"NMT {NmtCommand(data[0]).name} {whom}"
+
+
+def _name(code: int) -> str:
+    known = ErrorCode(code).name if code in list(ErrorCode) else "unknown"
+    return f"0x{code:04X} {known}"
+
+
+def _sdo(data: bytes, node: DriveNode, *, is_request: bool) -> str:
+    if len(data) < _SDO_HEADER_BYTES:
+        return f"node {node.node_id} SDO {data.hex(' ')}"
+    kind = data[0] & 0xE0
+    words = (_SDO_WORDS if is_request else _SDO_ANSWERS).get(kind, "SDO")
+    if "segment" in words:
+        return f"node {node.node_id} {words} {data[1:].hex(' ')}"
+    index, subindex = int.from_bytes(data[1:3], "little"), data[3]
+    text = f"node {node.node_id} {words} 0x{index:04X}:{subindex:02X} {_object_name(node, index)}"
+    if kind == 0x80 or (is_request and kind == 0x20) or (not is_request and kind == 0x40):
+        text += f" 0x{int.from_bytes(data[4:], 'little'):X}"
+    return text
+
+
+def _object_name(node: DriveNode, index: int) -> str:
+    entry = node.object_dictionary.indices.get(index)
+    return "(no such object)" if entry is None else entry.name
+
+
+def _values(pdo: Pdo, data: bytes, node: DriveNode) -> str:
+    if len(data) != pdo.length:
+        return f" {data.hex(' ')} (has {len(data)} bytes, mapped are {pdo.length})"
+    parts, start = [], 0
+    for index, subindex, bits in pdo.entries:
+        variable = node.find(index, subindex)
+        value = int(variable.decode_raw(data[start : start + bits // 8]))
+        is_word = index in (0x6040, 0x6041)
+        parts.append(f"{variable.name} {f'0x{value:04X}' if is_word else value}")
+        start += bits // 8
+    return " " + ", ".join(parts)

@@ -1,0 +1,158 @@
+"""Errors of a drive: emergency frames, error register and error history (CiA 301, 7.2.7, 7.5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+
+from canopen.sdo.exceptions import SdoAbortedError
+
+from plant_emulator.drives.cia402.abort import Abort
+from plant_emulator.drives.cia402.node import DriveNode
+
+_HISTORY = 8
+_NOT_VALID = 1 << 31
+_GENERIC_BIT = 0x01
+_CLASS_BITS = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10}
+
+
+class ErrorCode(IntEnum):
+    """Emergency error codes, those of object 0x603F (CiA 301, table 26; CiA 402-2, annex)."""
+
+    NONE = 0x0000
+    SHORT_CIRCUIT = 0x2320
+    OVER_TEMPERATURE = 0x4310
+    STOPPED = 0x8100
+    HEARTBEAT_LOST = 0x8130
+    BUS_OFF = 0x8140
+    PDO_TOO_SHORT = 0x8210
+    PDO_TOO_LONG = 0x8220
+    SYNC_LENGTH = 0x8240
+    RPDO_TIMEOUT = 0x8250
+
+
+SENTENCES = {
+    ErrorCode.SHORT_CIRCUIT: "short circuit in the power stage",
+    ErrorCode.OVER_TEMPERATURE: "over-temperature",
+    ErrorCode.STOPPED: "stopped by the network master",
+    ErrorCode.HEARTBEAT_LOST: "heartbeat of the master lost",
+    ErrorCode.BUS_OFF: "bus-off",
+    ErrorCode.RPDO_TIMEOUT: "no RPDO within its event time",
+}
+
+
+class ErrorLog:
+    """Which errors there are, and who was told.
+
+    Args:
+        node: whose errors they are.
+        may_speak: whether the state of the node allows emergency frames.
+    """
+
+    def __init__(self, node: DriveNode, may_speak: Callable[[], bool]) -> None:
+        self._node = node
+        self._may_speak = may_speak
+        self._lasting: dict[ErrorCode, bool] = {}
+        self._history: list[int] = []
+        node.serve(0x1001, lambda _: self.register)
+        node.serve(0x1003, self._read_history)
+        node.on_write(0x1003, self._clear_history)
+        node.on_write(0x1014, self._move)
+
+    @property
+    def any(self) -> bool:
+        """Whether there is an error."""
+        return bool(self._lasting)
+
+    @property
+    def register(self) -> int:
+        """The error register, object 0x1001."""
+        bits = _GENERIC_BIT if self._lasting else 0
+        for code in self._lasting:
+            bits |= _CLASS_BITS.get(code >> 12, 0)
+        return bits
+
+    def note(self, code: ErrorCode, *, lasting: bool = False) -> None:
+        """An error has come up. `lasting`: its cause remains until `cause_gone`."""
+        if code in self._lasting:
+            self._lasting[code] = lasting
+            return
+        self._lasting[code] = lasting
+        self._history = [code, *self._history][:_HISTORY]
+        self._emit(code)
+
+    def cause_gone(self, code: ErrorCode) -> None:
+        """The cause of an error is gone: it can be reset."""
+        if code in self._lasting:
+            self._lasting[code] = False
+
+    def clear(self, code: ErrorCode) -> None:
+        """An error is over by itself."""
+        if self._lasting.pop(code, None) is not None:
+            self._emit(ErrorCode.NONE)
+
+    def reset(self) -> bool:
+        """Reset all errors; false, and nothing happens, while the cause of one is there."""
+        if any(self._lasting.values()):
+            return False
+        if self._lasting:
+            self._lasting.clear()
+            self._emit(ErrorCode.NONE)
+        return True
+
+    def forget(self) -> None:
+        """Power-on: no error, no history."""
+        self._lasting.clear()
+        self._history = []
+
+    def _emit(self, code: ErrorCode) -> None:
+        identifier = self._node.value(0x1014)
+        if self._may_speak() and not identifier & _NOT_VALID:
+            self._node.emcy.cob_id = identifier
+            self._node.emcy.send(code, self.register)
+
+    def _read_history(self, subindex: int) -> int:
+        if subindex == 0:
+            return len(self._history)
+        if subindex > len(self._history):
+            raise SdoAbortedError(Abort.NO_DATA)
+        return self._history[subindex - 1]
+
+    def _clear_history(self, _subindex: int, value: int) -> None:
+        if value != 0:
+            raise SdoAbortedError(Abort.INVALID_VALUE)
+        self._history = []
+
+    def _move(self, _subindex: int, value: int) -> None:
+        check_identifier(value, self._node.value(0x1014))
+
+
+def check_identifier(value: int, present: int) -> None:
+    """Check what is written to a COB-ID object (CiA 301, 7.3.5 and 7.5.2).
+
+    Args:
+        value: bit 31: not valid; bit 29: extended frame, which these drives do not have; bits 0 to
+            10: the identifier, which may not change while it is valid.
+        present: the object's value so far.
+
+    Raises:
+        SdoAbortedError: it cannot be.
+    """
+    is_valid = not value & _NOT_VALID
+    if value & _BITS_11_TO_29 or (is_valid and is_restricted(value & _IDENTIFIER)):
+        raise SdoAbortedError(Abort.INVALID_VALUE)
+    is_changed = (value ^ present) & _IDENTIFIER
+    if is_changed and is_valid and not present & _NOT_VALID:
+        raise SdoAbortedError(Abort.INVALID_VALUE)
+
+
+def is_restricted(identifier: int) -> bool:
+    """Whether CiA 301 (table 40) keeps an identifier for something else."""
+    return any(first <= identifier <= last for first, last in _RESTRICTED)
+
+
+_IDENTIFIER = 0x7FF
+_BITS_11_TO_29 = 0x3FFFF800
+_RESTRICTED = (
+    (0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF),
+)  # fmt: skip

@@ -1,0 +1,189 @@
+"""A drive's objects of CiA 402: automaton, modes, torques, position and velocity in its units."""
+
+from __future__ import annotations
+
+import math
+
+from canopen.sdo.exceptions import SdoAbortedError
+
+from plant_emulator.drives.cia402.abort import Abort
+from plant_emulator.drives.cia402.automaton import Automaton
+from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog
+from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.state_machine import Command, State, Statusword
+from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, JointReading
+
+NO_MODE, CYCLIC_SYNCHRONOUS_TORQUE = 0, 10
+INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
+_PER_MILLE = 1000
+_MILLI = 1e-3
+_ABORT_FAULT, _ABORT_DISABLE, _ABORT_QUICK_STOP = 1, 2, 3
+
+
+def clamp(value: int, limits: tuple[int, int]) -> int:
+    """The value, or the limit it is beyond."""
+    return min(max(value, limits[0]), limits[1])
+
+
+class Motor:
+    """The drive behind the dictionary: controlword and target in, torque and measured values out.
+
+    Angles are increments of the encoder (whole numbers, to the nearest, wrapping around at 32
+    bits), velocities increments per second (to the nearest, saturated at 32 bits), torques
+    thousandths of the rated torque (to the nearest, saturated at 16 bits).
+
+    Args:
+        node: its dictionary.
+        errors: its errors.
+        settings: how it is commissioned.
+
+    Attributes:
+        automaton: its state.
+        error_code: object 0x603F.
+        targets: target torques taken so far.
+    """
+
+    def __init__(self, node: DriveNode, errors: ErrorLog, settings: DriveSettings) -> None:
+        self._node, self._errors, self._settings = node, errors, settings
+        self._rated_mnm = round(settings.rated_torque_nm / _MILLI)
+        self._hard_limit = int(settings.max_torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE)
+        self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
+        self._reading, self._position, self._velocity = JointReading(), 0, 0
+        self.automaton = Automaton(node, self._is_still, self._reset_errors)
+        self.error_code = ErrorCode.NONE
+        self.targets = 0
+        self._fit()
+        self.restore()
+        self._serve()
+
+    def measure(self, reading: JointReading) -> None:
+        """Take in what the sensors show."""
+        self._reading = reading
+        counts = round(reading.position_rad * self._counts_per_rad)
+        self._position = (counts - INT32[0]) % (1 << 32) + INT32[0]
+        self._velocity = clamp(round(reading.velocity_rad_s * self._counts_per_rad), INT32)
+
+    def restore(self) -> None:
+        """Take the objects' values from the dictionary."""
+        value = self._node.value
+        self._mode = value(0x6060)
+        self._target, self._offset = value(0x6071), value(0x60B2)
+        self._max_torque = value(0x6072)
+        self._position_limits = (value(0x607D, 1), value(0x607D, 2))
+
+    def fail(self, code: ErrorCode, *, power_off: bool = False) -> None:
+        """Let an error stop the drive; the automaton's faults have the first error's code."""
+        if self.automaton.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self.error_code = code
+        self.automaton.fault(power_off=power_off)
+
+    def abort_connection(self, code: ErrorCode) -> None:
+        """The connection to the master is gone: do what object 0x6007 says."""
+        option = self._node.value(0x6007)
+        if option == _ABORT_FAULT:
+            self.fail(code)
+        elif option == _ABORT_DISABLE:
+            self.automaton.command(Command.DISABLE_VOLTAGE)
+        elif option == _ABORT_QUICK_STOP:
+            self.automaton.command(Command.QUICK_STOP)
+
+    def demand(self) -> JointDemand:
+        """What the motor does to the joint."""
+        if self.automaton.brings_to_rest:
+            most_nm = self._nm(clamp(self._hard_limit, INT16))
+            damping_nm = -self._settings.stop_damping_nm_s * self._reading.velocity_rad_s
+            return JointDemand(min(max(damping_nm, -most_nm), most_nm), is_released=True)
+        if not self._follows():
+            return AT_REST
+        return JointDemand(self._nm(self._limited()[0]), is_released=True)
+
+    def statusword(self) -> int:
+        """Object 0x6041."""
+        word = self.automaton.state.value | Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
+        if self._errors.any:
+            word |= Statusword.WARNING
+        if self._follows():
+            word |= Statusword.FOLLOWS_COMMAND
+            if self._limited()[1]:
+                word |= Statusword.INTERNAL_LIMIT_ACTIVE
+        return word
+
+    def torque(self) -> int:
+        """Object 0x6077: thousandths of the rated torque."""
+        per_mille = self._reading.torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE
+        return clamp(round(per_mille), INT16)
+
+    def _follows(self) -> bool:
+        return self.automaton.follows and self._mode == CYCLIC_SYNCHRONOUS_TORQUE
+
+    def _limited(self) -> tuple[int, bool]:
+        """The torque to give, per mille, and whether a limit has had a say."""
+        wanted = self._target + self._offset
+        most = min(self._max_torque, self._hard_limit)
+        given = clamp(wanted, (-most, most))
+        lowest, highest = self._position_limits
+        position = self._position
+        if (position >= highest and given > 0) or (position <= lowest and given < 0):
+            given = 0
+        return given, given != wanted
+
+    def _nm(self, per_mille: int) -> float:
+        return per_mille * self._rated_mnm * (_MILLI / _PER_MILLE)
+
+    def _is_still(self) -> bool:
+        return abs(self._velocity) <= self._node.value(0x606F)
+
+    def _reset_errors(self) -> bool:
+        is_reset = self._errors.reset()
+        if is_reset:
+            self.error_code = ErrorCode.NONE
+        return is_reset
+
+    def _fit(self) -> None:
+        """Objects whose defaults are this drive's own."""
+        settings, fit = self._settings, self._node.fit
+        fit(0x6072, 0, clamp(self._hard_limit, (0, 0xFFFF)))
+        fit(0x6076, 0, self._rated_mnm)
+        for index in (0x608F, 0x6092):
+            fit(index, 1, settings.counts_per_turn)
+        for subindex, limit_rad in ((1, settings.lower_rad), (2, settings.upper_rad)):
+            if math.isfinite(limit_rad):
+                counts = clamp(round(limit_rad * self._counts_per_rad), INT32)
+                fit(0x607D, subindex, counts)
+
+    def _serve(self) -> None:
+        node = self._node
+        node.serve(0x603F, lambda _: self.error_code)
+        node.serve(0x6041, lambda _: self.statusword())
+        node.serve(0x6061, lambda _: self._mode)
+        node.serve(0x6064, lambda _: self._position)
+        node.serve(0x606C, lambda _: self._velocity)
+        node.serve(0x6077, lambda _: self.torque())
+        node.on_write(0x6040, lambda _, value: self.automaton.obey(value))
+        node.on_write(0x6060, self._set_mode)
+        node.on_write(0x6071, self._set_target)
+        node.on_write(0x6072, self._set_max_torque)
+        node.on_write(0x607D, self._set_position_limit)
+        node.on_write(0x60B2, self._set_offset)
+
+    def _set_mode(self, _subindex: int, value: int) -> None:
+        if value not in (NO_MODE, CYCLIC_SYNCHRONOUS_TORQUE):
+            raise SdoAbortedError(Abort.INVALID_VALUE)
+        self._mode = value
+
+    def _set_target(self, _subindex: int, value: int) -> None:
+        self._target = value
+        self.targets += 1
+
+    def _set_max_torque(self, _subindex: int, value: int) -> None:
+        self._max_torque = value
+
+    def _set_offset(self, _subindex: int, value: int) -> None:
+        self._offset = value
+
+    def _set_position_limit(self, subindex: int, value: int) -> None:
+        lowest, highest = self._position_limits
+        limits = (value, highest) if subindex == 1 else (lowest, value)
+        if limits[0] > limits[1]:
+            raise SdoAbortedError(Abort.MAXIMUM_BELOW_MINIMUM)
+        self._position_limits = limits

@@ -1,0 +1,143 @@
+"""What the network does to a node: NMT states, boot-up, heartbeats (CiA 301, 7.2.8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+
+from canopen.sdo.exceptions import SdoAbortedError
+
+from bus_schema.can_frame import CanFrame
+from plant_emulator.drives.cia402.abort import Abort
+from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.drive import Send
+
+HEARTBEAT = 0x700
+_MS = 1_000_000
+_CONSUMED = (1, 2)
+_MOST_NODES = 127
+
+
+class NmtState(IntEnum):
+    """States, as heartbeats tell them."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class NmtCommand(IntEnum):
+    """Commands of the NMT master."""
+
+    START = 1
+    STOP = 2
+    ENTER_PRE_OPERATIONAL = 128
+    RESET_NODE = 129
+    RESET_COMMUNICATION = 130
+
+
+_STATE_AFTER = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+}
+
+
+class NetworkState:
+    """NMT state of a node, its heartbeat, and whose heartbeats it waits for.
+
+    Args:
+        node: the node.
+        send: takes the frames it sends.
+        on_lost: called when a heartbeat fails to come.
+        on_heard: called when a heartbeat that had failed to come is back.
+
+    Attributes:
+        state: NMT state.
+        watched: time in ns within which a heartbeat of each watched node is due.
+    """
+
+    def __init__(
+        self,
+        node: DriveNode,
+        send: Send,
+        on_lost: Callable[[], None],
+        on_heard: Callable[[], None],
+    ) -> None:
+        self._node, self._send = node, send
+        self._on_lost, self._on_heard = on_lost, on_heard
+        self.state = NmtState.INITIALISING
+        self.watched: dict[int, int] = {}
+        self._period_ns = 0
+        self._next_heartbeat_ns = 0
+        self._heard_ns: dict[int, int] = {}
+        self._lost: set[int] = set()
+        node.on_write(0x1016, self._check_consumed)
+        node.on_write(0x1017, self._on_period)
+
+    @property
+    def has_sdo(self) -> bool:
+        """Whether SDOs and emergencies are served in this state."""
+        return self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+
+    def boot(self) -> None:
+        """Say that the node is there; from now on it is pre-operational."""
+        self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([NmtState.INITIALISING])))
+        self.state = NmtState.PRE_OPERATIONAL
+        self._heard_ns.clear()
+        self._lost.clear()
+        self._watch([self._node.value(0x1016, subindex) for subindex in _CONSUMED])
+        self._on_period(0, self._node.value(0x1017))
+
+    def obey(self, command: NmtCommand) -> None:
+        """Change the state; resets are for the drive as a whole to do."""
+        self.state = _STATE_AFTER[command]
+
+    def hear(self, node_id: int) -> None:
+        """A heartbeat of a watched node has come."""
+        self._heard_ns[node_id] = self._node.now_ns
+        if node_id in self._lost:
+            self._lost.discard(node_id)
+            if not self._lost:
+                self._on_heard()
+
+    def advance(self) -> None:
+        """Send a heartbeat if one is due, and miss those that are overdue."""
+        now_ns = self._node.now_ns
+        period_ns = self._period_ns
+        if period_ns and now_ns >= self._next_heartbeat_ns:
+            self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
+            behind = (now_ns - self._next_heartbeat_ns) // period_ns
+            self._next_heartbeat_ns += (behind + 1) * period_ns
+        for node_id, time_ns in self.watched.items():
+            heard_ns = self._heard_ns.get(node_id)
+            if heard_ns is not None and now_ns - heard_ns > time_ns and node_id not in self._lost:
+                self._lost.add(node_id)
+                self._on_lost()
+
+    def _on_period(self, _subindex: int, value: int) -> None:
+        self._period_ns = value * _MS
+        self._next_heartbeat_ns = self._node.now_ns + self._period_ns
+
+    def _watch(self, entries: list[int]) -> None:
+        self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
+
+    def _check_consumed(self, subindex: int, value: int) -> None:
+        """Two entries may not watch the same node (CiA 301, 7.5.2.18)."""
+        others = [self._node.value(0x1016, other) for other in _CONSUMED if other != subindex]
+        nodes = [_consumer(other)[0] for other in others if _is_used(other)]
+        if _is_used(value) and _consumer(value)[0] in nodes:
+            raise SdoAbortedError(Abort.INCOMPATIBLE)
+        self._heard_ns.pop(_consumer(value)[0], None)
+        self._watch([*others, value])
+
+
+def _consumer(entry: int) -> tuple[int, int]:
+    """Node and time in ns of an entry of object 0x1016."""
+    return entry >> 16 & 0xFF, (entry & 0xFFFF) * _MS
+
+
+def _is_used(entry: int) -> bool:
+    node_id, time_ns = _consumer(entry)
+    return time_ns > 0 and 0 < node_id <= _MOST_NODES

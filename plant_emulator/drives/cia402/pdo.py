@@ -1,0 +1,139 @@
+"""Process data objects, mapped as the master likes (CiA 301, 7.2.2 and 7.5.2.34 to 38)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from canopen.sdo.exceptions import SdoAbortedError
+
+from plant_emulator.drives.cia402.abort import Abort
+from plant_emulator.drives.cia402.errors import check_identifier
+from plant_emulator.drives.cia402.node import DriveNode
+
+_NOT_VALID, _NO_REMOTE = 1 << 31, 1 << 30
+_LAST_SYNCHRONOUS, _EVENT_DRIVEN = 240, (254, 255)
+_MOST_BITS = 64
+_MOST_ENTRIES = 8
+_COB_ID, _TYPE, _INHIBIT, _EVENT = 1, 2, 3, 5
+_MS, _INHIBIT_UNIT = 1_000_000, 100_000
+
+
+class Entry(NamedTuple):
+    """An object mapped into a PDO."""
+
+    object_index: int
+    subindex: int
+    bits: int
+
+
+class Pdo:
+    """One PDO: communication and mapping parameters, checked as they are written.
+
+    Args:
+        node: whose it is.
+        communication: index of its communication parameters.
+        mapping: index of its mapping parameters.
+        is_received: an RPDO.
+
+    Attributes:
+        identifier: CAN identifier.
+        is_valid: it exists.
+        answers_remote: it may be asked for by a remote frame.
+        period: number of SYNCs from one to the next; 0 for synchronous, but only if changed.
+        is_synchronous: it goes with SYNC.
+        inhibit_ns: shortest time between two.
+        event_ns: time after which it is sent anyway, or awaited no longer; 0 for none.
+        entries: what is mapped.
+        length: bytes.
+    """
+
+    def __init__(
+        self, node: DriveNode, communication: int, mapping: int, *, is_received: bool
+    ) -> None:
+        self._node = node
+        self._communication, self._mapping = communication, mapping
+        self._is_received = is_received
+        node.on_write(communication, self._write_communication)
+        node.on_write(mapping, self._write_mapping)
+        self.load()
+
+    def load(self) -> None:
+        """Take everything from the dictionary."""
+        node, index = self._node, self._communication
+        self._set_cob_id(node.value(index, _COB_ID))
+        self._set_type(node.value(index, _TYPE))
+        self.inhibit_ns = node.value(index, _INHIBIT) * _INHIBIT_UNIT
+        self.event_ns = node.value(index, _EVENT) * _MS
+        self._set_entries(node.value(self._mapping, 0))
+
+    def pack(self) -> bytes:
+        """The mapped objects' values."""
+        return b"".join(self._node.get_data(index, sub) for index, sub, _ in self.entries)
+
+    def unpack(self, data: bytes) -> None:
+        """Write the mapped objects.
+
+        Raises:
+            SdoAbortedError: an object does not take its value; those before it were written.
+        """
+        start = 0
+        for index, subindex, bits in self.entries:
+            end = start + bits // 8
+            self._node.set_data(index, subindex, data[start:end])
+            start = end
+
+    def _set_cob_id(self, value: int) -> None:
+        self.identifier = value & 0x7FF
+        self.is_valid = not value & _NOT_VALID
+        self.answers_remote = not self._is_received and not value & _NO_REMOTE
+
+    def _set_type(self, value: int) -> None:
+        self.is_synchronous = value <= _LAST_SYNCHRONOUS
+        self.period = value
+
+    def _set_entries(self, count: int) -> None:
+        self.entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(count)]
+        self.length = sum(entry.bits for entry in self.entries) // 8
+
+    def _write_communication(self, subindex: int, value: int) -> None:
+        if subindex == _COB_ID:
+            check_identifier(value & ~_NO_REMOTE, self._node.value(self._communication, _COB_ID))
+            self._set_cob_id(value)
+        elif subindex == _TYPE:
+            if value > _LAST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
+                raise SdoAbortedError(Abort.INVALID_VALUE)
+            self._set_type(value)
+        elif subindex == _INHIBIT:
+            if self.is_valid:  # it may not be changed while the PDO exists
+                raise SdoAbortedError(Abort.INVALID_VALUE)
+            self.inhibit_ns = value * _INHIBIT_UNIT
+        elif subindex == _EVENT:
+            self.event_ns = value * _MS
+
+    def _write_mapping(self, subindex: int, value: int) -> None:
+        """Destroy the PDO, set the count to 0, map, set the count, create it: else no access."""
+        if self.is_valid:
+            raise SdoAbortedError(Abort.UNSUPPORTED_ACCESS)
+        if subindex == 0:
+            if value > _MOST_ENTRIES:
+                raise SdoAbortedError(Abort.PDO_TOO_LONG)
+            entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(value)]
+            if sum(entry.bits for entry in entries) > _MOST_BITS:
+                raise SdoAbortedError(Abort.PDO_TOO_LONG)
+            self._set_entries(value)
+        elif self.entries:
+            raise SdoAbortedError(Abort.UNSUPPORTED_ACCESS)
+        elif value:  # 0 empties the slot
+            self._entry(value)
+
+    def _entry(self, value: int) -> Entry:
+        """A mapping parameter, if that can be mapped here."""
+        entry = Entry(value >> 16, value >> 8 & 0xFF, value & 0xFF)
+        try:
+            variable = self._node.find(entry.object_index, entry.subindex)
+        except SdoAbortedError:
+            raise SdoAbortedError(Abort.NO_SUCH_OBJECT) from None
+        is_open = variable.writable if self._is_received else variable.readable
+        if not (variable.pdo_mappable and is_open and len(variable) == entry.bits):
+            raise SdoAbortedError(Abort.NOT_MAPPABLE)
+        return entry

@@ -1,0 +1,199 @@
+"""When process data goes and comes: SYNC, events, timers (CiA 301, 7.2.2 and 7.5.2.34 to 38)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from canopen.sdo.exceptions import SdoAbortedError
+
+from bus_schema.can_frame import CanFrame
+from bus_schema.errors import InvalidMessageError
+from plant_emulator.drives.cia402.abort import Abort
+from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog, check_identifier
+from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.pdo import Pdo
+from plant_emulator.drives.drive import Send
+
+_PDOS = 4
+_PRODUCES_SYNC = 1 << 30
+
+
+class _Received:
+    """An RPDO with what has come for it.
+
+    Attributes:
+        heard_ns: when it came last, if it is awaited again.
+        pending: data that comes into force at the next SYNC.
+    """
+
+    def __init__(self, pdo: Pdo) -> None:
+        self.pdo = pdo
+        self.rest()
+
+    def rest(self) -> None:
+        self.heard_ns: int | None = None
+        self.pending: bytes | None = None
+
+
+class _Sent:
+    """A TPDO with what has gone of it.
+
+    Attributes:
+        data: data sent last.
+        sent_ns: when that was.
+        syncs: SYNCs since then.
+    """
+
+    def __init__(self, pdo: Pdo) -> None:
+        self.pdo = pdo
+        self.rest()
+
+    def rest(self) -> None:
+        self.data: bytes | None = None
+        self.sent_ns = 0
+        self.syncs = 0
+
+
+class ProcessData:
+    """All PDOs of a drive.
+
+    Args:
+        node: whose they are.
+        errors: its errors.
+        send: takes the frames it sends.
+        on_timeout: called when an RPDO is overdue.
+
+    Attributes:
+        samplings: SYNCs on which values were sampled so far.
+    """
+
+    def __init__(
+        self, node: DriveNode, errors: ErrorLog, send: Send, on_timeout: Callable[[], None]
+    ) -> None:
+        self._node, self._errors, self._send, self._on_timeout = node, errors, send, on_timeout
+        self._received = [
+            _Received(Pdo(node, 0x1400 + number, 0x1600 + number, is_received=True))
+            for number in range(_PDOS)
+        ]
+        self._sent = [
+            _Sent(Pdo(node, 0x1800 + number, 0x1A00 + number, is_received=False))
+            for number in range(_PDOS)
+        ]
+        node.on_write(0x1005, self._move_sync)
+        self.samplings = 0
+        self.load()
+
+    def load(self) -> None:
+        """Take everything from the dictionary."""
+        self.sync_identifier = self._node.value(0x1005) & 0x7FF
+        for pdo in (*(r.pdo for r in self._received), *(s.pdo for s in self._sent)):
+            pdo.load()
+        self.rest()
+
+    def rest(self) -> None:
+        """The node is not operational: nothing is pending or awaited."""
+        for received in self._received:
+            received.rest()
+        for sent in self._sent:
+            sent.rest()
+
+    def receiving(self, identifier: int) -> Pdo | None:
+        """The RPDO with this identifier."""
+        return next(
+            (r.pdo for r in self._received if r.pdo.is_valid and r.pdo.identifier == identifier),
+            None,
+        )
+
+    def sending(self, identifier: int) -> Pdo | None:
+        """The TPDO with this identifier."""
+        return next(
+            (s.pdo for s in self._sent if s.pdo.is_valid and s.pdo.identifier == identifier), None
+        )
+
+    def sync(self, data: bytes) -> None:
+        """SYNC: what is pending comes into force, what is due is sampled and sent."""
+        if data:
+            self._errors.note(ErrorCode.SYNC_LENGTH)
+            raise InvalidMessageError("sync_length", f"a SYNC has no counter here: {data!r}")
+        self._errors.clear(ErrorCode.SYNC_LENGTH)
+        self.samplings += 1
+        for received in self._received:
+            if received.pending is not None:
+                data, received.pending = received.pending, None
+                _unpack(received.pdo, data)
+        for sent in self._sent:
+            if sent.pdo.is_valid and sent.pdo.is_synchronous:
+                self._send_on_sync(sent)
+
+    def receive(self, pdo: Pdo, data: bytes) -> None:
+        """Data for an RPDO has come."""
+        received = next(each for each in self._received if each.pdo is pdo)
+        self._check_length(pdo, data)
+        received.heard_ns = self._node.now_ns
+        if pdo.is_synchronous:
+            received.pending = data
+        else:
+            _unpack(pdo, data)
+
+    def transmit(self, pdo: Pdo) -> None:
+        """Send a TPDO that was asked for."""
+        sent = next(each for each in self._sent if each.pdo is pdo)
+        self._transmit(sent, pdo.pack())
+
+    def send_events(self) -> None:
+        """Send event-driven TPDOs that have changed or whose timers have run out."""
+        for sent in self._sent:
+            pdo = sent.pdo
+            if pdo.is_synchronous or not pdo.is_valid or not pdo.entries:
+                continue
+            age_ns = self._node.now_ns - sent.sent_ns
+            if sent.data is not None and age_ns < pdo.inhibit_ns:
+                continue
+            data = pdo.pack()
+            if data != sent.data or (pdo.event_ns and age_ns >= pdo.event_ns):
+                self._transmit(sent, data)
+
+    def watch(self) -> None:
+        """Miss RPDOs that are overdue; each is awaited from its first arrival on."""
+        for received in self._received:
+            pdo = received.pdo
+            if received.heard_ns is None or not pdo.event_ns or not pdo.is_valid:
+                continue
+            if self._node.now_ns - received.heard_ns > pdo.event_ns:
+                received.heard_ns = None
+                self._on_timeout()
+
+    def _send_on_sync(self, sent: _Sent) -> None:
+        sent.syncs += 1
+        if sent.syncs < sent.pdo.period:
+            return
+        data = sent.pdo.pack()
+        if sent.pdo.period > 0 or data != sent.data:
+            self._transmit(sent, data)
+
+    def _transmit(self, sent: _Sent, data: bytes) -> None:
+        sent.data, sent.sent_ns, sent.syncs = data, self._node.now_ns, 0
+        self._send(CanFrame(sent.pdo.identifier, data))
+
+    def _check_length(self, pdo: Pdo, data: bytes) -> None:
+        if len(data) < pdo.length:
+            self._errors.note(ErrorCode.PDO_TOO_SHORT)
+            raise InvalidMessageError("pdo_too_short", f"{len(data)} of {pdo.length} bytes")
+        if len(data) > pdo.length:
+            self._errors.note(ErrorCode.PDO_TOO_LONG)
+            raise InvalidMessageError("pdo_too_long", f"{len(data)} for {pdo.length} bytes")
+        self._errors.clear(ErrorCode.PDO_TOO_SHORT)
+        self._errors.clear(ErrorCode.PDO_TOO_LONG)
+
+    def _move_sync(self, _subindex: int, value: int) -> None:
+        if value & _PRODUCES_SYNC:
+            raise SdoAbortedError(Abort.INVALID_VALUE)
+        check_identifier(value, value)
+        self.sync_identifier = value & 0x7FF
+
+
+def _unpack(pdo: Pdo, data: bytes) -> None:
+    try:
+        pdo.unpack(data)
+    except SdoAbortedError as error:
+        raise InvalidMessageError("pdo_refused", str(error)) from error

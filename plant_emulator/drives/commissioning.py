@@ -1,0 +1,68 @@
+"""Which drives a robot has: its scenario's, commissioned for its joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from bus_schema.can_configuration import CanConfiguration
+from bus_schema.can_units import rated_torque_nm
+from bus_schema.configuration import expand
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.drive import Drive, DriveSettings, Send
+
+PROTOCOLS: dict[str, type[Drive]] = {"cia402": Cia402Drive, "cansimple": CanSimpleDrive}
+
+_LARGEST_PER_MILLE = 32_767
+
+
+def commission(
+    can: CanConfiguration, robot: RobotDescription, plant: PlantConfiguration
+) -> tuple[DriveSettings, ...]:
+    """Settings of the drive of each joint.
+
+    Raises:
+        ConfigurationError: a value does not fit the robot.
+    """
+    damping = expand(plant.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
+    rated = rated_torque_nm(can, robot)
+    return tuple(
+        DriveSettings(
+            node_id=node_id,
+            rated_torque_nm=float(rated[joint]),
+            max_torque_nm=_max_torque_nm(float(robot.effort_limits_nm[joint]), float(rated[joint])),
+            counts_per_turn=can.counts_per_turn,
+            lower_rad=float(robot.lower_rad[joint]),
+            upper_rad=float(robot.upper_rad[joint]),
+            stop_damping_nm_s=float(damping[joint]),
+            watchdog_ms=can.command_timeout_ms,
+        )
+        for joint, node_id in enumerate(can.node_ids_of(robot.joints))
+    )
+
+
+def build_bank(
+    can: CanConfiguration,
+    robot: RobotDescription,
+    plant: PlantConfiguration,
+    send: Send,
+    *,
+    polled: bool = False,
+) -> DriveBank:
+    """The drives of a robot; `polled`: estimates only when asked for, see `DriveSettings`.
+
+    Raises:
+        ConfigurationError: a value does not fit the robot.
+    """
+    settings = commission(can, robot, plant)
+    if polled:
+        settings = tuple(replace(each, estimates_ms=0) for each in settings)
+    return DriveBank(PROTOCOLS[can.protocol], settings, send)
+
+
+def _max_torque_nm(effort_limit_nm: float, rated_nm: float) -> float:
+    """The joint's limit, or what a 16-bit torque can say if that is less."""
+    return min(effort_limit_nm, rated_nm * _LARGEST_PER_MILLE / 1000.0)

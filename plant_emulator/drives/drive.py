@@ -1,0 +1,151 @@
+"""What a protocol and a joint have to say to each other: the interface of an emulated drive.
+
+Drives are passive: they live in the time they are told, have no thread and look at no clock, so
+that the same frames at the same instants always give the same answers, whatever carries them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple, Protocol
+
+from bus_schema.can_frame import CanFrame
+
+Send = Callable[[CanFrame], None]
+"""Takes the frames that a drive sends."""
+
+
+class JointReading(NamedTuple):
+    """What a drive's sensors show of its joint."""
+
+    position_rad: float = 0.0
+    velocity_rad_s: float = 0.0
+    torque_nm: float = 0.0
+
+
+class JointDemand(NamedTuple):
+    """What a drive does to its joint.
+
+    Attributes:
+        torque_nm: torque of the motor, at the joint; 0 while the brake is engaged.
+        is_released: power stage on and holding brake released.
+    """
+
+    torque_nm: float
+    is_released: bool
+
+
+AT_REST = JointDemand(0.0, is_released=False)
+"""Power stage off, brake engaged."""
+
+
+class DriveFault(StrEnum):
+    """What can be made to go wrong with a drive."""
+
+    DRIVE = "drive"
+    """Short circuit in the power stage: over as soon as the power stage is off."""
+
+    SILENT = "silent"
+    """Its bus connection is cut: it neither hears nor is heard."""
+
+    ENCODER_FROZEN = "encoder-frozen"
+    """Position stays at its last value and velocity at zero; the drive does not notice."""
+
+    OVER_TEMPERATURE = "over-temperature"
+    """The motor is too hot."""
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """How a drive is commissioned for its joint; all at the joint, there is no gear.
+
+    Attributes:
+        node_id: address on the bus.
+        rated_torque_nm: unit of CiA 402's torques.
+        max_torque_nm: the most the drive ever gives.
+        counts_per_turn: encoder resolution.
+        lower_rad: lower end of the joint's range (-inf for none).
+        upper_rad: upper end of the joint's range (inf for none).
+        stop_damping_nm_s: torque per rad/s against the motion while the drive slows down.
+        watchdog_ms: CANSimple: time without a frame after which the axis is disarmed; 0 for never.
+            CiA 402 has timeouts that the master sets instead.
+        estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
+    """
+
+    node_id: int
+    rated_torque_nm: float
+    max_torque_nm: float
+    counts_per_turn: int = 1 << 20
+    lower_rad: float = float("-inf")
+    upper_rad: float = float("inf")
+    stop_damping_nm_s: float = 20.0
+    watchdog_ms: float = 0.0
+    estimates_ms: int = 10
+
+
+class Drive(Protocol):
+    """One axis of one protocol."""
+
+    def __init__(self, settings: DriveSettings, send: Send) -> None: ...
+
+    @property
+    def targets(self) -> int:
+        """Targets (torques) accepted so far."""
+        ...
+
+    @property
+    def samplings(self) -> int:
+        """Times the values were sampled for the controller: on SYNC, or on its request."""
+        ...
+
+    @property
+    def status(self) -> str:
+        """The drive's state in the protocol's own word."""
+        ...
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong, None if nothing is."""
+        ...
+
+    def measure(self, reading: JointReading) -> None:
+        """Take in what the sensors show from now on."""
+        ...
+
+    def receive(self, frame: CanFrame, now_ns: int) -> bool:
+        """Take a classical data or remote frame; whether it was for this drive.
+
+        Raises:
+            InvalidMessageError: it was, and makes no sense. Nothing has changed.
+        """
+        ...
+
+    def advance(self, now_ns: int) -> None:
+        """Do what is due: boot, cyclic frames, timeouts, the end of a slow-down."""
+        ...
+
+    def demand(self) -> JointDemand:
+        """What the drive does to its joint as things are."""
+        ...
+
+    def inject(self, fault: DriveFault, now_ns: int) -> None:
+        """Let ``DRIVE`` or ``OVER_TEMPERATURE`` happen."""
+        ...
+
+    def heal(self, fault: DriveFault, now_ns: int) -> None:
+        """Take a lasting fault's cause away; its consequences stay until they are reset."""
+        ...
+
+    def lose_bus(self, now_ns: int) -> None:
+        """The drive's CAN controller went bus-off."""
+        ...
+
+    def regain_bus(self, now_ns: int) -> None:
+        """The drive's CAN controller is back on the bus."""
+        ...
+
+    def describe(self, frame: CanFrame) -> str | None:
+        """A frame in words, None if it is not between a master and this drive."""
+        ...

@@ -1,0 +1,122 @@
+"""Drives and physics alone, in real time, for driver code from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bus_schema.can_frame import CanBus, CanFrame
+from bus_schema.clock import Clock, TickGrid
+from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.fault_plan import FaultPlan
+
+
+@dataclass
+class RigCounts:
+    """What a rig did.
+
+    Attributes:
+        heard: frames that came.
+        ticks: ticks that passed.
+        skipped: ticks at which the drives had no turn because the machine was late.
+    """
+
+    heard: int = 0
+    ticks: int = 0
+    skipped: int = 0
+
+
+class DriveRig:
+    """An arm whose joints have drives on a bus.
+
+    Brakes hold each joint until its own drive releases them.
+
+    Args:
+        arm: the arm.
+        bank: its drives.
+        bus: what the drives hear.
+        clock: the rig's time.
+        grid: when drives and physics have their turns.
+        plan: what goes wrong.
+        on_frame: called with every frame that comes, before the drives get it.
+        on_event: called with a sentence when something happens.
+
+    Attributes:
+        counts: what it did.
+    """
+
+    def __init__(
+        self,
+        arm: ArmPlant,
+        bank: DriveBank,
+        bus: CanBus,
+        clock: Clock,
+        grid: TickGrid,
+        *,
+        plan: FaultPlan,
+        on_frame: Callable[[CanFrame], None],
+        on_event: Callable[[str], None],
+    ) -> None:
+        self._arm, self._bank, self._bus = arm, bank, bus
+        self._clock, self._grid, self._plan = clock, grid, plan
+        self._on_frame, self._on_event = on_frame, on_event
+        self._position = np.zeros_like(arm.position)
+        self._velocity = np.zeros_like(arm.position)
+        self._told: list[str] = []
+        self._stop_requested = False
+        self.counts = RigCounts()
+
+    def request_stop(self) -> None:
+        """End at the next tick; safe from signal handlers and other threads."""
+        self._stop_requested = True
+
+    def run(self, ticks: int | None = None) -> None:
+        """Run for a number of ticks, or until asked to stop."""
+        self._clock.start()
+        self._measure()
+        while not self._stop_requested and (ticks is None or self.counts.ticks < ticks):
+            self._hear_until(self._grid.tick_ns(self.counts.ticks + 1))
+            now_ns = self._clock.now_ns()
+            for sentence in self._plan.carry_out(self._bank, now_ns):
+                self._on_event(sentence)
+            self._bank.advance(now_ns)
+            self._tell()
+            self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))
+            self._measure()
+        self._arm.brake()
+
+    def _hear_until(self, instant_ns: int) -> None:
+        """Hand frames to the drives until it is time for the physics, however many they are."""
+        while (remaining_ns := instant_ns - self._clock.now_ns()) > 0:
+            frame = self._bus.receive(remaining_ns * 1e-9)
+            if frame is not None:
+                self.counts.heard += 1
+                self._on_frame(frame)
+                self._bank.receive(frame, self._clock.now_ns())
+
+    def _catch_up(self, tick: int) -> None:
+        """Let the physics catch up with the clock."""
+        arm, bank = self._arm, self._bank
+        arm.hold(bank.braked)
+        arm.command(bank.torque_nm)
+        self.counts.skipped += tick - self.counts.ticks - 1
+        while self.counts.ticks < tick:
+            tick_ns = self._grid.tick_ns(self.counts.ticks)
+            for offset_ns in self._grid.substep_offsets_ns:
+                arm.step((tick_ns + offset_ns) * 1e-9)
+            self.counts.ticks += 1
+
+    def _measure(self) -> None:
+        self._arm.read_encoders(self._position, self._velocity)
+        self._bank.measure(self._position, self._velocity, self._arm.torques.actuator)
+
+    def _tell(self) -> None:
+        """Say which drives have changed their state."""
+        statuses = self._bank.statuses
+        for status in statuses:
+            if status not in self._told:
+                self._on_event(status)
+        self._told = statuses

@@ -1,0 +1,59 @@
+"""Runs over CAN as processes, and what happens when the master dies."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from pathlib import Path
+
+import numpy as np
+from running import Watcher, funnel_hil, processes_of, settings, started
+
+from bus_schema.topics import PLANT_TRUTH
+from deploy.experiments.simulate import simulate
+from deploy.scenario import load_setup
+
+SLOW_DOWN_S = 0.3
+PATIENT = settings(link__reply_timeout_s=20, link__connect_timeout_s=60)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.bind(("", 0))
+        return int(sender.getsockname()[1])
+
+
+def on_free_port() -> list[str]:
+    return [*PATIENT, *settings(link__can__port=free_port(), link__can__answer_timeout_s=20)]
+
+
+def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> None:
+    run = funnel_hil(
+        "run", "paper_arm_can", *on_free_port(), *settings(duration_s=1), out=tmp_path / "run"
+    )
+    assert run.code == 0, run.output
+    virtual = load_setup("paper_arm_can", ["duration_s=1", "link.can.interface=virtual"])
+    assert run.digest == simulate(virtual).data().digest
+    assert run.summary["transport"]["can"]["frames_by_identifier"]["080"] == 500
+    assert "identical" in funnel_hil("replay", str(run.folder), out=None).output
+
+
+def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None:
+    words = ["run", "paper_arm_can", *on_free_port(), *settings(duration_s=40)]
+    with started(*words, out=tmp_path / "run") as run:
+        with Watcher(run.plant_endpoint()) as watcher:
+            watcher.await_time(0.5, run)
+            run.send(signal.SIGKILL, "controller")
+            ended = run.end()
+        assert processes_of(run.folder) == {}
+    assert ended.code == 1
+    faults = "; ".join(ended.summary["faults"])
+    assert "the controller was killed by SIGKILL" in faults
+    assert "no RPDO within its event time (0x8250)" in faults
+    assert "081#5082" in (run.folder / "can.log").read_text()  # the emergency of node 1
+    truth, times_s = ended.data.tables[PLANT_TRUTH.name], ended.data.times_s(PLANT_TRUTH)
+    moving = np.abs(truth["velocity"]).max(axis=1) > 0.02
+    last_command_s = times_s[truth["round_trip_ns"] >= 0][-1]
+    # link.can.command_timeout_ms, the drives' slow-down, and two ticks to see either
+    allowed_s = 0.05 + SLOW_DOWN_S + 4 * 0.002
+    assert times_s[moving][-1] - last_command_s <= allowed_s

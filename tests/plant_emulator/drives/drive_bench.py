@@ -1,0 +1,123 @@
+"""A drive on a bench: frames in and out by hand, time by hand, a joint that moves as told."""
+
+from __future__ import annotations
+
+import struct
+
+from bus_schema.can_frame import CanFrame
+from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.drive import DriveSettings, JointReading
+
+NODE = 5
+MS = 1_000_000
+SETTINGS = DriveSettings(
+    node_id=NODE,
+    rated_torque_nm=20.0,
+    max_torque_nm=60.0,
+    counts_per_turn=1 << 20,
+    stop_damping_nm_s=10.0,
+)
+SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 6, 7, 15, 0, 2, 128
+CST = 10
+FORMATS = {1: "<B", 2: "<H", 4: "<I"}
+SIZES = {
+    0x1003: 1, 0x1006: 4, 0x1014: 4, 0x1016: 4, 0x1017: 2, 0x1029: 1, 0x2000: 2, 0x6007: 2,
+    0x6040: 2, 0x605A: 2, 0x605B: 2, 0x605C: 2, 0x605D: 2, 0x605E: 2, 0x6060: 1, 0x606F: 2,
+    0x6071: 2, 0x6072: 2, 0x607D: 4, 0x60B2: 2, 0x1005: 4,
+}  # fmt: skip
+
+
+class AbortedError(Exception):
+    """An SDO transfer was refused; its argument is the abort code."""
+
+
+class Bench:
+    """One drive, with what it sent."""
+
+    def __init__(self, protocol=Cia402Drive, settings=SETTINGS, boot=True):
+        self.sent = []
+        self.now_ns = 0
+        self.drive = protocol(settings, self.sent.append)
+        if boot:
+            self.wait(0)
+            self.take()
+
+    def wait(self, duration_ms, step_ms=1):
+        """Let time pass."""
+        for _ in range(round(duration_ms / step_ms)):
+            self.now_ns += round(step_ms * MS)
+            self.drive.advance(self.now_ns)
+        if duration_ms == 0:
+            self.drive.advance(self.now_ns)
+
+    def hear(self, identifier, *data, remote=False):
+        return self.drive.receive(CanFrame(identifier, bytes(data), is_remote=remote), self.now_ns)
+
+    def take(self, identifier=None):
+        """Frames sent since the last time, of an identifier if one is given: their data then."""
+        taken, self.sent[:] = self.sent[:], []
+        if identifier is None:
+            return taken
+        return [frame.data for frame in taken if frame.identifier == identifier]
+
+    def move(self, position_rad=0.0, velocity_rad_s=0.0, torque_nm=0.0):
+        self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
+
+    def sdo(self, request):
+        """The answer to eight bytes of SDO request; none if there is none."""
+        self.take()
+        self.hear(0x600 + NODE, *request)
+        answers = self.take(0x580 + NODE)
+        answer = answers[0] if answers else None
+        if answer is not None and answer[0] == 0x80:
+            raise AbortedError(struct.unpack_from("<I", answer, 4)[0])
+        return answer
+
+    def read(self, index, subindex=0, signed=False):
+        answer = self.sdo(struct.pack("<BHBI", 0x40, index, subindex, 0))
+        assert answer[0] & 0xE3 == 0x43, "expedited, with its size"
+        size = 4 - (answer[0] >> 2 & 3)
+        return int.from_bytes(answer[4 : 4 + size], "little", signed=signed)
+
+    def write(self, index, subindex, value, size=None):
+        size = size or self._size(index, subindex)
+        data = (value % (1 << 8 * size)).to_bytes(size, "little") + bytes(4 - size)
+        command = 0x23 | (4 - size) << 2
+        self.sdo(struct.pack("<BHB", command, index, subindex) + data)
+
+    def _size(self, index, subindex):
+        if index in SIZES:
+            return SIZES[index]
+        if subindex == 0:
+            return 1
+        if 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00:
+            return {1: 4, 2: 1, 3: 2, 5: 2}[subindex]
+        return 4
+
+    # CiA 402
+
+    def start(self):
+        """NMT start of all nodes."""
+        self.hear(0, 1, 0)
+        self.take()
+
+    def control(self, word, torque=0):
+        """RPDO 1: controlword and target torque, per mille."""
+        self.hear(0x200 + NODE, *struct.pack("<Hh", word, torque))
+
+    @property
+    def statusword(self):
+        return self.read(0x6041)
+
+    @property
+    def state(self):
+        return self.drive.state.name
+
+    def enable(self, torque=0):
+        """Power-on to operation enabled in cyclic synchronous torque mode."""
+        self.start()
+        self.write(0x6060, 0, CST)
+        for word in (SHUTDOWN, SWITCH_ON, ENABLE):
+            self.control(word, torque)
+        assert self.state == "OPERATION_ENABLED"
+        self.take()

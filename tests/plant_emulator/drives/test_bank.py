@@ -1,0 +1,245 @@
+"""All drives of a robot together: cycles, faults of the environment, and a bus full of rubbish."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus_schema.can_frame import BUS_OFF, BUS_RESTARTED, CanFrame
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.drive import DriveFault, DriveSettings
+
+NODES = (1, 2, 3)
+MS = 1_000_000
+PROTOCOLS = [Cia402Drive, CanSimpleDrive]
+
+
+class Bank:
+    def __init__(self, protocol):
+        self.sent = []
+        self.is_cia402 = protocol is Cia402Drive
+        drives = [DriveSettings(node, 20.0, 60.0, watchdog_ms=50) for node in NODES]
+        self.bank = DriveBank(protocol, drives, self.sent.append)
+        self.bank.advance(0)
+
+    def hear(self, identifier, form="", *values, remote=False, now_ns=0):
+        data = struct.pack("<" + form, *values)
+        self.bank.receive(CanFrame(identifier, data, is_remote=remote), now_ns)
+
+    def enable(self):
+        if self.is_cia402:
+            self.hear(0, "BB", 1, 0)
+        for node in NODES:
+            if self.is_cia402:
+                self.hear(0x300 + node, "b", 10)
+                for word in (6, 7, 15):
+                    self.hear(0x200 + node, "Hh", word, 0)
+            else:
+                self.hear(node << 5 | 0x0B, "II", 1, 1)
+                self.hear(node << 5 | 0x07, "I", 8)
+        self.bank.take_targets()
+        self.sent.clear()
+
+    def target(self, node, torque_nm, now_ns=0):
+        if self.is_cia402:
+            self.hear(0x200 + node, "Hh", 15, round(torque_nm / 0.02), now_ns=now_ns)
+        else:
+            self.hear(node << 5 | 0x0E, "f", torque_nm, now_ns=now_ns)
+
+    def sample(self):
+        if self.is_cia402:
+            self.hear(0x80)
+        else:
+            for node in NODES:
+                self.hear(node << 5 | 0x09, remote=True)
+
+
+@pytest.fixture(params=PROTOCOLS)
+def rig(request):
+    made = Bank(request.param)
+    made.enable()
+    return made
+
+
+def test_a_cycle_is_a_sampling_and_a_target_for_every_axis(rig):
+    before = rig.bank.samplings
+    rig.sample()
+    assert rig.bank.samplings == before + 1
+    assert len(rig.sent) == 3
+    rig.target(1, 1.0)
+    rig.target(2, 2.0)
+    assert not rig.bank.take_targets()
+    rig.target(3, -3.0)
+    assert rig.bank.take_targets()
+    assert not rig.bank.take_targets()
+    np.testing.assert_allclose(rig.bank.torque_nm, [1.0, 2.0, -3.0])
+    assert not rig.bank.braked.any()
+
+
+def test_a_silent_node_neither_hears_nor_is_heard_nor_awaited(rig):
+    rig.bank.inject(1, DriveFault.SILENT, 0)
+    rig.sample()
+    assert len(rig.sent) == 2
+    for node in NODES:
+        rig.target(node, 5.0)
+    assert rig.bank.take_targets()
+    np.testing.assert_allclose(rig.bank.torque_nm, [5.0, 0.0, 5.0])
+    rig.bank.heal(1, DriveFault.SILENT, 0)
+    rig.target(2, 5.0)
+    assert rig.bank.torque_nm[1] == pytest.approx(5.0)
+
+
+def test_a_silent_drive_stops_by_itself(rig):
+    """Its own timeout: the event timer of RPDO 1 that the master has set, or the watchdog."""
+    if rig.is_cia402:
+        rig.hear(0x602, "BHBHxx", 0x2B, 0x1400, 5, 50)
+    rig.target(2, 5.0)
+    rig.bank.inject(1, DriveFault.SILENT, 0)
+    rig.sent.clear()
+    for tick in range(1, 60):
+        rig.bank.advance(tick * MS)
+        rig.target(1, 5.0, tick * MS)
+        rig.target(3, 5.0, tick * MS)
+    assert rig.bank.braked.tolist() == [False, True, False]
+    assert rig.bank.faults[0].startswith("node 2: ")
+
+
+def test_a_frozen_encoder_shows_its_last_value_and_no_velocity(rig):
+    still = np.zeros(3)
+    rig.bank.measure(np.array([0.1, 0.2, 0.3]), np.ones(3), still)
+    rig.bank.inject(0, DriveFault.ENCODER_FROZEN, 0)
+    rig.bank.measure(np.array([0.5, 0.5, 0.5]), np.ones(3), still)
+    rig.sent.clear()
+    rig.sample()
+    form = "<ii" if rig.is_cia402 else "<ff"
+    turn = 1 << 20 if rig.is_cia402 else 1
+    rows = [np.array(struct.unpack(form, frame.data)) * 2 * np.pi / turn for frame in rig.sent]
+    np.testing.assert_allclose(rows, [[0.1, 0.0], [0.5, 1.0], [0.5, 1.0]], atol=1e-5)
+    rig.bank.heal(0, DriveFault.ENCODER_FROZEN, 0)
+    rig.bank.measure(np.array([0.5, 0.5, 0.5]), np.ones(3), still)
+    rig.sent.clear()
+    rig.sample()
+    assert rig.sent[0].data == rig.sent[1].data
+
+
+def test_a_fault_in_one_axis_leaves_the_others_to_the_master(rig):
+    rig.bank.inject(2, DriveFault.DRIVE, 0)
+    assert rig.bank.braked.tolist() == [False, False, True]
+    assert len(rig.bank.faults) == 1
+    assert rig.bank.faults[0].startswith("node 3: ")
+
+
+def test_bus_off_is_told_by_an_error_frame(rig):
+    rig.bank.measure(np.zeros(3), np.ones(3), np.zeros(3))
+    rig.bank.receive(CanFrame(BUS_OFF, is_error=True), 0)
+    for tick in range(1, 400):
+        rig.bank.advance(tick * MS)
+    assert rig.bank.braked.all()
+    assert not rig.sent
+    rig.bank.receive(CanFrame(BUS_RESTARTED, is_error=True), 400 * MS)
+    rig.bank.advance(600 * MS)
+    assert rig.sent
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        CanFrame(0x201, bytes(64), is_fd=True),
+        CanFrame(0x201, bytes(9)),
+        CanFrame(0x201, b"\x0f\0\x64\0", is_extended=True),
+        CanFrame(0x7FF, bytes(8)),
+        CanFrame(0x20A, b"\x0f\0\x64\0"),
+    ],
+)
+def test_frames_that_are_no_drives_business_are_counted(rig, frame):
+    rig.bank.receive(frame, 0)
+    assert sum(rig.bank.rejections.counts.values()) == 1
+    assert not rig.bank.torque_nm.any()
+
+
+FRAMES = st.builds(
+    CanFrame,
+    st.one_of(
+        st.integers(0, 0x7FF),
+        st.sampled_from([0, 0x80, *(base + node for base in (0x200, 0x300, 0x600, 0x700)
+                                    for node in NODES)]),
+    ),
+    st.binary(max_size=8) | st.binary(max_size=64),
+    st.booleans(), st.booleans(), st.booleans(), st.booleans(),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@settings(max_examples=150, deadline=None)
+@given(frames=st.lists(FRAMES, max_size=60))
+def test_whatever_comes_nothing_breaks_and_no_torque_is_beyond_its_limit(protocol, frames):
+    rig = Bank(protocol)
+    for tick, frame in enumerate(frames):
+        rig.bank.receive(frame, tick * MS)
+        rig.bank.advance(tick * MS)
+        rig.bank.describe(frame)
+        assert np.abs(rig.bank.torque_nm).max() <= 60.0
+        assert not rig.bank.torque_nm[rig.bank.braked].any()
+    for sent in rig.sent:
+        assert len(sent.data) <= 8
+        rig.bank.describe(sent)
+
+
+STRANGERS = st.builds(
+    CanFrame,
+    st.integers(0, 0x7FF).filter(lambda i: i not in (0, 0x201, 0x301, 0x601, 0x27, 0x2B, 0x2E)),
+    st.binary(max_size=64),
+    st.booleans(), st.booleans(), st.booleans(), st.booleans(),
+)  # fmt: skip
+
+
+@settings(max_examples=150, deadline=None)
+@given(frames=st.lists(STRANGERS, max_size=60))
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_frames_that_command_nothing_give_no_torque(protocol, frames):
+    """All but what enables or commands node 1: its brake never opens."""
+    rig = Bank(protocol)
+    for tick, frame in enumerate(frames):
+        rig.bank.receive(frame, tick * MS)
+        rig.bank.advance(tick * MS)
+    assert rig.bank.torque_nm[0] == 0.0
+    assert rig.bank.braked[0]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_a_flood_is_counted_and_logged_a_few_times(protocol, caplog):
+    rig = Bank(protocol)
+    for number in range(20_000):
+        rig.bank.receive(CanFrame(0x7E0 + number % 16, bytes(8)), 0)
+    assert sum(rig.bank.rejections.counts.values()) == 20_000
+    assert len(caplog.records) < 20
+    assert rig.bank.braked.all()
+
+
+def test_frames_in_words():
+    rig = Bank(Cia402Drive)
+    for frame, words in (
+        (CanFrame(0, bytes([1, 0])), "NMT START all nodes"),
+        (CanFrame(0x80), "SYNC"),
+        (CanFrame(0x202, b"\x0f\0\xfe\xff"), "node 2 RPDO Controlword 0x000F, Target torque -2"),
+        (CanFrame(0x701, b"\x05"), "node 1 heartbeat OPERATIONAL"),
+        (CanFrame(0x83, b"\x30\x81\x11\0\0\0\0\0"),
+         "node 3 EMCY 0x8130 HEARTBEAT_LOST, register 17"),
+        (CanFrame(0x601, b"\x2b\x5a\x60\0\x02\0\0\0"),
+         "node 1 SDO download request 0x605A:00 Quick stop option code 0x2"),
+        (CanFrame(0x581, b"\x80\x60\x60\0\x30\0\x09\x06"),
+         "node 1 SDO abort 0x6060:00 Modes of operation 0x6090030"),
+        (CanFrame(0x55, b""), "not for these drives"),
+    ):  # fmt: skip
+        assert rig.bank.describe(frame) == words
+    axes = Bank(CanSimpleDrive)
+    assert axes.bank.describe(CanFrame(2 << 5 | 0x0E, struct.pack("<f", 1.5))) == (
+        "axis 2 Set_Input_Torque, Input_Torque 1.5"
+    )
+    assert axes.bank.describe(CanFrame(2 << 5 | 0x09, is_remote=True)) == (
+        "axis 2 Get_Encoder_Estimates asked for"
+    )

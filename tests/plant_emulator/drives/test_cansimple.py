@@ -1,0 +1,227 @@
+"""The CANSimple axis against ODrive's public protocol description: identifier = node << 5 |
+command, little endian, IEEE 754 floats."""
+
+import math
+import struct
+
+import pytest
+from drive_bench import MS, NODE, SETTINGS, Bench
+
+from bus_schema.errors import InvalidMessageError
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings
+
+HEARTBEAT, ESTOP, GET_ERROR, SET_STATE, ESTIMATES, SET_MODE, SET_TORQUE, LIMITS = (
+    0x01, 0x02, 0x03, 0x07, 0x09, 0x0B, 0x0E, 0x0F,
+)  # fmt: skip
+GET_IQ, TEMPERATURE, REBOOT, BUS, CLEAR, TORQUES, POWERS = 0x14, 0x15, 0x16, 0x17, 0x18, 0x1C, 0x1D
+IDLE, CLOSED_LOOP, CALIBRATION = 1, 8, 3
+WATCHDOG, ESTOPPED, DRV_FAULT, BAD_CONFIG, OVER_TEMP, TOO_FAST = (
+    0x1000000, 0x2000000, 0x20, 0x10, 0x2000, 0x8000,
+)  # fmt: skip
+
+
+class Axis(Bench):
+    def __init__(self, **changes):
+        super().__init__(CanSimpleDrive, DriveSettings(**(vars(SETTINGS) | changes)))
+
+    def tell(self, command, form="", *values):
+        return self.hear(NODE << 5 | command, *struct.pack("<" + form, *values))
+
+    def ask(self, command, form):
+        self.take()
+        self.hear(NODE << 5 | command, remote=True)
+        (data,) = self.take(NODE << 5 | command)
+        return struct.unpack("<" + form, data)
+
+    def arm(self):
+        self.tell(SET_MODE, "II", 1, 1)
+        self.tell(SET_STATE, "I", CLOSED_LOOP)
+
+    @property
+    def heartbeat(self):
+        """Axis error, axis state, procedure result, trajectory done."""
+        return self.ask(HEARTBEAT, "IBBBx")
+
+
+@pytest.fixture
+def axis():
+    made = Axis()
+    made.arm()
+    made.take()
+    return made
+
+
+def test_from_power_on_to_torque_and_back():
+    axis = Axis()
+    assert axis.heartbeat == (0, IDLE, 0, 0)
+    assert axis.drive.demand() == AT_REST
+    axis.arm()
+    assert axis.heartbeat == (0, CLOSED_LOOP, 0, 0)
+    axis.tell(SET_TORQUE, "f", -7.5)
+    assert axis.drive.demand() == (-7.5, True)
+    axis.tell(SET_STATE, "I", IDLE)
+    assert axis.drive.demand() == AT_REST
+
+
+def test_a_torque_from_before_does_not_come_back(axis):
+    axis.tell(SET_TORQUE, "f", 5.0)
+    axis.tell(SET_STATE, "I", IDLE)
+    axis.tell(SET_STATE, "I", CLOSED_LOOP)
+    assert axis.drive.demand() == (0.0, True)
+
+
+def test_cyclic_messages(axis):
+    axis.take()
+    axis.wait(1000)
+    frames = axis.take()
+    assert sum(frame.identifier == NODE << 5 | HEARTBEAT for frame in frames) == 10
+    assert sum(frame.identifier == NODE << 5 | ESTIMATES for frame in frames) == 100
+
+
+def test_estimates_are_turns_in_whole_increments(axis):
+    axis.move(position_rad=math.pi / 2, velocity_rad_s=-math.pi)
+    assert axis.ask(ESTIMATES, "ff") == (0.25, -0.5)
+    axis.move(position_rad=2 * math.pi * 0.7 / SETTINGS.counts_per_turn)
+    assert axis.ask(ESTIMATES, "ff")[0] == 1 / SETTINGS.counts_per_turn
+    assert axis.drive.samplings == 2
+
+
+def test_what_else_can_be_asked_for(axis):
+    axis.tell(SET_TORQUE, "f", 12.0)
+    axis.move(velocity_rad_s=2.0, torque_nm=11.0)
+    assert axis.ask(TORQUES, "ff") == (12.0, 11.0)
+    assert axis.ask(GET_IQ, "ff") == (12.0, 11.0)  # 1 N m/A
+    assert axis.ask(POWERS, "ff") == (22.0, 22.0)
+    assert axis.ask(BUS, "ff") == pytest.approx((48.0, 22.0 / 48.0))
+    assert axis.ask(TEMPERATURE, "ff") == (25.0, 25.0)
+    assert axis.ask(GET_ERROR, "II") == (0, 0)
+    assert axis.ask(0x00, "8B")[0] == 2  # protocol version
+
+
+def test_an_empty_frame_asks_as_well(axis):
+    axis.hear(NODE << 5 | ESTIMATES)
+    assert len(axis.take(NODE << 5 | ESTIMATES)) == 1
+
+
+@pytest.mark.parametrize("mode", [(3, 1), (2, 1), (1, 6)])
+def test_other_modes_than_torque_passed_through_are_bad_configuration(mode):
+    axis = Axis()
+    axis.tell(SET_MODE, "II", *mode)
+    axis.tell(SET_STATE, "I", CLOSED_LOOP)
+    assert axis.heartbeat[:2] == (BAD_CONFIG, IDLE)
+
+
+def test_a_mode_change_disarms(axis):
+    axis.tell(SET_MODE, "II", 3, 1)
+    assert axis.heartbeat[:2] == (BAD_CONFIG, IDLE)
+    assert axis.ask(GET_ERROR, "II") == (BAD_CONFIG, BAD_CONFIG)
+
+
+def test_states_that_there_are_not_are_refused(axis):
+    axis.tell(SET_STATE, "I", CALIBRATION)
+    assert axis.heartbeat == (0, CLOSED_LOOP, 13, 0)  # INVALID_STATE
+
+
+def test_limits(axis):
+    axis.tell(SET_TORQUE, "f", 1e6)
+    assert axis.drive.demand().torque_nm == 60.0
+    axis.tell(LIMITS, "ff", 1.0, 30.0)
+    assert axis.drive.demand().torque_nm == 30.0
+    axis.move(velocity_rad_s=1.19 * 2 * math.pi)
+    assert axis.drive.demand().is_released
+    axis.move(velocity_rad_s=1.21 * 2 * math.pi)
+    assert axis.drive.demand() == AT_REST
+    assert axis.heartbeat[0] == TOO_FAST
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [(DriveFault.DRIVE, DRV_FAULT), (DriveFault.OVER_TEMPERATURE, OVER_TEMP)],
+)
+def test_faults_disarm_and_are_cleared_when_their_cause_is_gone(axis, fault, error):
+    axis.drive.inject(fault, 0)
+    assert axis.drive.demand() == AT_REST
+    assert axis.ask(GET_ERROR, "II") == (error, error)
+    axis.tell(SET_STATE, "I", CLOSED_LOOP)
+    assert axis.heartbeat == (error, IDLE, 3, 0)  # DISARMED
+    axis.tell(CLEAR if fault is DriveFault.DRIVE else REBOOT, "B", 0)
+    assert (axis.heartbeat[0] == 0) == (fault is DriveFault.DRIVE)
+    axis.drive.heal(fault, 0)
+    axis.tell(CLEAR, "B", 0)
+    axis.arm()
+    assert axis.heartbeat == (0, CLOSED_LOOP, 0, 0)
+
+
+def test_emergency_stop(axis):
+    axis.tell(ESTOP)
+    assert axis.drive.demand() == AT_REST
+    assert axis.heartbeat[:2] == (ESTOPPED, IDLE)
+
+
+def test_reboot_forgets_everything(axis):
+    axis.tell(ESTOP)
+    axis.tell(REBOOT, "B", 0)
+    assert axis.heartbeat == (0, IDLE, 0, 0)
+    axis.tell(SET_STATE, "I", CLOSED_LOOP)
+    assert axis.heartbeat[0] == BAD_CONFIG  # a fresh axis is in position control
+
+
+def test_watchdog():
+    axis = Axis(watchdog_ms=50)
+    axis.wait(500)
+    axis.arm()  # it runs only while the axis is armed
+    for _ in range(10):
+        axis.wait(40)
+        axis.tell(SET_TORQUE, "f", 3.0)
+    assert axis.drive.demand() == (3.0, True)
+    axis.wait(50)
+    assert axis.drive.demand().is_released
+    axis.wait(1)
+    assert axis.drive.demand() == AT_REST
+    assert axis.drive.fault == "WATCHDOG_TIMER_EXPIRED"
+    assert axis.heartbeat[:2] == (WATCHDOG, IDLE)
+
+
+def test_bus_off_is_noticed_by_the_watchdog():
+    axis = Axis(watchdog_ms=50)
+    axis.arm()
+    axis.drive.lose_bus(axis.now_ns)
+    axis.take()
+    axis.wait(200)
+    assert axis.drive.demand() == AT_REST
+    assert axis.take() == []
+    axis.drive.regain_bus(axis.now_ns)
+    assert axis.heartbeat[0] == WATCHDOG
+
+
+@pytest.mark.parametrize(
+    ("command", "data"),
+    [
+        (SET_TORQUE, struct.pack("<f", math.nan)), (SET_TORQUE, struct.pack("<f", math.inf)),
+        (SET_TORQUE, b"\0\0\x80"), (SET_STATE, b"\x01"), (LIMITS, struct.pack("<ff", -1.0, 1.0)),
+        (REBOOT, b"\x03"), (0x1F, b""), (ESTIMATES, bytes(8)),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_changes_nothing(axis, command, data):
+    axis.tell(SET_TORQUE, "f", 2.0)
+    with pytest.raises(InvalidMessageError):
+        axis.hear(NODE << 5 | command, *data)
+    assert axis.drive.demand() == (2.0, True)
+    assert axis.drive.targets == 1
+
+
+def test_a_command_cannot_be_asked_for(axis):
+    with pytest.raises(InvalidMessageError):
+        axis.hear(NODE << 5 | SET_TORQUE, remote=True)
+
+
+def test_padding_after_a_message_is_ignored(axis):
+    axis.hear(NODE << 5 | SET_TORQUE, *struct.pack("<f4x", 2.0))
+    assert axis.drive.demand().torque_nm == 2.0
+
+
+def test_frames_for_others_are_not_heard(axis):
+    assert not axis.hear((NODE + 1) << 5 | ESTOP)
+    assert axis.drive.demand().is_released
+    assert axis.now_ns < MS

@@ -1,0 +1,223 @@
+"""Driver code that knows nothing of us, in real time over python-can's virtual bus."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+import threading
+import time
+from pathlib import Path
+
+import can
+import canopen
+import numpy as np
+import pytest
+from canopen.profiles.p402 import BaseNode402
+
+from bus_schema.can_configuration import CanConfiguration
+from bus_schema.can_files import CIA402_EDS
+from bus_schema.can_session import open_can_bus
+from bus_schema.can_units import PEAK_TO_RATED
+from bus_schema.clock import MonotonicClock, TickGrid
+from bus_schema.robot_description import load_robot
+from controller.manipulator_model import ManipulatorModel
+from deploy.robot_files import find_urdf
+from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.drives.commissioning import build_bank
+from plant_emulator.drives.drive_rig import DriveRig
+from plant_emulator.drives.fault_plan import FaultPlan
+
+ROBOT = load_robot(find_urdf("paper_arm", Path()))
+START = np.array([0.2, -1.0, 0.9])
+GRID = TickGrid(250.0, 8)
+PLANT = PlantConfiguration()
+NODES = (1, 2, 3)
+PATIENCE_S = 20.0
+PUSHES_NM = {1: 80.0, 2: -330.0, 3: 25.0}  # the shoulder has 276 N m of gravity to bear
+_CHANNELS = itertools.count()
+
+
+class Rig:
+    """Drives and physics on a thread, as `funnel-hil drives` runs them."""
+
+    def __init__(self, protocol):
+        self.channel = f"drives{next(_CHANNELS)}"
+        options = {"interface": "virtual", "channel": self.channel, "protocol": protocol}
+        configuration = CanConfiguration.model_validate(options)
+        self._bus = open_can_bus(configuration)
+        self.arm = ArmPlant(PLANT, ROBOT, START, GRID.substep_s, seed=1)
+        self.arm.warm_up()
+        bank = build_bank(configuration, ROBOT, PLANT, self._bus.send)
+        self.events = []
+        self._rig = DriveRig(
+            self.arm, bank, self._bus, MonotonicClock(), GRID,
+            plan=FaultPlan([]), on_frame=lambda frame: None, on_event=self.events.append,
+        )  # fmt: skip
+        self._thread = threading.Thread(target=self._rig.run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._rig.request_stop()
+        self._thread.join(PATIENCE_S)
+        self._bus.close()
+        self.arm.close()
+
+
+def until(condition):
+    """Wait until something is so."""
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up_s, "it never came"
+        time.sleep(0.002)
+
+
+def assert_energy_agrees(joint, torque_nm, start_rad, position_rad, velocity_rad_s):
+    """Work of motor and gravity has become kinetic energy: ½ M q̇² = ∫ (τ − G) dq.
+
+    The other joints are held by their brakes, there is no friction, and no clock is needed.
+    """
+    model = ManipulatorModel(ROBOT)
+    angles = np.linspace(start_rad, position_rad, 201)
+    poses = np.tile(START, (201, 1))
+    poses[:, joint] = angles
+    still = np.zeros(3)
+    gravity = [model.inverse_dynamics(pose, still, still)[joint] for pose in poses]
+    work = float(np.trapezoid(torque_nm - np.array(gravity), angles))
+    kinetic = 0.5 * model.mass_matrix(poses[-1])[joint, joint] * velocity_rad_s**2
+    assert kinetic == pytest.approx(work, rel=0.02)
+
+
+@pytest.mark.parametrize("node_id", NODES)
+def test_canopens_own_client_brings_a_drive_up_moves_it_and_resets_a_fault(node_id):
+    joint = node_id - 1
+    with Rig("cia402") as rig:
+        network = canopen.Network()
+        network.connect(interface="virtual", channel=rig.channel)
+        try:
+            node = BaseNode402(node_id, str(CIA402_EDS))
+            network.add_node(node)
+            node.nmt.wait_for_heartbeat()
+            node.setup_402_state_machine()
+            node.nmt.state = "OPERATIONAL"
+            network.sync.start(0.01)
+            node.op_mode = "CYCLIC SYNCHRONOUS TORQUE"
+            until(lambda: node.op_mode == "CYCLIC SYNCHRONOUS TORQUE")
+            node.state = "READY TO SWITCH ON"
+            node.state = "SWITCHED ON"
+            start = START[joint]
+            check_motion(node, node_id, joint, start)
+            check_fault(node)
+        finally:
+            network.sync.stop()
+            network.disconnect()
+    assert any(f"node {node_id}: OPERATION_ENABLED" in event for event in rig.events)
+
+
+def check_motion(node, node_id, joint, start):
+    rated_nm = node.sdo[0x6076].raw * 1e-3
+    assert rated_nm == pytest.approx(ROBOT.effort_limits_nm[joint] / PEAK_TO_RATED, rel=1e-4)
+    per_mille = round(PUSHES_NM[node_id] / rated_nm * 1000)
+    to_rad = 2 * np.pi / node.sdo[0x608F][1].raw
+    node.rpdo[1]["Target torque"].raw = per_mille
+    node.state = "OPERATION ENABLED"
+    seen = []
+    node.tpdo[1].add_callback(
+        lambda pdo: seen.append(
+            (pdo["Position actual value"].raw * to_rad, pdo["Velocity actual value"].raw * to_rad)
+        )
+    )
+    moved = 0.15
+    until(lambda: bool(seen) and abs(seen[-1][0] - start) > moved)
+    position_rad, velocity_rad_s = next(row for row in seen if abs(row[0] - start) > moved)
+    assert_energy_agrees(joint, per_mille * 1e-3 * rated_nm, start, position_rad, velocity_rad_s)
+    node.state = "SWITCHED ON"
+
+
+def check_fault(node):
+    """The master lets an RPDO wait for longer than it said it would."""
+    heard = []
+    node.emcy.add_callback(heard.append)
+    node.state = "OPERATION ENABLED"
+    node.sdo[0x1400][5].raw = 50
+    node.rpdo[1]["Target torque"].raw = 0
+    node.rpdo[1].transmit()
+    until(lambda: node.state == "FAULT")
+    until(lambda: bool(heard))
+    assert [error.code for error in heard] == [0x8250]
+    node.sdo[0x1400][5].raw = 0
+    node.reset_from_fault()
+    assert node.state == "OPERATION ENABLED"
+    assert heard[-1].code == 0
+    node.state = "SWITCH ON DISABLED"
+
+
+class OdriveClient:
+    """From ODrive's protocol description and nothing else."""
+
+    def __init__(self, channel, node):
+        self.bus = can.Bus(interface="virtual", channel=channel)
+        self.node = node
+        self.error = self.state = None
+        self.estimates = None
+        self.torque_nm = None
+
+    def send(self, command, form="", *values, remote=False):
+        self.bus.send(
+            can.Message(
+                arbitration_id=self.node << 5 | command,
+                data=None if remote else struct.pack("<" + form, *values),
+                is_remote_frame=remote,
+                is_extended_id=False,
+            )
+        )
+
+    def listen(self):
+        if self.torque_nm is not None:
+            self.send(0x0E, "f", self.torque_nm)  # which feeds the watchdog too
+        message = self.bus.recv(0.05)
+        if message is None or message.arbitration_id >> 5 != self.node:
+            return
+        command = message.arbitration_id & 0x1F
+        if command == 0x01:
+            self.error, self.state = struct.unpack_from("<IB", message.data)
+        elif command == 0x09:
+            self.estimates = struct.unpack("<ff", message.data)
+
+    def until(self, condition):
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < give_up_s, "it never came"
+            self.listen()
+
+
+@pytest.mark.parametrize("node_id", NODES)
+def test_a_plain_odrive_client_does_the_same(node_id):
+    joint, torque_nm = node_id - 1, PUSHES_NM[node_id]
+    with Rig("cansimple") as rig:
+        client = OdriveClient(rig.channel, node_id)
+        try:
+            client.until(lambda: client.state == 1 and client.error == 0)
+            client.send(0x0B, "II", 1, 1)
+            client.send(0x07, "I", 8)
+            client.torque_nm = torque_nm
+            start = START[joint] / (2 * np.pi)
+            client.until(lambda: client.estimates and abs(client.estimates[0] - start) > 0.024)
+            position, velocity = client.estimates
+            assert_energy_agrees(
+                joint, torque_nm, START[joint], position * 2 * np.pi, velocity * 2 * np.pi
+            )
+            client.torque_nm = None
+            client.until(lambda: client.error == 0x1000000)  # the watchdog
+            assert client.state == 1
+            client.send(0x18, "B", 0)
+            client.send(0x07, "I", 8)
+            client.send(0x01, remote=True)
+            client.until(lambda: client.error == 0 and client.state == 8)
+            client.send(0x07, "I", 1)
+            client.until(lambda: client.state == 1)
+        finally:
+            client.bus.shutdown()

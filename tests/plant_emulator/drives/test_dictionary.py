@@ -1,0 +1,90 @@
+"""The EDS and the DBC that are shipped say what the drives do."""
+
+import canopen
+import cantools
+import pytest
+from canopen.objectdictionary import NUMBER_TYPES, ODVariable
+from drive_bench import NODE, SETTINGS, AbortedError, Bench
+
+from bus_schema.can_files import CANSIMPLE_DBC, CIA402_EDS
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+
+DICTIONARY = canopen.import_od(str(CIA402_EDS), NODE)
+HISTORY = 0x1003
+
+
+def variables():
+    for index in DICTIONARY:
+        entry = DICTIONARY[index]
+        members = [entry] if isinstance(entry, ODVariable) else entry.subindices.values()
+        yield from members
+
+
+@pytest.mark.parametrize("variable", list(variables()), ids=lambda v: f"{v.index:04X}:{v.subindex}")
+def test_every_object_is_served_with_its_type(variable):
+    bench = Bench()
+    if variable.index == HISTORY and variable.subindex > 0:
+        with pytest.raises(AbortedError, match=str(0x08000024)):  # no error has happened yet
+            bench.read(variable.index, variable.subindex)
+    elif variable.data_type in NUMBER_TYPES:
+        answer = bench.sdo(bytes([0x40, *variable.index.to_bytes(2, "little"), variable.subindex])
+                           + bytes(4))  # fmt: skip
+        assert 8 * (4 - (answer[0] >> 2 & 3)) == len(variable)
+        assert bytes(answer[1:4]) == variable.index.to_bytes(2, "little") + bytes(
+            [variable.subindex]
+        )
+    else:
+        assert bench.sdo(bytes([0x40, *variable.index.to_bytes(2, "little"), 0]) + bytes(4))
+
+
+@pytest.mark.parametrize("variable", list(variables()), ids=lambda v: f"{v.index:04X}:{v.subindex}")
+def test_access_is_what_the_dictionary_says(variable):
+    bench = Bench()
+    if variable.writable or variable.data_type not in NUMBER_TYPES:
+        return
+    with pytest.raises(AbortedError, match=str(0x06010002)):
+        bench.write(variable.index, variable.subindex, 0, len(variable) // 8)
+
+
+def test_mandatory_objects_of_the_profiles_are_there():
+    """CiA 301: 1000, 1001, 1018; CiA 402-2 for cyclic synchronous torque: the rest."""
+    wanted = {0x1000, 0x1001, 0x1018, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071,
+              0x6072, 0x6077, 0x6502}  # fmt: skip
+    assert wanted <= set(DICTIONARY)
+    bench = Bench()
+    assert bench.read(0x1000) == 0x00020192  # servo drive, profile 402
+    assert bench.read(0x6502) == 1 << 9  # cyclic synchronous torque mode, and no other
+
+
+def test_the_drive_says_how_it_is_commissioned():
+    bench = Bench()
+    assert bench.read(0x6076) == 20_000  # mN m
+    assert bench.read(0x6072) == 3_000  # 60 of 20 N m
+    assert bench.read(0x608F, 1) == SETTINGS.counts_per_turn
+    assert bench.read(0x1018, 4) == NODE
+    assert bench.read(0x1200, 1) == 0x600 + NODE
+
+
+def test_dbc_loads_strictly_and_has_what_an_axis_sends_and_takes():
+    database = cantools.database.load_file(CANSIMPLE_DBC, strict=True)
+    ids = {message.name: message.frame_id for message in database.messages}
+    assert ids["Heartbeat"] == 0x01
+    assert ids["Get_Encoder_Estimates"] == 0x09
+    assert ids["Set_Input_Torque"] == 0x0E
+    assert ids["Clear_Errors"] == 0x18
+    assert all(message.frame_id < 32 for message in database.messages)
+
+
+@pytest.mark.parametrize(
+    "message", cantools.database.load_file(CANSIMPLE_DBC).messages, ids=lambda m: m.name
+)
+def test_an_axis_knows_every_message_of_the_dbc(message):
+    bench = Bench(CanSimpleDrive)
+    identifier = NODE << 5 | message.frame_id
+    if "Axis" in message.senders:
+        bench.hear(identifier, remote=True)
+        (data,) = bench.take(identifier)
+        assert len(data) == message.length
+        message.decode(data)
+    elif message.name != "Reboot":
+        assert bench.hear(identifier, *bytes(message.length))

@@ -1,0 +1,105 @@
+"""The loop closed over a real vcan0. User-mode Linux is slow, and so runs are short.
+
+The same digest on every interface, with frames that a stranger on the bus has seen too.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cantools
+import pytest
+
+from bus_schema.can_configuration import CanConfiguration
+from bus_schema.can_files import CANSIMPLE_DBC
+from bus_schema.can_frame import CanFrame
+from bus_schema.can_session import check_can_bus, open_can_bus
+from bus_schema.candump import candump_line
+from bus_schema.configuration import ConfigurationError
+from deploy.experiments.simulate import simulate
+from deploy.scenario import load_setup
+
+ROOT = Path(__file__).resolve().parents[2]
+VCAN = CanConfiguration(interface="socketcan", channel="vcan0")
+HANG_S = 500
+PATIENT = ["link.can.answer_timeout_s=60", "link.reply_timeout_s=60", "link.connect_timeout_s=200"]
+SHORT = ["duration_s=0.1", *PATIENT]
+TICKS = 50
+
+
+@contextmanager
+def stranger_listening() -> Iterator[list[CanFrame]]:
+    """Somebody else on vcan0; what they heard."""
+    heard: list[CanFrame] = []
+    bus, over = open_can_bus(VCAN), threading.Event()
+
+    def listen() -> None:
+        while not over.is_set():
+            frame = bus.receive(0.1)
+            if frame is not None:
+                heard.append(frame)
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    try:
+        yield heard
+    finally:
+        over.set()
+        thread.join()
+        bus.close()
+
+
+def digest_over(interface: str, *overrides: str) -> str:
+    setup = load_setup("paper_arm_can", [*SHORT, f"link.can.interface={interface}", *overrides])
+    return simulate(setup).data().digest
+
+
+def test_run_of_three_processes_gives_the_digest_of_the_virtual_bus(tmp_path: Path) -> None:
+    sets = [word for value in (*SHORT, "link.can.interface=socketcan") for word in ("--set", value)]
+    command = [sys.executable, "-m", "deploy.cli", "run", "paper_arm_can", *sets]
+    with stranger_listening() as heard:
+        ended = subprocess.run(
+            [*command, "--out", str(tmp_path / "run")], cwd=ROOT, timeout=HANG_S, check=False,
+            env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        )  # fmt: skip
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["bounds"]["kept"]
+    assert summary["digest"] == digest_over("virtual")
+    logged = (tmp_path / "run" / "can.log").read_text().splitlines()
+    contents = {candump_line(0, "vcan0", frame).split()[2] for frame in heard}
+    assert {line.split()[2] for line in logged} <= contents
+    assert sum(frame.identifier == 0x080 for frame in heard) >= TICKS  # SYNC
+
+
+def test_cansimple_frames_on_vcan_decode_with_our_dbc() -> None:
+    with stranger_listening() as heard:
+        digest = digest_over("socketcan", "link.can.protocol=cansimple")
+    assert digest == digest_over("virtual", "link.can.protocol=cansimple")
+    database = cantools.database.load_file(CANSIMPLE_DBC)
+    for frame in heard:
+        message = database.get_message_by_frame_id(frame.identifier & 0x1F)
+        if not frame.is_remote:
+            message.decode(frame.data)
+    assert len(heard) > 3 * 3 * TICKS  # request, estimates and torque of three axes
+
+
+def test_interface_that_is_not_there_is_named() -> None:
+    with pytest.raises(ConfigurationError, match=r"link\.can\.channel = 'can7'.*no such CAN"):
+        check_can_bus(CanConfiguration(interface="socketcan", channel="can7"))
+
+
+def test_interface_that_is_down_is_named() -> None:
+    subprocess.run(["ip", "link", "add", "dev", "vcan9", "type", "vcan"], check=True)
+    try:
+        with pytest.raises(ConfigurationError, match=r"vcan9.*is down.*ip link set vcan9 up"):
+            check_can_bus(CanConfiguration(interface="socketcan", channel="vcan9"))
+    finally:
+        subprocess.run(["ip", "link", "del", "vcan9"], check=True)
