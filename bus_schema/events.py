@@ -16,6 +16,7 @@ _NANOSECONDS = 1_000_000_000
 class EventKind(StrEnum):
     """Kinds of run events. `COUNTS` and `ENDED` carry JSON, the others a sentence.
 
+    `INJECTED` tells of a scheduled fault that begins or ends, `FAULT` of what went wrong.
     `ENDED` is the last message of a process.
     """
 
@@ -24,6 +25,7 @@ class EventKind(StrEnum):
     COMMANDER = "commander"
     LIMIT = "limit"
     FAULT = "fault"
+    INJECTED = "injected"
     STOPPED = "stopped"
     COUNTS = "counts"
     ENDED = "ended"

@@ -13,6 +13,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 
 ACTUATED_TYPES = ("revolute", "continuous")
+PAYLOAD_LINK = "funnel_hil_payload"
 _UNLIMITED = 1e6
 _INERTIA_TOLERANCE = 1e-3
 
@@ -199,11 +200,11 @@ def _tip_link(path: Path, root: ET.Element) -> str:
 
 
 def _attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
-    link = ET.SubElement(root, "link", name="funnel_hil_payload")
+    link = ET.SubElement(root, "link", name=PAYLOAD_LINK)
     _add_inertial(link, payload_kg)
     joint = ET.SubElement(root, "joint", name="funnel_hil_payload_joint", type="fixed")
     ET.SubElement(joint, "parent", link=tip_link)
-    ET.SubElement(joint, "child", link="funnel_hil_payload")
+    ET.SubElement(joint, "child", link=PAYLOAD_LINK)
 
 
 def _add_inertial(link: ET.Element, mass_kg: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import json
 import queue
@@ -19,11 +20,13 @@ from typing import IO, Any
 from bus_schema.topics import Role
 from deploy.run_folder import RunFolder
 from deploy.scenario import Setup
+from deploy.striker import Striker
 
 _POLL_S = 0.05
 _PR_SET_PDEATHSIG = 1
 _KILL_AFTER_S = 3.0
 _FAREWELL_S = 2.0
+_NEWCOMER_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -60,9 +63,10 @@ class Child:
         self._asked_to_stop = False
         self.faults: list[str] = []
         self.errors: list[str] = []
+        self.is_there = threading.Event()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "deploy.cli", *arguments, "--to-parent"],
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -96,6 +100,17 @@ class Child:
             self._asked_to_stop = True
             self.process.terminate()
 
+    def send(self, number: signal.Signals) -> None:
+        if self.is_running():
+            self.process.send_signal(number)
+
+    def answer(self) -> None:
+        """Tell a child that waits for it that its order was carried out."""
+        if self.process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self.process.stdin.write("done\n")
+                self.process.stdin.flush()
+
     def kill(self) -> None:
         if self.is_running():
             self.process.kill()
@@ -125,7 +140,9 @@ class Child:
             except (ValueError, KeyError, AttributeError):
                 self.errors.append(line.rstrip())
                 continue
-            if utterance.kind == "fault":
+            if utterance.kind == "note":
+                self.is_there.set()  # its first words, once it is on the bus
+            elif utterance.kind == "fault":
                 self.faults.append(utterance.values["text"])
             heard.put(utterance)
 
@@ -144,6 +161,7 @@ class Launcher:
         self._folder = folder
         self._heard: queue.SimpleQueue[Utterance] = queue.SimpleQueue()
         self._children: dict[Role, Child] = {}
+        self._striker = Striker(self._children, self._start)
         self._outcome = RunOutcome()
         self._stop_requested = False
 
@@ -160,17 +178,9 @@ class Launcher:
         Args:
             on_utterance: called with what the children say.
         """
-        scenario = str(self._folder.scenario)
-        arguments = {
-            Role.RECORDER: ["record", scenario, "--log", str(self._folder.log)],
-            Role.PLANT: ["plant", scenario, "--await-recorder"],
-            Role.CONTROLLER: ["controller", scenario, "--await-recorder"],
-        }
-        if self._setup.scenario.link.kind == "can":
-            arguments[Role.PLANT] += ["--can-log", str(self._folder.can_log)]
         try:
-            for role, words in arguments.items():
-                self._children[role] = Child(role, words, self._heard)
+            for role in (Role.RECORDER, Role.PLANT, Role.CONTROLLER):
+                self._start(role)
             self._watch(on_utterance)
         finally:
             self._clear_up()
@@ -178,20 +188,38 @@ class Launcher:
             on_utterance(utterance)
         return self._outcome
 
+    def _start(self, role: Role) -> None:
+        """Start a process, or another one in place of one that is gone."""
+        scenario, log = str(self._folder.scenario), self._folder.log
+        if (gone := self._children.get(role)) is not None:
+            log = log.with_name(f"{log.stem}-2{log.suffix}")  # what the first one wrote stays
+            if (verdict := gone.verdict()) is not None:
+                self._blame(verdict)
+        words = {
+            Role.RECORDER: ["record", scenario, "--log", str(log)],
+            Role.PLANT: ["plant", scenario, "--await-recorder"],
+            Role.CONTROLLER: ["controller", scenario, "--await-recorder"],
+        }
+        if self._setup.scenario.link.kind == "can":
+            words[Role.PLANT] += ["--can-log", str(self._folder.can_log)]
+        self._children[role] = child = Child(role, words[role], self._heard)
+        if gone is not None and self._setup.scenario.clock == "lockstep":
+            child.is_there.wait(_NEWCOMER_S)  # virtual time waits for it
+
     def _watch(self, on_utterance: Callable[[Utterance], None]) -> None:
         """Follow the children until the plant is done and the others had time to follow."""
-        plant, controller = self._children[Role.PLANT], self._children[Role.CONTROLLER]
-        recorder = self._children[Role.RECORDER]
         leave_by_s: float | None = None
-        while any(child.is_running() for child in self._children.values()):
+        while self._striker.away or any(child.is_running() for child in self._children.values()):
             for utterance in self._utterances():
                 on_utterance(utterance)
+            self._striker.undo_what_is_due()
+            plant = self._children[Role.PLANT]
             if self._stop_requested and not self._outcome.interrupted:
                 self._outcome.interrupted = True
                 plant.ask_to_stop()
-            if not recorder.is_running() and plant.is_running():
+            if self._has_gone(Role.RECORDER) and plant.is_running():
                 plant.ask_to_stop()
-            if not plant.is_running() or not controller.is_running():
+            if self._has_gone(Role.PLANT) or self._has_gone(Role.CONTROLLER):
                 # The plant has its command timeout and its stop to get through, in wall time.
                 allowed_s = _KILL_AFTER_S + self._setup.scenario.link.reply_timeout_s
                 if self._outcome.interrupted:
@@ -200,6 +228,9 @@ class Launcher:
             if leave_by_s is not None and time.monotonic() > leave_by_s:
                 return
             time.sleep(_POLL_S)
+
+    def _has_gone(self, role: Role) -> bool:
+        return not self._children[role].is_running() and role not in self._striker.away
 
     def _clear_up(self) -> None:
         """No process is left over, and each one's end is accounted for."""
@@ -235,6 +266,9 @@ class Launcher:
                 return
             if utterance.kind == "grants":
                 self._outcome.grants[utterance.role] = utterance.values["grants"]
+            elif utterance.kind == "order":
+                self._striker.hear(utterance.values)
+                self._children[utterance.role].answer()
             yield utterance
 
 

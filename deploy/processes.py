@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,9 +24,11 @@ from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
+from deploy.fault_schedule import Order, process_strikes
 from deploy.links import open_controller_link, open_plant_link
 from deploy.recorder import Recorder
 from deploy.scenario import Setup
+from deploy.striker import order_values
 from plant_emulator.plant_loop import PlantLoop
 
 FINISHED, FAULT = 0, 1
@@ -55,6 +59,13 @@ class Voice:
         elif kind in ("progress", "result"):
             shown = ", ".join(f"{name} {value}" for name, value in values.items())
             self._console.print(f"{self._role}: {shown}", markup=False)
+
+    def order(self, order: Order, *, await_execution: bool) -> None:
+        """Have `run` strike a process; without `run` nobody does."""
+        if self._to_parent:
+            self.say("order", **order_values(order))
+            if await_execution:
+                sys.stdin.readline()
 
 
 class StopRequest:
@@ -89,7 +100,10 @@ def run_plant(
     link = None
     try:
         link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
-        loop = PlantLoop(setup.plant_task(lockstep=lockstep), arm, link, clock)
+        strikes = process_strikes(
+            setup.scenario.faults, partial(voice.order, await_execution=lockstep)
+        )
+        loop = PlantLoop(setup.plant_task(lockstep=lockstep, strikes=strikes), arm, link, clock)
         loop.warm_up()
         stop = StopRequest(loop.request_stop)
         voice.say("note", text=f"listening at {setup.scenario.link.plant_endpoint}")

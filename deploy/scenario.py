@@ -39,12 +39,14 @@ from controller.prescribed_performance import Funnel
 from controller.reference import Reference, sample_positions
 from controller.torque_guard import TorqueGuard
 from deploy.can_check import check_can_link
+from deploy.fault_schedule import ScheduledFault, check_faults, plant_faults
 from deploy.link_files import find_delay_files
 from deploy.robot_files import find_urdf
 from deploy.yaml_files import ScenarioError, explain, override, read_yaml
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.driven_arm import DrivenArm
+from plant_emulator.faulty_link import Strike
 from plant_emulator.plant_loop import PlantTask
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
@@ -92,6 +94,7 @@ class Scenario(StrictModel):
     plant: PlantConfiguration = PlantConfiguration()
     limits: LimitsConfiguration = LimitsConfiguration()
     metrics: MetricsConfiguration = MetricsConfiguration()
+    faults: tuple[ScheduledFault, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -132,8 +135,13 @@ class Setup:
             compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
         )
 
-    def plant_task(self, *, lockstep: bool) -> PlantTask:
-        """The task of a plant."""
+    def plant_task(self, *, lockstep: bool, strikes: tuple[Strike, ...] = ()) -> PlantTask:
+        """The task of a plant.
+
+        Args:
+            lockstep: wait for the reply to every state that is delivered.
+            strikes: what is done to processes on the plant's clock.
+        """
         return PlantTask(
             robot=self.robot,
             plant=self.scenario.plant,
@@ -142,6 +150,8 @@ class Setup:
             ticks=self.ticks,
             lockstep=lockstep,
             seed=self.scenario.seed,
+            faults=plant_faults(self.scenario.faults),
+            strikes=strikes,
         )
 
     def can_run(self, *, lockstep: bool) -> CanRun:
@@ -159,6 +169,7 @@ class Setup:
             self.grid.substep_s,
             self.scenario.seed,
             self.scenario.limits,
+            plant_faults(self.scenario.faults),
         )
 
 
@@ -173,7 +184,7 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
         ScenarioError: anything about it is wrong.
     """
     path = find_scenario(name_or_path)
-    values = read_yaml(path)
+    values = _read_scenario(path)
     for text in overrides:
         override(values, text)
     try:
@@ -181,6 +192,28 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
     except ValidationError as error:
         raise ScenarioError(explain(error, path)) from error
     return check(scenario, path)
+
+
+def _read_scenario(path: Path) -> dict[str, Any]:
+    """The values of a scenario; one that ``extends`` another says only what is different."""
+    values = read_yaml(path)
+    base = values.pop("extends", None)
+    if base is None:
+        return values
+    if not isinstance(base, str):
+        raise ScenarioError(f"{path}: extends = {base!r}: must be the name or path of a scenario")
+    base_values = read_yaml(find_scenario(base))
+    if "extends" in base_values:
+        raise ScenarioError(f"{path}: extends = {base!r}: must be a scenario that extends no other")
+    return _merged(base_values, values)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
 
 
 def check(scenario: Scenario, source: Path) -> Setup:
@@ -228,6 +261,10 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
         raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
+    check_faults(
+        scenario.faults, robot.joint_names, scenario.duration_s, scenario.plant.payload_kg,
+        scenario.link.kind,
+    )  # fmt: skip
     link = find_delay_files(scenario.link, source.parent)
     setup = Setup(
         scenario=scenario.model_copy(update={"link": link}),

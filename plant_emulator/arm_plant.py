@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,9 @@ from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.modes import Cue, Mode, follow
 from bus_schema.robot_description import RobotDescription
+from plant_emulator.arm_faults import ArmFaults
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.fault_configuration import Fault
 from plant_emulator.joint_hardware import Encoders
 from plant_emulator.joint_torques import JointTorques
 from plant_emulator.pybullet_arm import PybulletArm
@@ -28,6 +31,7 @@ class ArmPlant:
         substep_s: length of a substep.
         seed: seed of everything random in the arm.
         limits: section ``limits`` of the scenario.
+        faults: what breaks, and when.
 
     Attributes:
         mode: what the arm does; changes as `bus_schema.modes.TRANSITIONS` has it.
@@ -46,8 +50,9 @@ class ArmPlant:
         substep_s: float,
         seed: int,
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
+        faults: Sequence[Fault] = (),
     ) -> None:
-        disturbance_seed, encoder_seed = np.random.SeedSequence(seed).spawn(2)
+        disturbance_seed, encoder_seed, fault_seed = np.random.SeedSequence(seed).spawn(3)
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
         self._stop_damping = expand(
@@ -58,6 +63,11 @@ class ArmPlant:
         )
         self._encoders = Encoders(
             configuration.encoder, robot.joints, np.random.default_rng(encoder_seed)
+        )
+        self._faults = (
+            ArmFaults(faults, robot.joint_names, np.random.default_rng(fault_seed))
+            if faults
+            else None
         )
         self._commanded: Vector = np.zeros(robot.joints)
         self._arm = PybulletArm(
@@ -97,9 +107,11 @@ class ArmPlant:
         self.torques.rest()
         self.torques.hits = 0
 
-    def read_encoders(self, into_position: Vector, into_velocity: Vector) -> None:
-        """Write what a controller gets to see of the motion."""
+    def read_encoders(self, into_position: Vector, into_velocity: Vector, now_ns: int = 0) -> None:
+        """Write what a controller gets to see of the motion at `now_ns`."""
         self._encoders.read(self.position, self.velocity, into_position, into_velocity)
+        if self._faults is not None:
+            self._faults.sense(into_position, into_velocity, now_ns)
 
     def begin(self) -> None:
         """Take part in a run: the brakes hold until the first torque."""
@@ -136,6 +148,9 @@ class ArmPlant:
 
     def step(self, time_s: float) -> None:
         """Advance by one substep that starts at `time_s`."""
+        now_ns = round(time_s * 1e9)
+        if self._faults is not None and self._faults.payload_falls(now_ns):
+            self._arm.drop_payload()
         if self._is_braked:
             self.torques.rest()
             self._arm.step_braked()
@@ -143,7 +158,10 @@ class ArmPlant:
         if self.mode is Mode.STOPPING and self._safe_stop == "damping":
             np.multiply(self._stop_damping, self.velocity, out=self._commanded)
             np.negative(self._commanded, out=self._commanded)
-        total = self.torques.act(self._commanded, self.motion, time_s)
+        asked = self._commanded
+        if self._faults is not None:
+            asked = self._faults.ask(asked, now_ns)
+        total = self.torques.act(asked, self.motion, time_s)
         if self._holds_some:
             self.torques.rest_at(self._held)
         self._arm.step(total)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bus_schema.arrays import Vector
@@ -10,6 +12,7 @@ from bus_schema.robot_description import RobotDescription
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
+from plant_emulator.fault_configuration import Fault
 
 
 class DrivenArm(ArmPlant):
@@ -22,6 +25,7 @@ class DrivenArm(ArmPlant):
         substep_s: length of a substep.
         seed: seed of everything random in the arm.
         limits: section ``limits`` of the scenario.
+        faults: what breaks, and when.
     """
 
     def __init__(
@@ -32,9 +36,10 @@ class DrivenArm(ArmPlant):
         substep_s: float,
         seed: int,
         limits: LimitsConfiguration,
+        faults: Sequence[Fault] = (),
     ) -> None:
         left_alone = configuration.model_copy(update={"safe_stop": "zero_torque"})
-        super().__init__(left_alone, robot, start_position_rad, substep_s, seed, limits)
+        super().__init__(left_alone, robot, start_position_rad, substep_s, seed, limits, faults)
         self._bank: DriveBank | None = None
 
     def attach(self, bank: DriveBank) -> None:

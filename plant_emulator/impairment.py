@@ -8,6 +8,7 @@ leaves what the others draw as it was, and runs that differ in one value are com
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from bus_schema.channel_configuration import ChannelConfiguration
 from bus_schema.link_configuration import LinkConfiguration
 from plant_emulator.channel import NEVER_NS, Channel, Item
 from plant_emulator.command_gate import Command
+from plant_emulator.fault_configuration import ChannelFault, Fault
 from plant_emulator.jitter import Jitter
 from plant_emulator.loss import Loss
 from plant_emulator.playout import PlayoutBuffer
@@ -38,15 +40,21 @@ class ImpairedChannel(Channel[Item]):
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
         seed: seed of everything random here.
+        faults: what befalls it beside that.
     """
 
-    def __init__(self, configuration: ChannelConfiguration, seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self,
+        configuration: ChannelConfiguration,
+        seed: np.random.SeedSequence,
+        faults: Sequence[ChannelFault] = (),
+    ) -> None:
         super().__init__(configuration.delay_ns)
         randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
         self._jitter, self._copys_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
         self._duplicate_numbers = uniform_numbers(randoms[4])
-        self._schedule = Schedule(configuration)
+        self._schedule = Schedule(configuration, faults)
         self._may_overtake = configuration.reorder
         self._flying: list[tuple[int, int, _Flight, Item]] = []
         self._entered = self._latest_due_ns = self._bandwidth_free_ns = 0
@@ -102,37 +110,49 @@ class ImpairedChannel(Channel[Item]):
         return due_ns
 
 
-def open_uplink(link: LinkConfiguration, seed: int) -> Channel[Item]:
+def open_uplink(link: LinkConfiguration, seed: int, faults: Iterable[Fault] = ()) -> Channel[Item]:
     """The way of states to the controller.
 
     Args:
         link: section of the scenario.
         seed: the scenario's seed.
+        faults: all faults of the plant; those of other parts are passed over.
 
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    return _open(link.uplink, seed, _UPLINK)
+    return _open(link.uplink, seed, _UPLINK, _of_channel(faults, "uplink"))
 
 
-def open_downlink(link: LinkConfiguration, seed: int) -> Channel[Command] | PlayoutBuffer:
+def open_downlink(
+    link: LinkConfiguration, seed: int, faults: Iterable[Fault] = ()
+) -> Channel[Command] | PlayoutBuffer:
     """The way of commands to the joints, with a play-out buffer where one is asked for.
 
     Args:
         link: section of the scenario.
         seed: the scenario's seed.
+        faults: all faults of the plant; those of other parts are passed over.
 
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    channel: Channel[Command] = _open(link.downlink, seed, _DOWNLINK)
+    channel: Channel[Command] = _open(
+        link.downlink, seed, _DOWNLINK, _of_channel(faults, "downlink")
+    )
     return PlayoutBuffer(channel, link.playout_ns) if link.playout_ns else channel
 
 
-def _open(configuration: ChannelConfiguration, seed: int, stream: int) -> Channel[Item]:
-    if configuration.is_constant:
+def _of_channel(faults: Iterable[Fault], direction: str) -> list[ChannelFault]:
+    return [f for f in faults if isinstance(f, ChannelFault) and f.direction == direction]
+
+
+def _open(
+    configuration: ChannelConfiguration, seed: int, stream: int, faults: Sequence[ChannelFault]
+) -> Channel[Item]:
+    if configuration.is_constant and not faults:
         return Channel(configuration.delay_ns)
-    return ImpairedChannel(configuration, np.random.SeedSequence(seed, spawn_key=(stream,)))
+    return ImpairedChannel(configuration, np.random.SeedSequence(seed, spawn_key=(stream,)), faults)
 
 
 _UPLINK, _DOWNLINK = 100, 101

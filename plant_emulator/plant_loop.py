@@ -31,6 +31,8 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel import Channel
 from plant_emulator.command_gate import Command, CommandGate
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.fault_configuration import Fault
+from plant_emulator.faulty_link import FaultyLink, Strike
 from plant_emulator.impairment import open_downlink, open_uplink
 from plant_emulator.plant_journal import PlantJournal
 from plant_emulator.watchdog import Watchdog
@@ -46,6 +48,8 @@ class PlantTask:
         lockstep: wait for the reply to every state that is delivered.
         ticks: length of the run.
         seed: seed of everything random on the link.
+        faults: what breaks, and when.
+        strikes: what is done to whole processes, and when.
     """
 
     robot: RobotDescription
@@ -55,6 +59,8 @@ class PlantTask:
     ticks: int
     lockstep: bool
     seed: int
+    faults: tuple[Fault, ...] = ()
+    strikes: tuple[Strike, ...] = ()
 
 
 class _Measurement(NamedTuple):
@@ -93,9 +99,13 @@ class PlantLoop:
         names = task.robot.joint_names
         self._task, self._arm, self._link, self._clock = task, arm, link, clock
         self._grid = task.grid
-        self._uplink: Channel[_Measurement] = open_uplink(task.link, task.seed)
-        self._downlink = open_downlink(task.link, task.seed)
+        self._uplink: Channel[_Measurement] = open_uplink(task.link, task.seed, task.faults)
+        self._downlink = open_downlink(task.link, task.seed, task.faults)
         self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
+        if task.faults or task.strikes:
+            self._link = FaultyLink(
+                link, clock, self._gate, names, task.faults, task.strikes, task.seed
+            )
         self._unused: Counter[str] = Counter()
         self._limits = LimitCounts()
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
@@ -318,7 +328,7 @@ class PlantLoop:
         word = stamp_word(stamp_ns)
         state.put_stamp(word)
         status.put_stamp(word)
-        self._arm.read_encoders(self._position, self._velocity)
+        self._arm.read_encoders(self._position, self._velocity, stamp_ns)
         self._effort[:] = self._arm.torques.actuator
         sequence = self._in_force.sequence if self._in_force else 0
         status.put_scalars(

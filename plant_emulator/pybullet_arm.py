@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import RobotDescription
+from bus_schema.robot_description import PAYLOAD_LINK, RobotDescription
 
 
 @contextlib.contextmanager
@@ -111,6 +111,13 @@ class PybulletArm:
             self._body, self._joints, pybullet.VELOCITY_CONTROL, forces=forces,
             physicsClientId=self._client,
         )  # fmt: skip
+
+    def drop_payload(self) -> None:
+        """Take the payload off, if there is one."""
+        for link in range(pybullet.getNumJoints(self._body, physicsClientId=self._client)):
+            name = pybullet.getJointInfo(self._body, link, physicsClientId=self._client)[12]
+            if name.decode() == PAYLOAD_LINK:
+                pybullet.changeDynamics(self._body, link, mass=0, physicsClientId=self._client)
 
     def step(self, torque_nm: Vector) -> None:
         """Apply joint torques (shape (joints,)) for one substep and read the joints."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from bus_schema.channel_configuration import (
@@ -12,6 +13,7 @@ from bus_schema.channel_configuration import (
     Ramp,
     Step,
 )
+from plant_emulator.fault_configuration import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
 
 _LOSSLESS_CHAIN = (0.0, 1.0, 1.0, 0.0)
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6
@@ -52,9 +54,17 @@ class _Change(NamedTuple):
 
 
 class Schedule:
-    """The conditions of a channel over a run."""
+    """The conditions of a channel over a run.
 
-    def __init__(self, configuration: ChannelConfiguration) -> None:
+    Args:
+        configuration: a section ``link.uplink`` or ``link.downlink``.
+        faults: what befalls the channel beside it.
+    """
+
+    def __init__(
+        self, configuration: ChannelConfiguration, faults: Sequence[ChannelFault] = ()
+    ) -> None:
+        self._faults = faults
         self._settled = target = _initial(configuration)
         self._changes: deque[_Change] = deque()
         self._outages: deque[tuple[int, int]] = deque()
@@ -77,6 +87,9 @@ class Schedule:
             self._outages.popleft()
         if self._outages and self._outages[0][0] <= now_ns:
             conditions = conditions._replace(loss=1.0)
+        for fault in self._faults:
+            if fault.is_active(now_ns):
+                conditions = _faulty(conditions, fault)
         return conditions
 
 
@@ -108,6 +121,16 @@ def _changed(before: Conditions, entry: Step | Ramp) -> Conditions:
         else:
             changes[name] = value
     return before._replace(**changes)
+
+
+def _faulty(conditions: Conditions, fault: ChannelFault) -> Conditions:
+    match fault:
+        case LinkCut():
+            return conditions._replace(loss=1.0)
+        case LinkSlowed():
+            return conditions._replace(delay_ns=conditions.delay_ns + fault.delay_ms * 1e6)
+        case LinkDuplicated():
+            return conditions._replace(duplicate=max(conditions.duplicate, fault.share))
 
 
 def _between(before: Conditions, ramp: _Change, now_ns: int) -> Conditions:

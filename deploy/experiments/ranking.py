@@ -21,7 +21,8 @@ from controller.laws import LAWS
 from deploy.experiments.metrics import summarise
 from deploy.experiments.simulate import simulate
 from deploy.experiments.tuning import cost, tuning_setup, varied, with_gains
-from deploy.scenario import Setup, load_setup, read_yaml
+from deploy.scenario import Setup, load_setup
+from deploy.yaml_files import read_yaml
 
 PROPOSED = "fixed_time_neural"
 RIVALS = ("pid", "smc", "tsmc", "ftsmc")

@@ -12,6 +12,7 @@ from bus_schema.in_process_link import InProcessBus, InProcessControllerLink
 from bus_schema.mcap_log import LogContents
 from controller.control_loop import ControlLoop
 from deploy.experiments.run_data import digest
+from deploy.fault_schedule import process_faults
 from deploy.scenario import Setup
 
 _STAMP = slice(4, 12)
@@ -45,7 +46,8 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
 
     Args:
         setup: the recorded scenario.
-        contents: the recording; a partial one is compared as far as it goes.
+        contents: the recording; a partial one, or one of a run whose controller was struck, is
+            compared as far as it goes.
     """
     states = contents.payloads[topics.JOINT_STATES.name]
     recorded = contents.payloads[topics.JOINT_COMMANDS.name]
@@ -62,7 +64,7 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     replayed = [command.payload for command in bus.commands]
     if setup.scenario.link.kind == "can":
         replayed = _as_delivered(setup, replayed)
-    if not contents.complete:
+    if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
     pairs = zip(recorded, replayed, strict=False)

@@ -10,6 +10,7 @@ from typing import Any
 from bus_schema.whole_files import write_whole
 from deploy.experiments import figures, figures_modes, figures_timing, report_tables
 from deploy.experiments.arm_pictures import arm_pictures
+from deploy.experiments.figures_faults import with_faults
 from deploy.experiments.report_page import Panel, page, plot, render_sections
 from deploy.experiments.report_verdict import judge
 from deploy.experiments.run_data import RunData
@@ -70,15 +71,16 @@ _SECTIONS = {
             "error-in-funnel",
             "True error inside its bounds",
             "The line should stay within the shaded band. The scale is that of the steady state;"
-            " the start is drawn in full beside or below. Red marks are ticks outside the bounds.",
-            plot(figures.error_in_funnel),
+            " the start is drawn in full beside or below. Red marks are ticks outside the bounds; a"
+            " red shade, here and in all figures over time, is a scheduled fault.",
+            plot(with_faults(figures.error_in_funnel)),
         ),
         Panel(
             "error-first-second",
             "The first second",
             "The bounds shrink from where the error begins. Look for overshoot beyond the far"
             " bound, and for how much room is left while the bounds close in.",
-            plot(figures.error_first_second),
+            plot(with_faults(figures.error_first_second)),
         ),
     ),
     "Control": (
@@ -87,14 +89,14 @@ _SECTIONS = {
             "Transformed error ε",
             "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
             " quarters of the way where the bounds are symmetric. As the controller saw it.",
-            plot(figures.transformed_error),
+            plot(with_faults(figures.transformed_error)),
         ),
         Panel(
             "torques",
             "Commanded torque",
             "A smooth line is kind to gears; a solid block of colour is chatter. Dotted lines are"
             " the limits of the actuators, where the command comes near them.",
-            plot(figures.torques),
+            plot(with_faults(figures.torques)),
         ),
     ),
     "Motion": (
@@ -109,7 +111,7 @@ _SECTIONS = {
             "tip-error",
             "Error of the end effector",
             "True minus reference position in the base frame, scaled to the steady state.",
-            plot(figures.tip_error),
+            plot(with_faults(figures.tip_error)),
         ),
         Panel(
             "arm",
@@ -125,7 +127,7 @@ _SECTIONS = {
             "Coloured: output of the network. Grey: M q̈ + C q̇ + G of the true arm at the reference"
             " acceleration, plus friction and disturbance. The closer the two, the less is left to"
             " the reaching terms. The scale is that of the steady state.",
-            plot(figures.network_output),
+            plot(with_faults(figures.network_output)),
         ),
     ),
     "Timing": (
@@ -143,7 +145,7 @@ _SECTIONS = {
             "Share of the ticks at which the torque in force answered a state that was too old."
             " Single bars are disturbances of the machine or the link; a full block is a link that"
             " is slower than the deadline allows.",
-            plot(figures_timing.deadline_misses),
+            plot(with_faults(figures_timing.deadline_misses)),
         ),
     ),
 }  # fmt: skip

@@ -14,8 +14,10 @@ from bus_schema.topics import RUN_EVENTS, Role, Topic
 from controller.control_loop import ControlLoop
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.experiments.simulate_can import run_over_can
+from deploy.fault_schedule import Blow, Order, process_faults, process_strikes
 from deploy.recorder import close_log, open_log, stamp_of
 from deploy.scenario import Setup
+from deploy.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 CLOCK = "virtual"
@@ -76,15 +78,27 @@ def simulate(
         setup: the scenario.
         on_start: called with the plant loop before it runs, to watch its progress or to stop it.
         can_log: file for the frames of a CAN bus.
+
+    Raises:
+        ScenarioError: it strikes a process that is not there.
     """
+    _require_simulable(setup)
     clock = VirtualClock()
     bus = InProcessBus(clock)
     if setup.scenario.link.kind == "can":
         stopped_by = run_over_can(setup, bus, clock, on_start, can_log)
         return Simulation(setup, bus.topics, bus.payloads, stopped_by)
-    controller = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
+    controllers_link = InProcessControllerLink(bus)
+    controller = ControlLoop(setup.control_task(), controllers_link)
+
+    def strike(order: Order) -> None:
+        """Silence the controller for good: the plant gives up on it at the first missed reply."""
+        if order.blow not in (Blow.THAW, Blow.BRING_BACK):
+            controllers_link.close()
+
+    task = setup.plant_task(lockstep=True, strikes=process_strikes(setup.scenario.faults, strike))
     arm = setup.arm()
-    plant = PlantLoop(setup.plant_task(lockstep=True), arm, InProcessPlantLink(bus), clock)
+    plant = PlantLoop(task, arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
         on_start(plant)
     try:
@@ -99,6 +113,20 @@ def simulate(
     finally:
         arm.close()
     return Simulation(setup, bus.topics, bus.payloads, bus.failure)
+
+
+def _require_simulable(setup: Setup) -> None:
+    for fault in process_faults(setup.scenario.faults):
+        if setup.scenario.link.kind == "can":
+            raise ScenarioError(
+                f"{setup.source}: faults: kind = {fault.kind!r}: must be of another kind for"
+                " simulate over CAN; run strikes processes"
+            )
+        if Role(fault.target) is not Role.CONTROLLER:
+            raise ScenarioError(
+                f"{setup.source}: faults: target = {fault.target!r}: must be controller for"
+                " simulate, which has no other process to strike; run has"
+            )
 
 
 def attempt(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -> Simulation:

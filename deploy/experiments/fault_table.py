@@ -1,0 +1,163 @@
+"""The table of faults: what each shipped fault scenario does to a run, as measured.
+
+`python -m deploy.experiments.fault_table` runs them all and writes the table into the README.
+Faults of plant or recorder as a process need real ones and run in lockstep; all others are
+simulated. Either way they are the same on every machine.
+"""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bus_schema import topics
+from bus_schema.modes import Mode
+from bus_schema.topics import Role
+from deploy.experiments.metrics import summarise
+from deploy.experiments.run_data import RunData
+from deploy.experiments.simulate import simulate
+from deploy.fault_schedule import process_faults
+from deploy.run_folder import load_run
+from deploy.scenario import SHIPPED, Setup, load_setup
+
+BEGIN = "<!-- fault table: python -m deploy.experiments.fault_table -->\n"
+END = "<!-- end of fault table -->\n"
+_HEADER = """\
+| scenario | reaction | to safe state | exit code | lost |
+|---|---|---|---|---|
+"""
+_README = Path(__file__).resolve().parents[2] / "README.md"
+_TICKS_OF_GRACE = 2
+
+
+class Outcome(NamedTuple):
+    """What a fault did to a run.
+
+    Attributes:
+        code: exit code of the run.
+        to_safe_state_ms: from the last torque that came into force to the begin of the safe stop;
+            None without one.
+        recorded_anew: a second recorder went on where the first one ended.
+    """
+
+    run: RunData
+    summary: dict[str, Any]
+    code: int
+    to_safe_state_ms: float | None
+    recorded_anew: bool = False
+
+    @property
+    def allowed_ms(self) -> float:
+        """Within which a silent arm must begin to stop."""
+        period_ms = self.run.setup.grid.period_ns * 1e-6
+        return self.run.setup.scenario.plant.command_timeout_ms + _TICKS_OF_GRACE * period_ms
+
+
+def fault_scenarios() -> list[str]:
+    """Names of the shipped scenarios with a fault."""
+    return [f"faults/{file.stem}" for file in sorted((SHIPPED / "faults").glob("*.yaml"))]
+
+
+def needs_processes(setup: Setup) -> bool:
+    """Whether a scenario strikes a process that a simulation has not."""
+    faults = process_faults(setup.scenario.faults)
+    return any(Role(fault.target) is not Role.CONTROLLER for fault in faults)
+
+
+def measure(name: str) -> Outcome:
+    """Run one of the scenarios, in virtual time."""
+    setup = load_setup(name)
+    if needs_processes(setup):
+        return _run(name)
+    data = simulate(setup).data()
+    summary = summarise(data)
+    code = int(bool(summary["faults"]) or not summary["completed"])
+    return Outcome(data, summary, code, to_safe_state_ms(data))
+
+
+def to_safe_state_ms(run: RunData) -> float | None:
+    """From the last torque that came into force to the begin of the safe stop, ms."""
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    stopped_s = run.times_s(topics.PLANT_TRUTH)[np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))]
+    commanded_s = run.times_s(topics.PLANT_TRUTH)[truth["round_trip_ns"] >= 0]
+    commanded_s = commanded_s[commanded_s <= stopped_s[0]] if len(stopped_s) else commanded_s
+    if not len(stopped_s) or not len(commanded_s):
+        return None
+    return round(1e3 * float(stopped_s[0] - commanded_s[-1]), 6)
+
+
+def table() -> str:
+    """The table as Markdown, from new runs."""
+    return _HEADER + "".join(_row(name, measure(name)) for name in fault_scenarios())
+
+
+def _run(name: str) -> Outcome:
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["run", name, "--set", "clock=lockstep", "--out", folder]
+        ended = subprocess.run(
+            [sys.executable, "-m", "deploy.cli", *words], capture_output=True, check=False
+        )
+        data, _ = load_run(Path(folder))
+        summary = summarise(data)
+        recorded_anew = Path(folder, "run-2.mcap").exists()
+        return Outcome(data, summary, ended.returncode, to_safe_state_ms(data), recorded_anew)
+
+
+def _row(name: str, outcome: Outcome) -> str:
+    time_ms = outcome.to_safe_state_ms
+    cells = [
+        f"`{name}`",
+        _reaction(outcome),
+        "—" if time_ms is None else f"{time_ms:g} ms",
+        str(outcome.code),
+        _lost(outcome),
+    ]
+    return f"| {' | '.join(cells)} |\n"
+
+
+def _reaction(outcome: Outcome) -> str:
+    bounds, run = outcome.summary["bounds"], outcome.run
+    if outcome.to_safe_state_ms is not None:
+        return f"safe stop ({run.setup.scenario.plant.safe_stop})"
+    if outcome.recorded_anew:
+        return "goes on, a second recording begins"
+    if outcome.code:
+        return "the run ends"
+    if bounds["kept"]:
+        return "goes on, bounds kept"
+    return f"goes on, bounds lost at {bounds['first_violation_s']:g} s"
+
+
+def _lost(outcome: Outcome) -> str:
+    summary, run = outcome.summary, outcome.run
+    words = []
+    for direction, what in (("uplink", "states"), ("downlink", "commands")):
+        counts = summary["transport"][direction]
+        if counts["lost"]:
+            words.append(f"{counts['lost']} {what}")
+        for reason, count in (counts["rejected"] or {}).items():
+            words.append(f"{count} {what} ({reason.replace('_', ' ')})")
+    if misses := summary["timing"]["deadline_misses"]:
+        words.append(f"{misses} deadlines")
+    if not run.complete:
+        words.append("the end of the recording")
+    return ", ".join(words) or "nothing"
+
+
+def main() -> None:
+    """Write the table into the README."""
+    logging.disable()
+    text = _README.read_text()
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    _README.write_text(f"{before}{BEGIN}{table()}{END}{after}")
+
+
+if __name__ == "__main__":
+    main()
