@@ -276,7 +276,7 @@ def test_control_status_tells_what_the_law_thought():
     np.testing.assert_allclose(fields["transformed_error"], expected, rtol=1e-12)
     for name in ("sliding_variable", "network_output", "network_norm"):
         assert np.isfinite(fields[name]).all()
-        assert (fields[name] != 0.0).all()
+        assert fields[name].any()  # a joint whose torque was saturated has learned nothing yet
 
 
 def test_what_a_law_has_not_is_nan():

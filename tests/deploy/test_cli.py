@@ -182,7 +182,8 @@ def test_impossible_file_of_delays_is_refused(
         file.write_text(text)
     section = f"{{distribution: empirical, distribution_file: {file}}}"
     message = refuse("run", "paper_arm", "--set", f"link.downlink={section}")
-    assert f"link.downlink.distribution_file = '{file}': {file}" in message
+    assert "link.downlink.distribution_file = " in message
+    assert str(file) in message
     assert complaint in message
 
 

@@ -83,7 +83,9 @@ def test_fault_has_the_outcome_stated(name):
 def test_what_is_kept_out_is_counted(name):
     direction, reason, count = COUNTED[name]
     summary = measured(f"faults/{name}").summary
-    assert summary["transport"][direction]["rejected"] == {reason: count}
+    rejected = summary["transport"][direction]["rejected"]
+    rejected.pop("after_stop", None)  # what goes on coming once the arm is stopped
+    assert rejected == {reason: count}
 
 
 @pytest.mark.parametrize("name", SIMULATED)
