@@ -47,7 +47,7 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.driven_arm import DrivenArm
 from plant_emulator.faulty_link import Strike
-from plant_emulator.plant_loop import PlantTask
+from plant_emulator.plant_task import PlantTask
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
 _CHECKED_PER_SECOND = 100

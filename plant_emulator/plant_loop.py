@@ -12,80 +12,27 @@ import json
 import logging
 import time
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from bus_schema import topics
 from bus_schema.cdr_layout import Record, stamp_word
-from bus_schema.clock import Clock, TickGrid
+from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
 from bus_schema.limits import LimitCounts, name_of
 from bus_schema.link import PlantLink
-from bus_schema.link_configuration import LinkConfiguration
 from bus_schema.modes import Mode, mode_event
-from bus_schema.robot_description import RobotDescription
 from bus_schema.topics import Role
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel import Channel
 from plant_emulator.command_gate import Command, CommandGate
-from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.fault_configuration import Fault
-from plant_emulator.faulty_link import FaultyLink, Strike
+from plant_emulator.faulty_link import FaultyLink
 from plant_emulator.impairment import open_downlink, open_uplink
 from plant_emulator.plant_journal import PlantJournal
+from plant_emulator.plant_task import Measurement, PlantOutcome, PlantTask
 from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class PlantTask:
-    """What the plant has to do.
-
-    Attributes:
-        lockstep: wait for the reply to every state that is delivered.
-        ticks: length of the run.
-        seed: seed of everything random on the link.
-        faults: what breaks, and when.
-        strikes: what is done to whole processes, and when.
-    """
-
-    robot: RobotDescription
-    plant: PlantConfiguration
-    link: LinkConfiguration
-    grid: TickGrid
-    ticks: int
-    lockstep: bool
-    seed: int
-    faults: tuple[Fault, ...] = ()
-    strikes: tuple[Strike, ...] = ()
-
-
-class _Measurement(NamedTuple):
-    """A joint state with the plant status that belongs to it, on its way to the controller."""
-
-    stamp_ns: int
-    state: bytes
-    status: bytes
-
-
-@dataclass
-class PlantOutcome:
-    """How a run ended.
-
-    Attributes:
-        ticks: ticks that passed.
-        completed: the run came to its planned end.
-        faults: one sentence each.
-        wall_s: wall time the loop took.
-    """
-
-    ticks: int = 0
-    completed: bool = False
-    faults: list[str] = field(default_factory=list)
-    wall_s: float = 0.0
 
 
 class PlantLoop:
@@ -99,7 +46,7 @@ class PlantLoop:
         names = task.robot.joint_names
         self._task, self._arm, self._link, self._clock = task, arm, link, clock
         self._grid = task.grid
-        self._uplink: Channel[_Measurement] = open_uplink(task.link, task.seed, task.faults)
+        self._uplink: Channel[Measurement] = open_uplink(task.link, task.seed, task.faults)
         self._downlink = open_downlink(task.link, task.seed, task.faults)
         self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
         if task.faults or task.strikes:
@@ -219,7 +166,7 @@ class PlantLoop:
         if self._arm.mode in _COMMANDABLE and (reason := self._link.fault()) is not None:
             self._begin_stop(reason)
 
-    def _deliver(self, measurement: _Measurement) -> None:
+    def _deliver(self, measurement: Measurement) -> None:
         self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
         self._journal.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
@@ -334,7 +281,7 @@ class PlantLoop:
         status.put_scalars(
             *_START, self._arm.mode, sequence, self._command_age_ns(), self._command_delay_ns
         )
-        measurement = _Measurement(stamp_ns, state.payload(), status.payload())
+        measurement = Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
 
     def _note_truth(self, *, was_skipped: bool) -> None:

@@ -14,7 +14,8 @@ from bus_schema.link import CommandArrival
 from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, layout
 from controller.control_loop import ControlLoop
 from deploy.scenario import Setup, load_setup
-from plant_emulator.plant_loop import PlantLoop, PlantOutcome
+from plant_emulator.plant_loop import PlantLoop
+from plant_emulator.plant_task import PlantOutcome
 
 HUGE_NM = 1e6
 ATTACKS = ("other_commander", "replay", "old_stamp", "not_finite", "huge", "garbage", "future")

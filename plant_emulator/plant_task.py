@@ -1,0 +1,61 @@
+"""What a run of the plant is given, what it passes on, and what comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from bus_schema.clock import TickGrid
+from bus_schema.link_configuration import LinkConfiguration
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.fault_configuration import Fault
+from plant_emulator.faulty_link import Strike
+
+
+@dataclass(frozen=True)
+class PlantTask:
+    """What the plant has to do.
+
+    Attributes:
+        lockstep: wait for the reply to every state that is delivered.
+        ticks: length of the run.
+        seed: seed of everything random on the link.
+        faults: what breaks, and when.
+        strikes: what is done to whole processes, and when.
+    """
+
+    robot: RobotDescription
+    plant: PlantConfiguration
+    link: LinkConfiguration
+    grid: TickGrid
+    ticks: int
+    lockstep: bool
+    seed: int
+    faults: tuple[Fault, ...] = ()
+    strikes: tuple[Strike, ...] = ()
+
+
+class Measurement(NamedTuple):
+    """A joint state with the plant status that belongs to it, on its way to the controller."""
+
+    stamp_ns: int
+    state: bytes
+    status: bytes
+
+
+@dataclass
+class PlantOutcome:
+    """How a run ended.
+
+    Attributes:
+        ticks: ticks that passed.
+        completed: the run came to its planned end.
+        faults: one sentence each.
+        wall_s: wall time the loop took.
+    """
+
+    ticks: int = 0
+    completed: bool = False
+    faults: list[str] = field(default_factory=list)
+    wall_s: float = 0.0
