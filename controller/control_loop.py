@@ -119,7 +119,7 @@ class ControlLoop:
                 sequence = self._write(torque)
                 self._report(sequence, started_ns)
         except Exception as error:
-            self.stop(str(error) if isinstance(error, ControllerError) else _named(error))
+            self.stop(reason_of(error))
             raise
 
     def stop(self, reason: str) -> None:
@@ -273,5 +273,6 @@ class ControlLoop:
         return tracking
 
 
-def _named(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"
+def reason_of(error: Exception) -> str:
+    """What stopped a controller, in one sentence; a stranger's exception is told by its name."""
+    return str(error) if isinstance(error, ControllerError) else f"{type(error).__name__}: {error}"

@@ -11,7 +11,7 @@ from bus_schema.clock import VirtualClock
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.topics import RUN_EVENTS, Role, Topic
-from controller.control_loop import ControlLoop
+from controller.control_loop import ControlLoop, reason_of
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.experiments.simulate_can import run_over_can
 from deploy.fault_schedule import Blow, Order, process_faults, process_strikes
@@ -106,7 +106,7 @@ def simulate(
             controller.warm_up()
         except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
             bus.failure = error
-            controller.stop(str(error))
+            controller.stop(reason_of(error))
         else:
             plant.run()
         controller.end()

@@ -11,7 +11,7 @@ from bus_schema.can_link import CanControllerLink
 from bus_schema.can_session import open_can_bus
 from bus_schema.clock import VirtualClock
 from bus_schema.in_process_link import InProcessBus, InProcessTelemetry
-from controller.control_loop import ControlLoop
+from controller.control_loop import ControlLoop, reason_of
 from deploy.links import can_controller_link, can_plant_link
 from deploy.scenario import Setup
 from plant_emulator.driven_arm import DrivenArm
@@ -85,7 +85,7 @@ class _Controller(threading.Thread):
             self._link.join(is_stop_requested=lambda: self._stop_requested)
         except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
             self.failure = error
-            self._loop.stop(str(error))
+            self._loop.stop(reason_of(error))
         finally:
             self._loop.end()
             self._telemetry.controller_is_there = False
