@@ -247,9 +247,12 @@ class ControlLoop:
             except InvalidMessageError as error:
                 self.rejections.note(error)
             else:
-                values = {name: int(value[0]) for name, value in self._plant_status.fields.items()}
-                start_ns = values["start.sec"] * 1_000_000_000 + values["start.nanosec"]
-                self._echo = Echo(values["command_sequence"], values["command_delay_ns"])
+                fields = self._plant_status.fields
+                start_ns = int(fields["start.sec"][0]) * 1_000_000_000
+                start_ns += int(fields["start.nanosec"][0])
+                self._echo = Echo(
+                    int(fields["command_sequence"][0]), int(fields["command_delay_ns"][0])
+                )
         return start_ns
 
     def _tracking_in_status(self) -> Tracking:
