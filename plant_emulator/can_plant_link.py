@@ -152,11 +152,13 @@ class CanPlantLink:
         bank, fields = self._drives.bank, self._measured.fields
         bank.measure(fields["position"], 0.0 * fields["velocity"], 0.0 * fields["effort"])
         now_ns, give_up_s = self._clock.now_ns(), time.monotonic() + _FAREWELL_S
-        while not bank.braked.all() and time.monotonic() < give_up_s:
+        while not self.controller_has_left() and time.monotonic() < give_up_s:
             frame = self._next_frame(_POLL_S)
-            if frame is not None and not self.controller_has_left():
+            if frame is not None:
                 now_ns += self._run.grid.period_ns if self._codec.is_sampling(frame) else 0
                 self._drives.handle(frame, now_ns)
+            elif bank.braked.all() and not self._controller_was_seen:
+                break  # nobody can tell when a foreign master has heard enough
             self._drives.advance(now_ns)
         self._telemetry.await_recorded()
 
