@@ -6,7 +6,7 @@ import random
 
 import pytest
 from bit_strings import classical, fd_lengths
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.can_bits import arbitration_key, longest_classical_bits, wire_bits
@@ -25,13 +25,11 @@ frames = st.builds(
 )
 
 
-@settings(deadline=None)  # the first call compiles
 @given(frames)
 def test_classical_frame_is_as_long_as_its_bits_written_out(frame: CanFrame) -> None:
     assert wire_bits(frame) == (len(classical(frame)), 0)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(st.booleans(), st.integers(0, (1 << 29) - 1), st.binary(max_size=64) | st.just(bytes(64)))
 def test_fd_frame_is_as_long_as_its_bits_written_out(
     extended: bool, identifier: int, data: bytes

@@ -69,7 +69,7 @@ def rejection(payload, wire_layout=STATE):
 
 
 @pytest.mark.parametrize("topic", FIXED_TOPICS, ids=lambda topic: topic.name)
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(names=JOINT_NAMES, seed=st.integers(0, 2**32 - 1))
 def test_payload_equals_rosbags_bytes_and_decodes_to_itself(topic, names, seed):
     wire_layout = layout(topic, tuple(names))
@@ -104,7 +104,6 @@ def test_stamp_is_split_into_seconds_and_nanoseconds():
     assert record.stamp_ns == 7_000_000_009
 
 
-@settings(deadline=None)
 @given(order=st.permutations(range(3)), frame=st.sampled_from(["", "x", "world"]))
 def test_foreign_joint_state_is_decoded_in_our_joint_order(order, frame):
     payload = joint_state(
@@ -190,13 +189,13 @@ def decode_or_reject(wire_layout, payload):
     assert len(record.payload()) == wire_layout.size
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(topic=st.sampled_from(FIXED_TOPICS), body=st.binary(max_size=300), headed=st.booleans())
 def test_random_bytes_are_decoded_or_rejected(topic, body, headed):
     decode_or_reject(layout(topic, THREE), b"\0\1\0\0" + body if headed else body)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(
     topic=st.sampled_from(FIXED_TOPICS),
     flips=st.lists(st.integers(0, 10_000), min_size=1, max_size=8),

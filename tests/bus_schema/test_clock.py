@@ -1,7 +1,7 @@
 import time
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.clock import MonotonicClock, TickGrid, VirtualClock
@@ -43,7 +43,6 @@ def test_physics_time_of_a_tick_is_its_period():
     assert 7 * grid.substep_s == pytest.approx(0.333_333_333, rel=1e-15)
 
 
-@settings(deadline=None)
 @given(st.floats(1.0, 10_000.0), st.integers(0, 10**15))
 def test_tick_at_or_before_is_the_last_tick_that_has_begun(rate_hz, instant_ns):
     grid = TickGrid(rate_hz, 1)
@@ -60,7 +59,6 @@ def test_virtual_clock_moves_only_when_waited_for_and_never_back():
     assert clock.now_ns() == 5
 
 
-@settings(deadline=None)
 @given(st.lists(st.integers(0, 10**12)))
 def test_virtual_clock_is_at_the_latest_instant_waited_for(instants):
     clock = VirtualClock()

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.configuration import ConfigurationError
@@ -77,7 +77,6 @@ def test_cut_goes_before_the_limit_of_change():
     assert hits == Hit.POSITION
 
 
-@settings(deadline=None)
 @given(
     st.tuples(*[st.floats(-1e300, 1e300)] * 3),
     st.tuples(*[st.floats(-10, 10)] * 3),

@@ -112,7 +112,7 @@ def test_first_state_integrates_nothing():
     np.testing.assert_allclose(torque, np.clip(expected, -limits, limits), rtol=1e-12)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(stamps=st.lists(st.integers(0, 10**12), min_size=1, max_size=20))
 def test_every_answer_echoes_the_stamp_of_its_state(stamps):
     bench = Bench()
@@ -180,7 +180,7 @@ def test_foreign_state_without_velocities_is_not_finite():
     assert bench.loop.rejections.counts == {"not_finite": 1}
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(
     payload=st.binary(max_size=200),
     flips=st.lists(st.integers(0, 10_000), min_size=1, max_size=6),

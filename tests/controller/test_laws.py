@@ -21,7 +21,7 @@ from deploy.robot_files import find_urdf
 JOINTS = 3
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 NO_LIMITS = np.full(JOINTS, np.inf)
-SETTINGS = settings(deadline=None, max_examples=60)
+SETTINGS = settings(max_examples=60)
 all_laws = pytest.mark.parametrize("name", LAWS)
 laws_with_memory = pytest.mark.parametrize("name", ["fixed_time_neural", "pid"])
 model_based_laws = pytest.mark.parametrize(

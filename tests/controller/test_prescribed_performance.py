@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from bus_schema.configuration import ConfigurationError
@@ -36,7 +36,6 @@ def error_at(share, upper, lower):
     return share * (upper if share > 0.0 else lower)
 
 
-@settings(deadline=None)
 @given(share=INSIDE, upper=BOUND, lower=BOUND)
 def test_inverse_undoes_the_transformation(share, upper, lower):
     error = error_at(share, upper, lower)
@@ -45,13 +44,11 @@ def test_inverse_undoes_the_transformation(share, upper, lower):
     assert back == pytest.approx(error, abs=1e-14 * max(upper, lower) / min(upper, lower))
 
 
-@settings(deadline=None)
 @given(epsilon=st.floats(-15.0, 15.0), upper=BOUND, lower=BOUND)
 def test_inverse_maps_every_number_into_the_funnel(epsilon, upper, lower):
     assert -lower < inverse_transform(epsilon, upper, lower) < upper
 
 
-@settings(deadline=None)
 @given(shares=st.tuples(INSIDE, INSIDE), upper=BOUND, lower=BOUND)
 def test_transformation_is_strictly_increasing(shares, upper, lower):
     smaller, larger = sorted(error_at(share, upper, lower) for share in shares)
@@ -60,7 +57,6 @@ def test_transformation_is_strictly_increasing(shares, upper, lower):
     assert transformation_rates(smaller, upper, lower, 0.0, 0.0)[0] > 0.0
 
 
-@settings(deadline=None)
 @given(upper=BOUND, lower=BOUND, d_upper=st.floats(-9.0, 0.0), d_lower=st.floats(-9.0, 0.0))
 def test_zero_error_is_zero_and_stays_so_however_unequal_the_bounds(upper, lower, d_upper, d_lower):
     assert transform(0.0, upper, lower) == 0.0
@@ -68,7 +64,6 @@ def test_zero_error_is_zero_and_stays_so_however_unequal_the_bounds(upper, lower
     assert transformation_rates(0.0, upper, lower, d_upper, d_lower)[1] == 0.0
 
 
-@settings(deadline=None)
 @given(
     initial=st.floats(0.02, 2.0), final=st.floats(1e-3, 0.02),
     rate=st.floats(0.1, 10.0), time_s=st.floats(0.0, 5.0),
@@ -133,7 +128,6 @@ TIMES = st.floats(0.01, 3.0)
 ACCURACY = 1e-6
 
 
-@settings(deadline=None)
 @given(motion=MOTIONS, time_s=TIMES)
 def test_rate_of_the_transformed_error_is_r_times_error_rate_minus_v(motion, time_s):
     r, v = motion.rates(time_s)
@@ -143,7 +137,6 @@ def test_rate_of_the_transformed_error_is_r_times_error_rate_minus_v(motion, tim
     assert r * (error_rate - v) == pytest.approx(numeric, abs=ACCURACY * scale)
 
 
-@settings(deadline=None)
 @given(motion=MOTIONS, time_s=TIMES)
 def test_rates_of_r_and_v_along_a_motion(motion, time_s):
     d_r, d_v = motion.accelerations(time_s)
@@ -154,7 +147,6 @@ def test_rates_of_r_and_v_along_a_motion(motion, time_s):
     assert d_v == pytest.approx(numeric_v, abs=ACCURACY * (abs(d_v) + abs(v) + 1.0))
 
 
-@settings(deadline=None)
 @given(error=st.floats(-1e300, 1e300), upper=BOUND, lower=BOUND)
 def test_clipping_keeps_errors_inside_and_changes_none_that_is(error, upper, lower):
     clipped = clip_into_funnel(error, upper, lower)
@@ -167,7 +159,6 @@ def test_clipping_keeps_errors_inside_and_changes_none_that_is(error, upper, low
     assert CLIP == 0.98
 
 
-@settings(deadline=None)
 @given(
     upper=st.floats(0.02, 2.0), lower=st.floats(0.02, 2.0),
     rate=st.floats(0.1, 10.0), time_s=st.floats(0.0, 20.0),
@@ -199,7 +190,6 @@ def test_funnel_opens_wide_to_the_side_of_the_error():
     assert funnel.rate_per_s == 4.0
 
 
-@settings(deadline=None)
 @given(offset=st.floats(-1.4, 1.4))
 def test_error_starts_inside_the_default_funnel(offset):
     funnel = FunnelConfiguration().build(np.array([offset]))

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.rbf_network import NODES, activate, adapt, node_axis
@@ -34,7 +34,6 @@ def test_node_answers_one_at_its_centre_and_one_over_root_e_at_one_width():
         assert activation(x, y - 0.3)[k] == pytest.approx(math.exp(-0.5), rel=1e-12)
 
 
-@settings(deadline=None)
 @given(x=INPUT, y=INPUT, width=st.floats(0.1, 2.0))
 def test_activation_is_gaussian_in_the_distance(x, y, width):
     distance = np.hypot(CENTRES[:, 0] - x, CENTRES[:, 1] - y)
@@ -42,20 +41,17 @@ def test_activation_is_gaussian_in_the_distance(x, y, width):
     np.testing.assert_allclose(activation(x, y, width), expected, rtol=1e-10, atol=1e-300)
 
 
-@settings(deadline=None)
 @given(x=INPUT, y=INPUT)
 def test_mirrored_inputs_activate_mirrored_nodes(x, y):
     np.testing.assert_allclose(activation(-x, -y), activation(x, y)[::-1], rtol=1e-12)
 
 
-@settings(deadline=None)
 @given(x=INPUT, y=INPUT)
 def test_no_input_falls_between_the_nodes(x, y):
     # Half the diagonal of a cell is 0.354: the nearest node answers exp(−0.694) or more.
     assert activation(x, y).max() >= 0.499
 
 
-@settings(deadline=None)
 @given(weight=st.floats(-1e3, 1e3), phi=st.floats(0.0, 1.0), s=st.floats(-10.0, 10.0))
 def test_one_step_of_adaptation(weight, phi, s):
     weights = np.array([weight, 0.0])
@@ -66,7 +62,6 @@ def test_one_step_of_adaptation(weight, phi, s):
     assert weights[1] == 0.0
 
 
-@settings(deadline=None)
 @given(phi=st.floats(0.01, 1.0), s=st.floats(0.01, 10.0))
 def test_adaptation_pushes_the_torque_against_the_sliding_variable(phi, s):
     # The torque is −W Φ: for s > 0 the weight grows, so the torque falls.

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.sliding_surface import sig, surface_pull, surface_pull_slope
@@ -17,7 +17,6 @@ GAINS = st.tuples(
 TRANSFORMED = st.floats(-20.0, 20.0)
 
 
-@settings(deadline=None)
 @given(x=st.floats(-1e6, 1e6), power=st.floats(0.1, 3.0))
 def test_sig_is_the_signed_power(x, power):
     assert sig(x, power) == math.copysign(abs(x) ** power, x)
@@ -26,7 +25,6 @@ def test_sig_is_the_signed_power(x, power):
     assert sig(x, 1.0) == x
 
 
-@settings(deadline=None)
 @given(epsilon=TRANSFORMED, gains=GAINS)
 def test_pull_is_odd_and_its_slope_even_and_positive(epsilon, gains):
     assert surface_pull(-epsilon, *gains) == -surface_pull(epsilon, *gains)
@@ -34,7 +32,6 @@ def test_pull_is_odd_and_its_slope_even_and_positive(epsilon, gains):
     assert surface_pull(0.0, *gains) == 0.0
 
 
-@settings(deadline=None)
 @given(epsilon=TRANSFORMED, gains=GAINS)
 def test_pull_beyond_eta_is_the_sum_of_both_powers(epsilon, gains):
     alpha_1, alpha_2, phi_1, phi_2, eta = gains
@@ -43,7 +40,6 @@ def test_pull_beyond_eta_is_the_sum_of_both_powers(epsilon, gains):
     assert surface_pull(size, *gains) == pytest.approx(expected, rel=1e-14)
 
 
-@settings(deadline=None)
 @given(gains=GAINS)
 def test_value_and_slope_are_continuous_at_eta(gains):
     eta = gains[-1]
@@ -54,7 +50,6 @@ def test_value_and_slope_are_continuous_at_eta(gains):
     assert surface_pull_slope(inside, *gains) == pytest.approx(slope, rel=1e-10)
 
 
-@settings(deadline=None)
 @given(share=st.floats(-50.0, 50.0), gains=GAINS)
 def test_slope_is_the_derivative_of_the_pull(share, gains):
     eta = gains[-1]
@@ -99,7 +94,6 @@ def test_sliding_takes_three_quarters_of_the_bound_for_the_default_gains():
     assert sliding_time(1e6, (5.0, 5.0, 1.4, 0.6, 1e-4)) == pytest.approx(expected, rel=1e-5)
 
 
-@settings(deadline=None)
 @given(start=st.floats(1e-3, 0.999), gains=GAINS)
 def test_pull_inside_eta_is_at_least_that_of_a_line(start, gains):
     # The patch is concave: above the chord from 0 to η, so ε decays at least exponentially.

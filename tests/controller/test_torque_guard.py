@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.limits import JointLimits
@@ -11,7 +11,6 @@ UNLIMITED = np.full(3, np.inf)
 TORQUE = st.lists(st.floats(-1e300, 1e300), min_size=3, max_size=3).map(np.array)
 
 
-@settings(deadline=None)
 @given(torque=TORQUE, step_s=st.floats(0.0, 1.0))
 def test_torque_within_limits_passes_unchanged_and_beyond_them_is_cut(torque, step_s):
     given_torque = torque.copy()
@@ -27,7 +26,6 @@ def test_infinite_limits_hold_nothing_back():
     assert out.tolist() == [1e9, -1e9, 0.0]
 
 
-@settings(deadline=None)
 @given(torques=st.lists(TORQUE, min_size=2, max_size=10), step_s=st.floats(1e-4, 0.1))
 def test_no_torque_changes_faster_than_its_rate_limit(torques, step_s):
     rates = np.array([1000.0, 500.0, np.inf])

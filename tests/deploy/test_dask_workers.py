@@ -102,6 +102,11 @@ def start(definition, out, *words, cwd=None):
     )  # fmt: skip
 
 
+def parts_of(out):
+    """Parts that are complete; the one that is being written has a longer name."""
+    return list(out.glob("rows/??????.parquet"))
+
+
 def done_here(definition, folder):
     """The table of a sweep that was done in this process, one run after another."""
     sweep = load_sweep(str(definition))
@@ -145,7 +150,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil,
     definition = write_sweep(tmp_path / "long.yaml", {"link.uplink.delay_ms": [0, 1]}, seeds=30)
     out = tmp_path / "out"
     command = start(definition, out, "--scheduler", address)
-    wait_for(lambda: list(out.glob("rows/*.parquet")) or (out / "sweep.parquet").exists())
+    wait_for(lambda: parts_of(out) or (out / "sweep.parquet").exists())
     assert not (out / "sweep.parquet").exists(), "too late to kill a worker in the middle"
     worker.kill()
     assert command.wait(timeout=WAIT_S) == 0
@@ -161,13 +166,13 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
     out = tmp_path / "out"
     words = (definition, out, "--workers", "1")
     killed = start(*words)
-    wait_for(lambda: list(out.glob("rows/*.parquet")) or (out / "sweep.parquet").exists())
+    wait_for(lambda: parts_of(out) or (out / "sweep.parquet").exists())
     killed.kill()
     killed.wait()
-    kept = sum(parquet.read_table(part).num_rows for part in out.glob("rows/*.parquet"))
+    kept = sum(parquet.read_table(part).num_rows for part in parts_of(out))
     assert 0 < kept < 24
     stopped = start(*words)
-    wait_for(lambda: len(list(out.glob("rows/*.parquet"))) > 1 or stopped.poll() is not None)
+    wait_for(lambda: len(parts_of(out)) > 1 or stopped.poll() is not None)
     stopped.send_signal(signal.SIGINT)
     output = stopped.communicate(timeout=WAIT_S)[0]
     assert stopped.returncode == 130, output

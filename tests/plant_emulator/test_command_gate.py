@@ -157,7 +157,6 @@ def test_newest_state_itself_may_be_answered():
     assert Bench().admit(payload(NEWEST_NS)) is not None
 
 
-@settings(deadline=None)
 @given(stamps=st.lists(st.integers(0, 2 * NEWEST_NS), max_size=30))
 def test_admitted_stamps_only_ever_grow(stamps):
     bench = Bench()
@@ -167,7 +166,7 @@ def test_admitted_stamps_only_ever_grow(stamps):
     assert len(admitted) + bench.rejected.total() == len(stamps)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(data=st.binary(max_size=200), headed=st.booleans())
 def test_random_bytes_never_come_through_and_change_nothing(data, headed):
     bench = Bench()
@@ -177,7 +176,7 @@ def test_random_bytes_never_come_through_and_change_nothing(data, headed):
     assert bench.admit(payload(6)) is not None
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(flips=st.lists(st.integers(0, 10_000), min_size=1, max_size=8))
 def test_what_comes_through_is_finite_and_in_time_whatever_bits_flip(flips):
     bench, data = Bench(), bytearray(payload(5))

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.configuration import ConfigurationError
@@ -20,7 +20,6 @@ TABLE = friction_table(CONFIGURATION, 3)
 VELOCITY = st.floats(-20.0, 20.0)
 
 
-@settings(deadline=None)
 @given(velocity=VELOCITY, joint=st.integers(0, 2))
 def test_friction_follows_its_formula(velocity, joint):
     coulomb, viscous, stribeck = ((8, 6, 4)[joint], (10, 8, 5)[joint], (2, 0, 1)[joint])
@@ -29,7 +28,6 @@ def test_friction_follows_its_formula(velocity, joint):
     assert friction_torque(velocity, TABLE, joint) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-@settings(deadline=None)
 @given(velocity=VELOCITY, joint=st.integers(0, 2))
 def test_friction_is_odd_and_never_drives(velocity, joint):
     torque = friction_torque(velocity, TABLE, joint)
@@ -46,7 +44,6 @@ def test_well_known_values():
     assert friction_torque(0.0, TABLE, 0) == 0.0
 
 
-@settings(deadline=None)
 @given(velocity=st.floats(-1e300, 1e300))
 def test_friction_is_finite_at_any_speed(velocity):
     assert math.isfinite(friction_torque(velocity, TABLE, 0))

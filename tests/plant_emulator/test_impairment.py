@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from bus_schema.link_configuration import LinkConfiguration
@@ -245,7 +244,6 @@ def test_delays_of_a_file_are_added_to_the_constant_one(tmp_path):
     assert set(delays_ms(passed(channel, 500)).values()) == {2.5, 3.5, 6.0}
 
 
-@hypothesis_settings(deadline=None)
 @given(
     gaps_ns=st.lists(st.integers(0, 5 * MS), max_size=60),
     loss=st.floats(0, 1), duplicate=st.floats(0, 1), reorder=st.booleans(),

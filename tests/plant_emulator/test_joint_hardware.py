@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.limits import LimitsConfiguration
@@ -37,7 +37,6 @@ def torques_of(**values):
     )
 
 
-@settings(deadline=None)
 @given(
     st.tuples(*[st.floats(-3.0, 3.0)] * 3),
     st.tuples(*[st.floats(-9.0, 9.0)] * 3),
@@ -48,7 +47,6 @@ def test_ideal_encoders_show_the_truth(position, velocity):
     assert seen_velocity.tolist() == list(velocity)
 
 
-@settings(deadline=None)
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_positions_are_the_nearest_multiple_of_the_resolution(position):
     resolution = np.array([1e-3, 0.0, 2.0 * np.pi / 4096])

@@ -1,4 +1,4 @@
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from plant_emulator.watchdog import Watchdog
@@ -20,7 +20,6 @@ def test_each_command_buys_one_timeout():
     assert watchdog.expires_ns < 391
 
 
-@settings(deadline=None)
 @given(timeout_ns=st.integers(1, 1000), gaps=st.lists(st.integers(0, 1000), min_size=1))
 def test_expires_exactly_when_the_silence_is_longer_than_the_timeout(timeout_ns, gaps):
     watchdog, now_ns = Watchdog(timeout_ns, timeout_ns), 0

@@ -174,7 +174,7 @@ FRAMES = st.builds(
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(frames=st.lists(FRAMES, max_size=60))
 def test_whatever_comes_nothing_breaks_and_no_torque_is_beyond_its_limit(protocol, frames):
     rig = Bank(protocol)
@@ -197,7 +197,7 @@ STRANGERS = st.builds(
 )  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(frames=st.lists(STRANGERS, max_size=60))
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_frames_that_command_nothing_give_no_torque(protocol, frames):
