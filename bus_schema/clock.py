@@ -101,9 +101,18 @@ class TickGrid:
     def tick_ns(self, tick: int) -> int:
         return tick * self.period_ns
 
-    def last_substep_ns(self, tick: int) -> int:
-        """Start of the last substep before the next tick."""
-        return tick * self.period_ns + self.substep_offsets_ns[-1]
+    def stages(self, *, paced: bool) -> tuple[tuple[int, ...], ...]:
+        """How the substeps of a tick are gone through: each stage once its last one has begun.
+
+        Args:
+            paced: in real time, where a stage of all substeps would leave too little time for
+                them before the tick; in virtual time, each further stage costs and gains nothing.
+
+        Returns:
+            the offsets of the substeps, stage by stage.
+        """
+        offsets_ns = self.substep_offsets_ns
+        return (offsets_ns[:-1], offsets_ns[-1:]) if paced and self.substeps > 1 else (offsets_ns,)
 
     def tick_at_or_before(self, instant_ns: int) -> int:
         return instant_ns // self.period_ns

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import sys
 import threading
@@ -96,7 +97,7 @@ def run_plant(
     lockstep = setup.scenario.clock == "lockstep"
     clock = _plant_clock(setup)
     arm = setup.arm()
-    _go_realtime(setup, voice)
+    _go_realtime(setup, voice, Role.PLANT)
     link = None
     try:
         link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
@@ -134,7 +135,7 @@ def _plant_clock(setup: Setup) -> Clock:
 def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
-    _go_realtime(setup, voice)
+    _go_realtime(setup, voice, Role.CONTROLLER)
     try:
         link = open_controller_link(setup)
     except BusError as error:
@@ -199,14 +200,24 @@ def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> i
     return code
 
 
-def _go_realtime(setup: Setup, voice: Voice) -> None:
+def _go_realtime(setup: Setup, voice: Voice, role: Role) -> None:
     if setup.scenario.clock != "realtime":
         return
-    grants = go_realtime()
+    grants = go_realtime(cpu=_own_cpu(role))
     voice.say("grants", grants=[vars(grant) for grant in grants])
     for grant in grants:
         if not grant.granted:
             voice.say("lacks", text=f"works without {grant.name}: {grant.detail}")
+
+
+def _own_cpu(role: Role) -> int | None:
+    """One of the usable CPUs for each loop, the last for the plant: it owns the clock, and the
+    first often has the interrupts. None where there is but one.
+    """
+    usable = sorted(os.sched_getaffinity(0))
+    if len(usable) == 1:
+        return None
+    return usable[-1] if role is Role.PLANT else usable[0]
 
 
 @contextlib.contextmanager

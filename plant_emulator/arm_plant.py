@@ -146,9 +146,8 @@ class ArmPlant:
         self._commanded[:] = 0.0
         self._set_brakes(engaged=True)
 
-    def step(self, time_s: float) -> None:
-        """Advance by one substep that starts at `time_s`."""
-        now_ns = round(time_s * 1e9)
+    def step(self, now_ns: int) -> None:
+        """Advance by one substep that starts at `now_ns`."""
         if self._faults is not None and self._faults.payload_falls(now_ns):
             self._arm.drop_payload()
         if self._is_braked:
@@ -161,7 +160,7 @@ class ArmPlant:
         asked = self._commanded
         if self._faults is not None:
             asked = self._faults.ask(asked, now_ns)
-        total = self.torques.act(asked, self.motion, time_s)
+        total = self.torques.act(asked, self.motion, now_ns * 1e-9)
         if self._holds_some:
             self.torques.rest_at(self._held)
         self._arm.step(total)

@@ -46,8 +46,8 @@ class DrivenArm(ArmPlant):
         """Give the joints their drives."""
         self._bank = bank
 
-    def step(self, time_s: float) -> None:
+    def step(self, now_ns: int) -> None:
         if self._bank is not None:
             self.hold(self._bank.braked)
             np.copyto(self._commanded, self._bank.torque_nm)
-        super().step(time_s)
+        super().step(now_ns)

@@ -44,11 +44,11 @@ class PlantJournal:
         self.deadline_misses = 0
 
     def begin_physics(self) -> None:
-        """The physics of a tick begins."""
-        self._physics_ns = -time.perf_counter_ns()
+        """A stage of the physics of a tick begins."""
+        self._physics_ns -= time.perf_counter_ns()
 
     def end_physics(self) -> None:
-        """The physics of a tick is done."""
+        """The stage is done."""
         self._physics_ns += time.perf_counter_ns()
 
     def begin_cycle(self, lateness_ns: int) -> None:
@@ -61,6 +61,7 @@ class PlantJournal:
     def end_cycle(self) -> None:
         """The work of the cycle is done."""
         self._step_ns = self._physics_ns + time.perf_counter_ns() - self._cycle_started_ns
+        self._physics_ns = 0
 
     def note_truth(
         self,

@@ -46,6 +46,7 @@ class PlantLoop:
         names = task.robot.joint_names
         self._task, self._arm, self._link, self._clock = task, arm, link, clock
         self._grid = task.grid
+        self._stages = task.grid.stages(paced=not task.lockstep)
         self._uplink: Channel[Measurement] = open_uplink(task.link, task.seed, task.faults)
         self._downlink = open_downlink(task.link, task.seed, task.faults)
         self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
@@ -133,10 +134,13 @@ class PlantLoop:
         tick = self._next_tick()
         # What acts in a substep is known when it begins: the physics need not wait for the tick,
         # at which nothing is left to do but to measure.
-        self._exchange_until(self._grid.last_substep_ns(tick - 1))
-        self._journal.begin_physics()
-        self._advance_to(tick)
-        self._journal.end_physics()
+        for offsets_ns in self._stages:
+            self._exchange_until(self._grid.tick_ns(tick - 1) + offsets_ns[-1])
+            self._journal.begin_physics()
+            if self.tick < tick - 1:
+                self._skip_to(tick - 1)
+            self._advance(offsets_ns)
+            self._journal.end_physics()
         self._exchange_until(self._grid.tick_ns(tick))
         self._journal.begin_cycle(self._lateness_ns)
         self._complete_tick(was_skipped=False)
@@ -207,22 +211,24 @@ class PlantLoop:
                     self._announce_commander(arrival.sender, commander)
                 self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
 
-    def _advance_to(self, tick: int) -> None:
-        """Let the physics catch up with a tick, substep by substep."""
-        arm, downlink, watchdog = self._arm, self._downlink, self._watchdog
-        while True:
-            tick_ns = self._grid.tick_ns(self.tick)
-            for offset_ns in self._grid.substep_offsets_ns:
-                now_ns = tick_ns + offset_ns
-                if downlink.next_due_ns <= now_ns:
-                    self._put_into_force(now_ns)
-                if watchdog.expires_ns < now_ns and arm.mode in _COMMANDABLE:
-                    timeout_ms = self._task.plant.command_timeout_ms
-                    self._stop_safely(f"no valid command for {timeout_ms:g} ms")
-                arm.step(now_ns * 1e-9)
-            if self.tick + 1 == tick:
-                return
+    def _skip_to(self, tick: int) -> None:
+        """Let the physics go through the ticks before this one, at which nothing is measured."""
+        while self.tick < tick:
+            self._advance(self._grid.substep_offsets_ns)
             self._complete_tick(was_skipped=True)
+
+    def _advance(self, offsets_ns: tuple[int, ...]) -> None:
+        """Let the physics go through the substeps of this tick that begin at these offsets."""
+        arm, downlink, watchdog = self._arm, self._downlink, self._watchdog
+        tick_ns = self._grid.tick_ns(self.tick)
+        for offset_ns in offsets_ns:
+            now_ns = tick_ns + offset_ns
+            if downlink.next_due_ns <= now_ns:
+                self._put_into_force(now_ns)
+            if watchdog.expires_ns < now_ns and arm.mode in _COMMANDABLE:
+                timeout_ms = self._task.plant.command_timeout_ms
+                self._stop_safely(f"no valid command for {timeout_ms:g} ms")
+            arm.step(now_ns)
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1

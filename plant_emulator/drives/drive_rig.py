@@ -107,7 +107,7 @@ class DriveRig:
         while self.counts.ticks < tick:
             tick_ns = self._grid.tick_ns(self.counts.ticks)
             for offset_ns in self._grid.substep_offsets_ns:
-                arm.step((tick_ns + offset_ns) * 1e-9)
+                arm.step(tick_ns + offset_ns)
             self.counts.ticks += 1
 
     def _measure(self) -> None:

@@ -37,6 +37,16 @@ def test_substeps_partition_a_tick(rate_hz, substeps, tick):
     assert all(abs(length - grid.substep_s * 1e9) < 1.0 for length in lengths)
 
 
+@pytest.mark.parametrize("substeps", SUBSTEPS)
+@pytest.mark.parametrize("paced", [False, True])
+def test_stages_hold_each_substep_once_and_in_order(substeps, paced):
+    grid = TickGrid(1000.0, substeps)
+    stages = grid.stages(paced=paced)
+    assert sum(stages, ()) == grid.substep_offsets_ns
+    # In real time only the last substep is left to the end of the tick.
+    assert len(stages[-1]) == (1 if paced else substeps)
+
+
 def test_physics_time_of_a_tick_is_its_period():
     grid = TickGrid(3.0, 7)
     assert grid.period_ns == 333_333_333

@@ -29,7 +29,7 @@ class Bench:
         """Advance; positions and velocities after each substep."""
         rows = []
         for _ in range(round(duration_s / SUBSTEP_S)):
-            self.arm.step(self.steps * SUBSTEP_S)
+            self.arm.step(round(self.steps * SUBSTEP_S * 1e9))
             self.steps += 1
             rows.append((self.arm.position.copy(), self.arm.velocity.copy()))
         positions, velocities = zip(*rows, strict=True)

@@ -74,9 +74,9 @@ def run():
             in_force[0] = float(torque_nm[0])
             command(torque_nm)
 
-        def note_step(time_s):
-            steps.append((round(time_s * 1e9), in_force[0]))
-            step(time_s)
+        def note_step(now_ns):
+            steps.append((now_ns, in_force[0]))
+            step(now_ns)
 
         arm.command, arm.step = note_command, note_step
         PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()
@@ -110,6 +110,11 @@ def first_under(steps, torque_nm):
 def test_command_is_in_force_from_the_substep_after_arrival_and_delay(run):
     _, steps = run("link.downlink.delay_ms=1", expected=[(3 * MS, 5_130_000)])
     assert first_under(steps, 3.0) == 6_250_000  # due at 6.13 ms
+
+
+def test_command_that_comes_while_a_tick_is_under_way_is_not_late_for_its_last_substep(run):
+    _, steps = run(expected=[(3 * MS, 4_600_000)])
+    assert first_under(steps, 3.0) == 4_750_000
 
 
 def test_command_waits_for_its_playout(run):
