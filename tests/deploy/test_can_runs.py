@@ -7,22 +7,24 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import canopen
 import cantools
 import numpy as np
 import pytest
 
 from bus_schema.arrays import Vector
+from bus_schema.can_cia402_master import MASTER_NODE
 from bus_schema.can_configuration import CanConfiguration
 from bus_schema.can_files import CANSIMPLE_DBC, CIA402_EDS
 from bus_schema.can_frame import CanFrame
 from bus_schema.can_session import open_can_bus
-from bus_schema.topics import PLANT_TRUTH
+from bus_schema.can_units import rated_torque_nm
+from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
 from deploy.experiments.metrics import summarise
 from deploy.experiments.run_data import RunData
 from deploy.experiments.simulate import simulate
 from deploy.scenario import load_setup
 from plant_emulator.arm_plant import Mode
+from tests.eds_decoding import EdsDecoder
 
 VIRTUAL = ["link.can.interface=virtual", "link.can.answer_timeout_s=20"]
 STRUCK_S = 0.5
@@ -107,20 +109,27 @@ def test_load_of_three_drives_is_that_of_their_frames(cia402: CanRun) -> None:
 
 
 def test_log_decodes_completely_with_our_eds(cia402: CanRun) -> None:
-    network = canopen.Network()
-    known = {0x000, 0x080, 0x77F}
-    for node_id in (1, 2, 3):
-        node = canopen.RemoteNode(node_id, str(CIA402_EDS))
-        network.add_node(node)
-        known |= {0x080 + node_id, 0x580 + node_id, 0x600 + node_id, 0x700 + node_id}
-        for pdo_record in (0x1400, 0x1401, 0x1800, 0x1801):
-            record = node.object_dictionary[pdo_record]
-            mapping = node.object_dictionary[pdo_record + 0x200]
-            assert mapping[0].default > 0
-            known.add(record[1].default & 0x7FF)
-    identifiers = {identifier for identifier, _ in cia402.frames()}
-    assert identifiers <= known
-    assert {0x181, 0x201, 0x701, 0x77F, 0x601, 0x581} <= identifiers
+    decoder = EdsDecoder(CIA402_EDS, (1, 2, 3), MASTER_NODE)
+    decoded: dict[int, list[dict[str, float]]] = {}
+    for identifier, content in cia402.frames():
+        values = decoder.decode(identifier, bytes.fromhex(content))
+        decoded.setdefault(identifier, []).append(values)
+    assert {0x000, 0x080, 0x181, 0x203, 0x581, 0x601, 0x701, 0x77F} <= decoded.keys()
+    # What the EDS makes of the frames is what the controller saw and gave, cycle by cycle.
+    setup = cia402.data.setup
+    states, commands = (cia402.data.tables[topic.name] for topic in (JOINT_STATES, JOINT_COMMANDS))
+    counts = [values["Position actual value"] for values in decoded[0x182]]
+    seen = states["position"][:, 1] / (2 * np.pi) * setup.scenario.link.can.counts_per_turn
+    assert holds_in_one_piece(counts, np.rint(seen))
+    rated_nm = rated_torque_nm(setup.scenario.link.can, setup.robot)[1]
+    per_mille = [values["Target torque"] for values in decoded[0x202]]
+    assert holds_in_one_piece(per_mille, np.rint(commands["effort"][:, 1] / rated_nm * 1000))
+
+
+def holds_in_one_piece(values: list[float], wanted: Vector) -> bool:
+    """Whether `wanted` stands somewhere in `values`; there is more before and after a run."""
+    starts = range(len(values) - len(wanted) + 1)
+    return any(np.array_equal(values[start : start + len(wanted)], wanted) for start in starts)
 
 
 def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:

@@ -1,4 +1,4 @@
-"""The long form of the fuzzing that the tests do in short: ``scripts/fuzz [MUTATIONS] [FILES]``."""
+"""The long form of the fuzzing in the tests: ``scripts/fuzz [MUTATIONS] [FILES] [FRAMES]``."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
 from scenarios import try_scenarios
 
@@ -14,7 +15,7 @@ _WARM_UP = 20_000
 _PROGRESS = 50_000
 
 
-def main(mutations: int = 200_000, files: int = 300) -> None:
+def main(mutations: int = 200_000, files: int = 300, frames: int = 20_000) -> None:
     """Fuzz; an assertion or any other exception ends it with a traceback."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -29,6 +30,12 @@ def main(mutations: int = 200_000, files: int = 300) -> None:
         target.close()
         print(f"accepted, and right: {target.accepted}; rejected: {dict(target.rejected)}")
         print(f"memory after the first {_WARM_UP}: {_peak_kib() - before_kib:+d} KiB")
+        for protocol in PROTOCOLS:
+            drives = CanTarget(protocol, 1, folder)
+            for _ in range(frames):
+                drives.attack()
+            print(f"{protocol}: {frames} mutated frames, {drives.commanded} of them torques that")
+            print(f"  acted as what they said; rejected: {dict(drives.reasons)}")
         print(f"scenario files: {dict(try_scenarios(files, 2, folder))}")
 
 

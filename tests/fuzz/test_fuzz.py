@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import logging
+
+import pytest
+from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
 from scenarios import try_scenarios
 
 from bus_schema.mcap_log import read_log
 
 MUTATIONS = 20_000
+FRAMES = 5_000
 
 
 def test_mutations_crash_nothing_and_no_wrong_command_comes_through(tmp_path):
@@ -20,6 +25,20 @@ def test_mutations_crash_nothing_and_no_wrong_command_comes_through(tmp_path):
     assert set(target.rejected) >= {"malformed", "not_finite", "stale", "replayed", "wrong_names"}
     assert len(target.rejected) <= 9  # reasons are ours, not the attacker's: counters are bounded
     assert read_log(tmp_path / "fuzz.mcap").complete
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_mutated_frames_crash_no_drive_and_give_no_torque_but_what_they_say(
+    protocol, tmp_path, caplog
+):
+    caplog.set_level(logging.CRITICAL)
+    target = CanTarget(protocol, 5, tmp_path)
+    for _ in range(FRAMES):
+        target.attack()
+    assert sum(target.kinds.values()) == FRAMES
+    assert target.commanded > 20  # else the check of torques checks nothing
+    assert sum(target.reasons.values()) > FRAMES // 2
+    assert len(target.reasons) <= 12  # counters are bounded: reasons are ours
 
 
 def test_mutated_scenario_runs_or_is_refused(tmp_path):

@@ -17,14 +17,16 @@ from pathlib import Path
 import cantools
 import pytest
 
+from bus_schema.can_cia402_master import MASTER_NODE
 from bus_schema.can_configuration import CanConfiguration
-from bus_schema.can_files import CANSIMPLE_DBC
+from bus_schema.can_files import CANSIMPLE_DBC, CIA402_EDS
 from bus_schema.can_frame import CanFrame
 from bus_schema.can_session import check_can_bus, open_can_bus
 from bus_schema.candump import candump_line
 from bus_schema.configuration import ConfigurationError
 from deploy.experiments.simulate import simulate
 from deploy.scenario import load_setup
+from tests.eds_decoding import EdsDecoder
 
 ROOT = Path(__file__).resolve().parents[2]
 VCAN = CanConfiguration(interface="socketcan", channel="vcan0")
@@ -77,6 +79,9 @@ def test_run_of_three_processes_gives_the_digest_of_the_virtual_bus(tmp_path: Pa
     contents = {candump_line(0, "vcan0", frame).split()[2] for frame in heard}
     assert {line.split()[2] for line in logged} <= contents
     assert sum(frame.identifier == 0x080 for frame in heard) >= TICKS  # SYNC
+    decoder = EdsDecoder(CIA402_EDS, (1, 2, 3), MASTER_NODE)
+    for frame in heard:
+        decoder.decode(frame.identifier, frame.data)  # raises where the EDS does not explain it
 
 
 def test_cansimple_frames_on_vcan_decode_with_our_dbc() -> None:

@@ -1,0 +1,140 @@
+"""Mutated CAN frames between the true ones that enable drives and command them."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+from mutation import Mutator
+
+from bus_schema.can_frame import CanFrame
+from deploy.experiments.simulate import simulate
+from deploy.scenario import load_setup
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.drive import DriveSettings
+
+NODES = (1, 2, 3)
+RATED_NM, LIMIT_NM = 20.0, 60.0
+PROTOCOLS = {"cia402": Cia402Drive, "cansimple": CanSimpleDrive}
+_FROM_MASTER = {
+    "cia402": re.compile(r"^(000|080|77F|[236]0[123])#"),
+    # requests without data, and axis states, modes, torques and cleared errors
+    "cansimple": re.compile(r"^\w{3}#R|^(0[246][7BE]|[035]\w8)#"),
+}
+_MS, _TRUE_FRAMES = 1_000_000, 4
+_FLAGS = ("is_extended", "is_remote", "is_error", "is_fd")
+_RPDO_1, _SET_INPUT_TORQUE = 0x200, 0x0E
+
+
+class CanTarget:
+    """Drives that hear what their master sent in a run, and a mutated frame before each of it.
+
+    Attributes:
+        kinds: mutated frames by what was done to them.
+        commanded: mutated frames that were torques, and acted as the torques that they were.
+        reasons: why frames were refused.
+    """
+
+    def __init__(self, protocol: str, seed: int, folder: Path) -> None:
+        self._is_cia402 = protocol == "cia402"
+        self._protocol = PROTOCOLS[protocol]
+        self._mutator = Mutator(seed)
+        self._corpus = frames_of_master(protocol, folder)
+        self._script: Iterator[CanFrame] = cycle(self._corpus)
+        self._now_ns = 0
+        self.kinds: Counter[str] = Counter()
+        self.reasons: Counter[str] = Counter()
+        self.commanded = 0
+        self._sent: list[CanFrame] = []
+        self._switch_on()
+
+    def attack(self) -> None:
+        """Send a mutated frame, and check what it did; then go on as the master would.
+
+        Several true frames for each mutated one: else the drives hardly ever get enabled.
+        """
+        self._send(self._mutated(self._mutator.choose(self._corpus)), is_mutated=True)
+        for _ in range(_TRUE_FRAMES):
+            true = next(self._script)
+            if true is self._corpus[0]:
+                self._switch_on()
+            self._send(true, is_mutated=False)
+
+    def _switch_on(self) -> None:
+        self.reasons.update(self._bank.rejections.counts if self._now_ns else {})
+        drives = [DriveSettings(node, RATED_NM, LIMIT_NM, watchdog_ms=50) for node in NODES]
+        self._bank = DriveBank(self._protocol, drives, self._sent.append)
+        self._bank.advance(self._now_ns)
+
+    def _send(self, frame: CanFrame, *, is_mutated: bool) -> None:
+        before_nm = self._bank.torque_nm.copy()
+        self._bank.receive(frame, self._now_ns)
+        self._check(frame, before_nm, is_mutated=is_mutated)
+        self._now_ns += _MS // 10
+        self._bank.advance(self._now_ns)
+        self._bank.describe(frame)
+        assert all(len(sent.data) <= 8 for sent in self._sent)
+        self._sent.clear()
+
+    def _check(self, frame: CanFrame, before_nm: np.ndarray, *, is_mutated: bool) -> None:
+        after_nm = self._bank.torque_nm
+        assert np.abs(after_nm).max() <= LIMIT_NM
+        assert not after_nm[self._bank.braked].any()
+        changed = np.flatnonzero((after_nm != before_nm) & (after_nm != 0.0))
+        if changed.size == 0:
+            return
+        is_plain = not any(getattr(frame, flag) for flag in _FLAGS)
+        assert is_plain, f"no torque may come of {frame}"
+        assert len(frame.data) <= 8
+        meant_nm = self._torque_in(frame)
+        if meant_nm is not None:
+            (joint,) = changed
+            wanted_nm = min(max(meant_nm, -LIMIT_NM), LIMIT_NM)
+            assert math.isclose(after_nm[joint], wanted_nm, rel_tol=1e-6), frame
+            self.commanded += is_mutated
+
+    def _torque_in(self, frame: CanFrame) -> float | None:
+        """The torque that a frame commands, read by the protocol's own book, N m."""
+        if self._is_cia402 and frame.identifier & 0x780 == _RPDO_1 and len(frame.data) == 4:
+            return struct.unpack("<Hh", frame.data)[1] * RATED_NM / 1000
+        is_torque = frame.identifier & 0x1F == _SET_INPUT_TORQUE and len(frame.data) >= 4
+        if not self._is_cia402 and is_torque:
+            return float(struct.unpack_from("<f", frame.data)[0])
+        return None
+
+    def _mutated(self, frame: CanFrame) -> CanFrame:
+        kind = self._mutator.choose(("data", "data", "identifier", "flags", "all"))
+        self.kinds[kind] += 1
+        if kind in ("data", "all"):
+            frame = frame._replace(data=self._mutator.bytes(frame.data)[:64])
+        if kind in ("identifier", "all"):
+            bits = 29 if self._mutator.chance(0.1) else 11
+            flipped = frame.identifier ^ 1 << self._mutator.choose(range(bits))
+            frame = frame._replace(identifier=flipped)
+        if kind in ("flags", "all"):
+            flag = self._mutator.choose(_FLAGS)
+            frame = frame._replace(**{flag: not getattr(frame, flag)})
+        return frame
+
+
+def frames_of_master(protocol: str, folder: Path) -> list[CanFrame]:
+    """What a master sends in a short run: all that enables the drives, and some cycles."""
+    log = folder / f"{protocol}.log"
+    values = ["duration_s=0.1", "link.can.interface=virtual", f"link.can.protocol={protocol}"]
+    simulate(load_setup("paper_arm_can", values), can_log=log)
+    contents = [line.split()[2] for line in log.read_text().splitlines()]
+    frames = []
+    for content in filter(_FROM_MASTER[protocol].match, contents):
+        identifier, data = content.split("#")
+        is_remote = data == "R"
+        given = b"" if is_remote else bytes.fromhex(data)
+        frames.append(CanFrame(int(identifier, 16), given, is_remote=is_remote))
+    return frames
