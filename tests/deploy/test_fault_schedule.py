@@ -101,6 +101,38 @@ def test_fault_is_told_and_begins_on_time(name):
         assert states[:STRUCK_TICK].tobytes() == before[:STRUCK_TICK].tobytes()
 
 
+OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500", "duration_s=1.5"]
+ARM_FAULTS = {
+    "actuator_dead", "actuator_weak", "encoder_biased", "encoder_noisy", "encoder_stuck",
+    "payload_dropped", "torque_offset",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(ARM_FAULTS))
+def test_fault_of_the_arm_does_the_same_over_can(name):
+    outcomes = []
+    for overrides in (OVER_CAN, [*OVER_CAN, "link.kind=in_process"]):
+        run = simulate(load_setup(f"faults/{name}", overrides)).data()
+        told = [event.stamp_ns for event in run.events if event.kind == EventKind.INJECTED]
+        assert told[0] == 1_000_000_000
+        assert run.faults() == []
+        assert to_safe_state_ms(run) is None
+        outcomes.append(summarise(run)["bounds"])
+    over_can, in_process = outcomes
+    assert over_can["kept"] == in_process["kept"]
+    if not over_can["kept"]:  # a tick of 2 ms, and what quantisation does to the error
+        delayed_s = over_can["first_violation_s"] - in_process["first_violation_s"]
+        assert abs(delayed_s) <= 0.004
+
+
+@pytest.mark.parametrize(
+    "name", sorted({name.removeprefix("faults/") for name in SIMULATED} - ARM_FAULTS)
+)
+def test_fault_of_messages_or_processes_is_refused_over_can_with_a_way_out(name):
+    with pytest.raises(ScenarioError, match=r"link\.can\.faults|run strikes processes"):
+        simulate(load_setup(f"faults/{name}", OVER_CAN))
+
+
 def test_cut_link_loses_all_that_is_sent_meanwhile():
     uplink = measured("faults/uplink_cut").summary["transport"]["uplink"]
     assert (uplink["lost"], uplink["loss_burst"]["longest"]) == (50, 50)
