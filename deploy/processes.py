@@ -203,19 +203,20 @@ def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> i
 def _go_realtime(setup: Setup, voice: Voice, role: Role) -> None:
     if setup.scenario.clock != "realtime":
         return
-    grants = go_realtime(cpu=_own_cpu(role))
+    grants = go_realtime(cpu=_own_cpu(setup, role))
     voice.say("grants", grants=[vars(grant) for grant in grants])
     for grant in grants:
         if not grant.granted:
             voice.say("lacks", text=f"works without {grant.name}: {grant.detail}")
 
 
-def _own_cpu(role: Role) -> int | None:
+def _own_cpu(setup: Setup, role: Role) -> int | None:
     """One of the usable CPUs for each loop, the last for the plant: it owns the clock, and the
-    first often has the interrupts. None where there is but one.
+    first often has the interrupts. None for no choice: where there is but one, and over CAN, where
+    canopen polls while another thread has to hand it the answers.
     """
     usable = sorted(os.sched_getaffinity(0))
-    if len(usable) == 1:
+    if len(usable) == 1 or setup.scenario.link.kind == "can":
         return None
     return usable[-1] if role is Role.PLANT else usable[0]
 

@@ -30,7 +30,7 @@ from plant_emulator.drives_on_bus import DrivesOnBus
 
 _POLL_S = 0.02
 _FAREWELL_S = 1.0
-_LEAD = 0.1
+_LEAD = 0.3
 """Share of the period by which the physics is ahead of the master in real time."""
 
 
