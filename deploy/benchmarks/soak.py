@@ -29,7 +29,8 @@ from deploy.launcher import with_free_endpoints
 from deploy.run_folder import load_run
 
 _SAMPLE_S = 1.0
-_WARM_UP_SHARE, _SHORTEST_WARM_UP_S = 0.2, 10.0
+_WARM_UP_SHARE, _SHORTEST_WARM_UP_S = 0.2, 45.0
+"""The recorder's mailbox has places for 40 s of messages; each takes memory when first used."""
 _LARGEST_GROWTH = 0.05
 _MIB = 1 << 20
 _ONE_SECOND_BYTES = 200_000
