@@ -19,6 +19,10 @@ class Mode(IntEnum):
     FAULT = 4
 
 
+COMMANDABLE = (Mode.READY, Mode.TRACKING)
+"""Modes in which a torque is given, or waited for."""
+
+
 class Cue(StrEnum):
     """What makes a side change its mode.
 

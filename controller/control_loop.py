@@ -22,7 +22,7 @@ from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
 from bus_schema.limits import name_of
 from bus_schema.link import ControllerLink
-from bus_schema.modes import Cue, Mode, follow, mode_event
+from bus_schema.modes import COMMANDABLE, Cue, Mode, follow, mode_event
 from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
 from bus_schema.topics import Role
@@ -124,7 +124,7 @@ class ControlLoop:
 
     def stop(self, reason: str) -> None:
         """Stop for a fault: the last torque that is sent is zero, whatever the rate limits say."""
-        if self.mode not in (Mode.READY, Mode.TRACKING):
+        if self.mode not in COMMANDABLE:
             return
         self._change_mode(Cue.FAIL, "zero torque")
         self._command.put_stamp(stamp_word(max(self.stamp_ns, 0)))
@@ -138,7 +138,7 @@ class ControlLoop:
 
     def end(self) -> dict[str, object]:
         """Say goodbye; what was counted."""
-        if self.mode in (Mode.READY, Mode.TRACKING):
+        if self.mode in COMMANDABLE:
             self._change_mode(Cue.END, "gives no more torques")
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,

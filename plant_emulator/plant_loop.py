@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections import Counter
 
 from bus_schema import topics
 from bus_schema.cdr_layout import Record, stamp_word
@@ -21,11 +20,12 @@ from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
 from bus_schema.limits import LimitCounts, name_of
 from bus_schema.link import PlantLink
-from bus_schema.modes import Mode, mode_event
+from bus_schema.modes import COMMANDABLE, Mode, mode_event
 from bus_schema.topics import Role
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel import Channel
-from plant_emulator.command_gate import Command, CommandGate
+from plant_emulator.command_gate import CommandGate
+from plant_emulator.command_side import CommandSide
 from plant_emulator.faulty_link import FaultyLink
 from plant_emulator.impairment import open_downlink, open_uplink
 from plant_emulator.plant_journal import PlantJournal
@@ -48,29 +48,28 @@ class PlantLoop:
         self._grid = task.grid
         self._stages = task.grid.stages(paced=not task.lockstep)
         self._uplink: Channel[Measurement] = open_uplink(task.link, task.seed, task.faults)
-        self._downlink = open_downlink(task.link, task.seed, task.faults)
+        downlink = open_downlink(task.link, task.seed, task.faults)
         self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
         if task.faults or task.strikes:
             self._link = FaultyLink(
                 link, clock, self._gate, names, task.faults, task.strikes, task.seed
             )
-        self._unused: Counter[str] = Counter()
         self._limits = LimitCounts()
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
-        mean_ns = self._uplink.mean_delay_ns + self._downlink.mean_delay_ns
+        mean_ns = self._uplink.mean_delay_ns + downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
         self._journal = PlantJournal(
             names, task.link.deadline_ns(self._grid.period_ns, round_trip_ns)
+        )
+        self._commands = CommandSide(
+            self._gate, downlink, self._watchdog, arm, self._journal, self._announce
         )
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
         self._position, self._velocity, self._effort = (
             self._state.fields[name] for name in ("position", "velocity", "effort")
         )
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
-        self._in_force: Command | None = None
-        self._command_delay_ns = -1
-        self._newest_sent_ns = -1
         self._controller_is_lost = False
         self._end_tick = task.ticks
         self._outcome = PlantOutcome()
@@ -125,7 +124,7 @@ class PlantLoop:
         """Stop the arm because the loop cannot go on."""
         reason = f"the plant cannot go on: {type(error).__name__}: {error}"
         logger.exception("the plant cannot go on", exc_info=error)
-        if self._arm.mode in _COMMANDABLE:
+        if self._arm.mode in COMMANDABLE:
             self._stop_safely(reason)
         else:
             self._fail(reason)
@@ -167,11 +166,12 @@ class PlantLoop:
         self._journal.send(self._link)
         self._lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
-        if self._arm.mode in _COMMANDABLE and (reason := self._link.fault()) is not None:
+        if self._arm.mode in COMMANDABLE and (reason := self._link.fault()) is not None:
             self._begin_stop(reason)
 
     def _deliver(self, measurement: Measurement) -> None:
-        self._newest_sent_ns = max(self._newest_sent_ns, measurement.stamp_ns)
+        commands = self._commands
+        commands.newest_sent_ns = max(commands.newest_sent_ns, measurement.stamp_ns)
         self._journal.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
         self._journal.send(self._link)
@@ -189,7 +189,7 @@ class PlantLoop:
                 self._collect_commands()
             elif self._link.controller_has_left():
                 self._controller_is_lost = True
-                if self._arm.mode in _COMMANDABLE and self._link.fault() is None:
+                if self._arm.mode in COMMANDABLE and self._link.fault() is None:
                     self._fail("the controller has left the bus")
                 return
             elif time.monotonic() > give_up_s:
@@ -200,16 +200,9 @@ class PlantLoop:
     def _collect_commands(self) -> None:
         arrivals = self._link.take_commands()
         if self._controller_is_lost:
-            # Whatever comes now answers a world that has moved on without it.
-            self._unused["after_loss"] += len(arrivals)
-            return
-        for arrival in arrivals:
-            commander = self._gate.commander
-            command = self._gate.admit(arrival, self._newest_sent_ns)
-            if command is not None:
-                if arrival.sender != commander:
-                    self._announce_commander(arrival.sender, commander)
-                self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
+            self._commands.leave_out(arrivals)
+        elif arrivals:
+            self._commands.take_in(arrivals)
 
     def _skip_to(self, tick: int) -> None:
         """Let the physics go through the ticks before this one, at which nothing is measured."""
@@ -219,39 +212,22 @@ class PlantLoop:
 
     def _advance(self, offsets_ns: tuple[int, ...]) -> None:
         """Let the physics go through the substeps of this tick that begin at these offsets."""
-        arm, downlink, watchdog = self._arm, self._downlink, self._watchdog
+        arm, downlink, watchdog = self._arm, self._commands.downlink, self._watchdog
         tick_ns = self._grid.tick_ns(self.tick)
         for offset_ns in offsets_ns:
             now_ns = tick_ns + offset_ns
             if downlink.next_due_ns <= now_ns:
-                self._put_into_force(now_ns)
-            if watchdog.expires_ns < now_ns and arm.mode in _COMMANDABLE:
+                self._commands.put_into_force(now_ns)
+            if watchdog.expires_ns < now_ns and arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._stop_safely(f"no valid command for {timeout_ms:g} ms")
             arm.step(now_ns)
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1
-        if self._downlink.next_due_ns <= (now_ns := self._grid.tick_ns(self.tick)):
-            self._put_into_force(now_ns)
+        if self._commands.downlink.next_due_ns <= (now_ns := self._grid.tick_ns(self.tick)):
+            self._commands.put_into_force(now_ns)
         self._note_truth(was_skipped=was_skipped)
-
-    def _put_into_force(self, now_ns: int) -> None:
-        for effective_ns, command in self._downlink.take_due(now_ns):
-            if self._in_force is not None and command.stamp_ns <= self._in_force.stamp_ns:
-                self._unused["overtaken"] += 1
-                continue
-            if self._arm.mode not in _COMMANDABLE:
-                self._unused["after_stop"] += 1
-                continue
-            self._watchdog.feed(effective_ns)
-            self._journal.round_trip_ns = effective_ns - command.stamp_ns
-            self._in_force = command
-            self._command_delay_ns = now_ns - command.stamp_ns
-            is_first = self._arm.mode is Mode.READY
-            self._arm.command(command.torque_nm)
-            if is_first:
-                self._announce_mode("first valid command, brakes released")
 
     def _heed_limits(self) -> None:
         """Count the limits that were hit during a tick, and stop where that is asked for."""
@@ -283,9 +259,9 @@ class PlantLoop:
         status.put_stamp(word)
         self._arm.read_encoders(self._position, self._velocity, stamp_ns)
         self._effort[:] = self._arm.torques.actuator
-        sequence = self._in_force.sequence if self._in_force else 0
+        commands = self._commands
         status.put_scalars(
-            *_START, self._arm.mode, sequence, self._command_age_ns(), self._command_delay_ns
+            *_START, self._arm.mode, commands.sequence, commands.age_ns(stamp_ns), commands.delay_ns
         )
         measurement = Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
@@ -293,16 +269,11 @@ class PlantLoop:
     def _note_truth(self, *, was_skipped: bool) -> None:
         if self._arm.torques.hits:
             self._heed_limits()
-        sequence = self._in_force.sequence if self._in_force else 0
+        now_ns, commands = self._grid.tick_ns(self.tick), self._commands
         self._journal.note_truth(
-            self._grid.tick_ns(self.tick), self.tick, self._arm, sequence, self._command_age_ns(),
+            now_ns, self.tick, self._arm, commands.sequence, commands.age_ns(now_ns),
             was_skipped=was_skipped,
         )  # fmt: skip
-
-    def _command_age_ns(self) -> int:
-        if self._in_force is None:
-            return -1
-        return self._grid.tick_ns(self.tick) - self._in_force.stamp_ns
 
     def _fail(self, reason: str) -> None:
         self._outcome.faults.append(reason)
@@ -312,22 +283,15 @@ class PlantLoop:
     def _announce_mode(self, why: str) -> None:
         self._announce(EventKind.MODE, mode_event(self._arm.mode, why))
 
-    def _announce_commander(self, sender: bytes, former: bytes | None) -> None:
-        name = f"session {sender.hex()}" if sender else "a session without a name"
-        took_over = (
-            f", after {former.hex() or 'one without a name'} left" if former is not None else ""
-        )
-        self._announce(EventKind.COMMANDER, name + took_over)
-
     def _announce(self, kind: EventKind, detail: str) -> None:
         self._journal.note_event(self._grid.tick_ns(self.tick), kind, detail)
 
     def _say_goodbye(self) -> None:
         outcome = self._outcome
-        rejected = self._gate.rejections.counts + self._unused
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
-            "downlink": self._downlink.statistics().summary() | {"rejected": rejected},
+            "downlink": self._commands.downlink.statistics().summary()
+            | {"rejected": self._commands.rejected},
             "limits": self._limits.summary(),
         } | self._link.report()
         if self._stop_requested:
@@ -341,4 +305,3 @@ class PlantLoop:
 _START = (0, 0)
 """Seconds and nanoseconds at which a run starts on its own clock."""
 _PATIENCE_S = 0.1
-_COMMANDABLE = (Mode.READY, Mode.TRACKING)
