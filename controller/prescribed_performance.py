@@ -15,9 +15,6 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.compiled import compiled
 
-CLIP = 0.98
-"""Errors beyond this fraction of a bound are treated as being at it: the logarithm ends there."""
-
 
 @dataclass(frozen=True)
 class Funnel:
@@ -50,24 +47,6 @@ def performance_function(
     """ρ(t) = (ρ₀ − ρ∞) e^(−μt) + ρ∞ with its first and second derivative."""
     transient = (initial - final) * math.exp(-rate * time_s)
     return transient + final, -rate * transient, rate * rate * transient
-
-
-@compiled
-def clip_into_funnel(error: float, upper: float, lower: float) -> float:
-    """The error, or the nearest value at which the transformation is still finite."""
-    return min(max(error, -CLIP * lower), CLIP * upper)
-
-
-@compiled
-def clipped_rate(
-    error: float, error_rate: float, upper: float, lower: float, d_upper: float, d_lower: float
-) -> float:
-    """Rate of `clip_into_funnel`: the error's own inside, that of the bound outside."""
-    if error > CLIP * upper:
-        return CLIP * d_upper
-    if error < -CLIP * lower:
-        return -CLIP * d_lower
-    return error_rate
 
 
 @compiled

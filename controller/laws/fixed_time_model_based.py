@@ -28,12 +28,11 @@ from controller.control_law import (
     Tracking,
 )
 from controller.prescribed_performance import (
-    clip_into_funnel,
-    clipped_rate,
     transform,
     transformation_accelerations,
     transformation_rates,
 )
+from controller.reopening import ReopeningFunnel
 from controller.sliding_surface import sig, surface_pull, surface_pull_slope
 
 
@@ -68,17 +67,19 @@ class FixedTimeModelBased:
         self.gains = gains
         self.diagnostics = Diagnostics(joints)
         self._model = model
+        self._funnel = ReopeningFunnel(joints)
         self._velocity: Vector = np.zeros(joints)
         self._acceleration: Vector = np.zeros(joints)
 
     def reset(self) -> None:
-        """Nothing to forget: the law has no memory."""
+        self._funnel.reset()
 
     def torque(self, tracking: Tracking) -> Vector:
+        self._funnel.update(tracking)
         _reference_motion(
             tracking.error,
             tracking.error_rate,
-            tracking.bounds,
+            self._funnel.bounds,
             tracking.reference_velocity,
             tracking.reference_acceleration,
             self.gains,
@@ -104,8 +105,7 @@ def _reference_motion(
     for i in range(error.size):
         upper, d_upper, dd_upper = bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i]
         lower, d_lower, dd_lower = bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i]
-        e = clip_into_funnel(error[i], upper, lower)
-        d_e = clipped_rate(error[i], error_rate[i], upper, lower, d_upper, d_lower)
+        e, d_e = error[i], error_rate[i]
         r, v = transformation_rates(e, upper, lower, d_upper, d_lower)
         d_r, d_v = transformation_accelerations(
             e, d_e, upper, lower, d_upper, d_lower, dd_upper, dd_lower
@@ -119,7 +119,7 @@ def _reference_motion(
         acceleration[i] = (
             reference_acceleration[i] + d_v - d_psi * d_epsilon / r + psi * d_r / (r * r)
         )
-        transformed[i], sliding[i] = epsilon, error_rate[i] - v + psi / r
+        transformed[i], sliding[i] = epsilon, d_e - v + psi / r
 
 
 @compiled

@@ -28,8 +28,9 @@ from bus_schema.configuration import (
 from controller.anti_windup import may_accumulate
 from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
 from controller.packed_gains import pack
-from controller.prescribed_performance import clip_into_funnel, transform, transformation_rates
+from controller.prescribed_performance import transform, transformation_rates
 from controller.rbf_network import NODES, activate, adapt, node_axis
+from controller.reopening import ReopeningFunnel
 from controller.sliding_surface import sig, surface_pull
 
 
@@ -75,20 +76,23 @@ class FixedTimeNeural:
         self._gains = pack(gains)
         self._limits = torque_limits_nm
         self.diagnostics = Diagnostics(joints)
+        self._funnel = ReopeningFunnel(joints)
         self._axis = node_axis()
         self._activation: Vector = np.zeros(NODES)
         self._weights: Matrix = np.zeros((joints, NODES))
         self._torque: Vector = np.zeros(joints)
 
     def reset(self) -> None:
+        self._funnel.reset()
         self._weights[:] = 0.0
         self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
+        self._funnel.update(tracking)
         _torque(
             tracking.error,
             tracking.error_rate,
-            tracking.bounds,
+            self._funnel.bounds,
             tracking.step_s,
             self._gains,
             self._limits,
@@ -114,9 +118,8 @@ def _torque(
     squared_norm = 0.0
     for i in range(error.size):
         upper, lower = bounds[UPPER, i], bounds[LOWER, i]
-        e = clip_into_funnel(error[i], upper, lower)
-        r, v = transformation_rates(e, upper, lower, bounds[D_UPPER, i], bounds[D_LOWER, i])
-        epsilon = transform(e, upper, lower)
+        r, v = transformation_rates(error[i], upper, lower, bounds[D_UPPER, i], bounds[D_LOWER, i])
+        epsilon = transform(error[i], upper, lower)
         d_epsilon = r * (error_rate[i] - v)
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
         s = (d_epsilon + pull) / r

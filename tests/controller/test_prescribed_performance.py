@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from bus_schema.configuration import ConfigurationError
 from controller.configuration import FunnelConfiguration
 from controller.prescribed_performance import (
-    CLIP,
     Funnel,
-    clip_into_funnel,
     inverse_transform,
     performance_function,
     transform,
@@ -145,18 +143,6 @@ def test_rates_of_r_and_v_along_a_motion(motion, time_s):
     r, v = motion.rates(time_s)
     assert d_r == pytest.approx(numeric_r, abs=ACCURACY * (abs(d_r) + r))
     assert d_v == pytest.approx(numeric_v, abs=ACCURACY * (abs(d_v) + abs(v) + 1.0))
-
-
-@given(error=st.floats(-1e300, 1e300), upper=BOUND, lower=BOUND)
-def test_clipping_keeps_errors_inside_and_changes_none_that_is(error, upper, lower):
-    clipped = clip_into_funnel(error, upper, lower)
-    assert -0.98 * lower <= clipped <= 0.98 * upper
-    assert math.isfinite(transform(clipped, upper, lower))
-    if -0.98 * lower <= error <= 0.98 * upper:
-        assert clipped == error
-    else:
-        assert clipped in (0.98 * upper, -0.98 * lower)
-    assert CLIP == 0.98
 
 
 @given(
