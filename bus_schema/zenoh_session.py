@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 # must not be what the emptying of the queue waits for.
 os.environ.setdefault(
     "ZENOH_RUNTIME",
-    "(rx: (handover: app), net: (handover: app), acc: (handover: app), app: (worker_threads: 1),"
-    " tx: (worker_threads: 1))",
+    "(rx: (handover: app), net: (handover: app), acc: (handover: app),"
+    " app: (worker_threads: 1, max_blocking_threads: 4),"
+    " tx: (worker_threads: 1, max_blocking_threads: 4))",
 )
 
 import zenoh
