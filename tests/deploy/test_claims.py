@@ -93,6 +93,15 @@ def test_settling_time_stays_below_one_bound_from_near_and_far(law):
     assert max(row.settling_time_s for row in result.rows) < 1.0 < result.bound_s < 5.0
 
 
+@pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
+@pytest.mark.parametrize("scenario", ["iiwa", "panda"])
+def test_arms_with_weaker_actuators_settle_below_it_too(scenario, law):
+    # On the way they leave the funnel, which then opens again.
+    setup = load_setup(scenario, [f"controller.law={law}", "duration_s=4"])
+    result = settling_test(setup, offsets_rad=(0.1, 1.0))
+    assert result.holds, result
+
+
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scenario", ["paper_arm", "iiwa", "panda"])
 def test_every_law_runs_on_every_arm_with_derived_gains(scenario, law):
