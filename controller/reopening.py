@@ -15,7 +15,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.compiled import compiled
-from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER, Tracking
+from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER
 
 LARGEST_SHARE = 0.98
 """Share of a bound at which the funnel opens: a little later, the logarithm ends."""
@@ -24,28 +24,34 @@ OPENING = 1.5
 RATE_PER_S = 4.0
 
 
-class ReopeningFunnel:
-    """Bounds for a law, in which every error has its place.
+class WorkingFunnel:
+    """What `reopen` keeps from cycle to cycle.
 
     Attributes:
         bounds: as `Tracking.bounds`, and equal to them unless an error has got out of them.
+        opening: by how much they are wider, rad, shape (joints,).
     """
 
     def __init__(self, joints: int) -> None:
         self.bounds: Matrix = np.zeros((6, joints))
-        self._opening: Vector = np.zeros(joints)
-
-    def update(self, tracking: Tracking) -> None:
-        """Take in the situation of a cycle."""
-        _reopen(tracking.error, tracking.bounds, tracking.step_s, self._opening, self.bounds)
+        self.opening: Vector = np.zeros(joints)
 
     def reset(self) -> None:
         """Forget that an error ever got out."""
-        self._opening[:] = 0.0
+        self.opening[:] = 0.0
 
 
 @compiled
-def _reopen(error: Vector, bounds: Matrix, step_s: float, opening: Vector, working: Matrix) -> None:
+def reopen(error: Vector, bounds: Matrix, step_s: float, opening: Vector, working: Matrix) -> None:
+    """Work out bounds in which every error has its place; for use in a law's own kernel.
+
+    Args:
+        error: rad, shape (joints,).
+        bounds: `Tracking.bounds`.
+        step_s: time since the last call.
+        opening: that of a `WorkingFunnel`, brought up to date.
+        working: `bounds` of the same, brought up to date.
+    """
     decay = math.exp(-RATE_PER_S * step_s)
     for i in range(error.size):
         opening[i] *= decay

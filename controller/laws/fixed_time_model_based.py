@@ -32,7 +32,7 @@ from controller.prescribed_performance import (
     transformation_accelerations,
     transformation_rates,
 )
-from controller.reopening import ReopeningFunnel
+from controller.reopening import WorkingFunnel, reopen
 from controller.sliding_surface import sig, surface_pull, surface_pull_slope
 
 
@@ -67,7 +67,7 @@ class FixedTimeModelBased:
         self.gains = gains
         self.diagnostics = Diagnostics(joints)
         self._model = model
-        self._funnel = ReopeningFunnel(joints)
+        self._funnel = WorkingFunnel(joints)
         self._velocity: Vector = np.zeros(joints)
         self._acceleration: Vector = np.zeros(joints)
 
@@ -75,10 +75,12 @@ class FixedTimeModelBased:
         self._funnel.reset()
 
     def torque(self, tracking: Tracking) -> Vector:
-        self._funnel.update(tracking)
         _reference_motion(
             tracking.error,
             tracking.error_rate,
+            tracking.bounds,
+            tracking.step_s,
+            self._funnel.opening,
             self._funnel.bounds,
             tracking.reference_velocity,
             tracking.reference_acceleration,
@@ -97,11 +99,13 @@ class FixedTimeModelBased:
 
 @compiled
 def _reference_motion(
-    error: Vector, error_rate: Vector, bounds: Matrix,
+    error: Vector, error_rate: Vector, real_bounds: Matrix, step_s: float,
+    opening: Vector, bounds: Matrix,
     reference_velocity: Vector, reference_acceleration: Vector, gains: FixedTimeModelBasedGains,
     transformed: Vector, sliding: Vector, velocity: Vector, acceleration: Vector,
 ) -> None:  # fmt: skip
     g = gains
+    reopen(error, real_bounds, step_s, opening, bounds)
     for i in range(error.size):
         upper, d_upper, dd_upper = bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i]
         lower, d_lower, dd_lower = bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i]

@@ -30,7 +30,7 @@ from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, 
 from controller.packed_gains import pack
 from controller.prescribed_performance import transform, transformation_rates
 from controller.rbf_network import NODES, activate, adapt, node_axis
-from controller.reopening import ReopeningFunnel
+from controller.reopening import WorkingFunnel, reopen
 from controller.sliding_surface import sig, surface_pull
 
 
@@ -76,7 +76,7 @@ class FixedTimeNeural:
         self._gains = pack(gains)
         self._limits = torque_limits_nm
         self.diagnostics = Diagnostics(joints)
-        self._funnel = ReopeningFunnel(joints)
+        self._funnel = WorkingFunnel(joints)
         self._axis = node_axis()
         self._activation: Vector = np.zeros(NODES)
         self._weights: Matrix = np.zeros((joints, NODES))
@@ -88,12 +88,13 @@ class FixedTimeNeural:
         self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
-        self._funnel.update(tracking)
         _torque(
             tracking.error,
             tracking.error_rate,
-            self._funnel.bounds,
+            tracking.bounds,
             tracking.step_s,
+            self._funnel.opening,
+            self._funnel.bounds,
             self._gains,
             self._limits,
             self._weights,
@@ -110,11 +111,13 @@ class FixedTimeNeural:
 
 @compiled
 def _torque(
-    error: Vector, error_rate: Vector, bounds: Matrix, step_s: float, gains: NDArray[np.void],
+    error: Vector, error_rate: Vector, real_bounds: Matrix, step_s: float,
+    opening: Vector, bounds: Matrix, gains: NDArray[np.void],
     limits: Vector, weights: Matrix, axis: Vector, activation: Vector,
     transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
 ) -> None:  # fmt: skip
     g = gains[0]
+    reopen(error, real_bounds, step_s, opening, bounds)
     squared_norm = 0.0
     for i in range(error.size):
         upper, lower = bounds[UPPER, i], bounds[LOWER, i]

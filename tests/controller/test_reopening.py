@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER, Tracking
-from controller.reopening import ReopeningFunnel
+from controller.reopening import WorkingFunnel, reopen
 
 STEP_S = 1e-3
 
@@ -21,10 +21,15 @@ def situation(error_rad, upper_rad=0.01, lower_rad=0.02):
 
 
 def bounds_after(*errors_rad):
-    funnel = ReopeningFunnel(1)
+    funnel = WorkingFunnel(1)
     for error_rad in errors_rad:
-        funnel.update(situation(error_rad))
+        update(funnel, error_rad)
     return funnel.bounds[:, 0]
+
+
+def update(funnel, error_rad):
+    now = situation(error_rad)
+    reopen(now.error, now.bounds, now.step_s, funnel.opening, funnel.bounds)
 
 
 @given(share=st.floats(-0.98, 0.98))
@@ -63,8 +68,8 @@ def test_every_error_has_its_place(error_rad):
 
 
 def test_reset_closes_it():
-    funnel = ReopeningFunnel(1)
-    funnel.update(situation(1.0))
+    funnel = WorkingFunnel(1)
+    update(funnel, 1.0)
     funnel.reset()
-    funnel.update(situation(0.0))
+    update(funnel, 0.0)
     assert funnel.bounds[UPPER, 0] == 0.01
