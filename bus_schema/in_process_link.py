@@ -87,6 +87,9 @@ class InProcessPlantLink:
         taken, self._bus.commands = self._bus.commands, []
         return taken
 
+    def overflow(self) -> int:
+        return 0
+
     def fault(self) -> str | None:
         return None
 

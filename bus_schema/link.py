@@ -77,6 +77,10 @@ class PlantLink(Publisher, Protocol):
         """All commands that arrived since the last call, in order of arrival."""
         ...
 
+    def overflow(self) -> int:
+        """How many commands were left out, because too many waited to be taken."""
+        ...
+
     def fault(self) -> str | None:
         """Why the arm must stop now, as what hangs on the bus tells; None if all is well."""
         ...

@@ -45,6 +45,7 @@ class ZenohPlantLink:
         self._await_recorder = await_recorder
         self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._pending: list[CommandArrival] = []
+        self._overflow = 0
         self._commander_was_seen = False
         self._node = ZenohNode(link, Role.PLANT, lossless=lossless)
         self._states = self._node.advertise(topics.JOINT_STATES)
@@ -106,6 +107,9 @@ class ZenohPlantLink:
             taken.append(self._arrivals.get_nowait())
         return taken
 
+    def overflow(self) -> int:
+        return self._overflow
+
     def fault(self) -> str | None:
         return None
 
@@ -114,7 +118,8 @@ class ZenohPlantLink:
 
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
-            return  # a flood: what comes after is no use, and memory is bounded
+            self._overflow += 1  # a flood: what comes after is no use, and memory is bounded
+            return
         now_ns = self._clock.now_ns()
         self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
 

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 # Read by zenoh when it is imported: what receives shares one thread, so that a message reaches its
 # callback without a hand-over. What sends from queues has another: a callback that fills a queue
 # must not be what the emptying of the queue waits for.
-# What blocks leaves its work to another thread; of fifty, zenoh's default, thirty at once start when
-# the machine is late, and 2 MiB of stack for each, where memory is locked, make it later by 30 ms.
+# What blocks leaves its work to another thread. Of zenoh's fifty, thirty at once start when the
+# machine is late, and where memory is locked, 2 MiB of stack for each make it later by 30 ms.
 os.environ.setdefault(
     "ZENOH_RUNTIME",
     "(rx: (handover: app), net: (handover: app), acc: (handover: app),"

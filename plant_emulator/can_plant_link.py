@@ -136,6 +136,9 @@ class CanPlantLink:
     def take_commands(self) -> list[CommandArrival]:
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
 
+    def overflow(self) -> int:
+        return 0
+
     def fault(self) -> str | None:
         """What is wrong with drives, if anything is."""
         return "; ".join(self._drives.bank.faults) or None

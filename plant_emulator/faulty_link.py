@@ -92,7 +92,7 @@ class FaultyLink:
         self.await_controller = link.await_controller
         self.controller_has_left = link.controller_has_left
         self.sender_has_left = link.sender_has_left
-        self.fault, self.report = link.fault, link.report
+        self.fault, self.report, self.overflow = link.fault, link.report, link.overflow
         self.close = link.close
 
     def publish(self, topic: Topic, payload: bytes) -> int:

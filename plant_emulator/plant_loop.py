@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections import Counter
 
 from bus_schema import topics
 from bus_schema.cdr_layout import Record, stamp_word
@@ -291,7 +292,7 @@ class PlantLoop:
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
             "downlink": self._commands.downlink.statistics().summary()
-            | {"rejected": self._commands.rejected},
+            | {"rejected": self._commands.rejected + Counter(overflow=self._link.overflow())},
             "limits": self._limits.summary(),
         } | self._link.report()
         if self._stop_requested:

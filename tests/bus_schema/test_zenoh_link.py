@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 
+from bus_schema import zenoh_link
 from bus_schema.cdr_layout import Record
 from bus_schema.clock import MonotonicClock
 from bus_schema.errors import PeerSilentError
@@ -274,6 +275,18 @@ def test_commander_is_followed_only_once_it_has_left() -> None:
             assert command(again, plant, 2) is not None
             assert gate.commander not in (None, commander)
     assert not gate.rejections.counts
+
+
+def test_commands_beyond_the_largest_backlog_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zenoh_link, "_LARGEST_BACKLOG", 20)
+    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
+    with plant_on(link) as plant, controller_on(link) as controller:
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        for _ in range(50):
+            controller.publish(JOINT_COMMANDS, reply)
+        await_true(lambda: plant.overflow() == 30)
+        assert [arrival.sequence for arrival in plant.take_commands()] == list(range(1, 21))
 
 
 def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it() -> None:
