@@ -23,6 +23,7 @@ MEMORY_LOCK = "memory lock"
 TIMER_SLACK = "timer slack"
 AFFINITY = "CPU affinity"
 GARBAGE_COLLECTOR = "garbage collector"
+PRECEDENCE = "precedence"
 
 _MCL_CURRENT = 1  # <sys/mman.h>
 _MCL_FUTURE = 2
@@ -78,7 +79,7 @@ def probe() -> list[Grant]:
         )
         return [Grant(**values) for values in json.loads(child.stdout)]
     except (OSError, subprocess.SubprocessError, ValueError) as error:
-        names = (SCHEDULER, MEMORY_LOCK, TIMER_SLACK, GARBAGE_COLLECTOR)
+        names = (SCHEDULER, MEMORY_LOCK, TIMER_SLACK, GARBAGE_COLLECTOR, PRECEDENCE)
         return [Grant(name, False, f"could not be tried out: {error}") for name in names]
 
 
@@ -89,6 +90,15 @@ def request_fifo(priority: int) -> Grant:
         priority: 1 to 99.
     """
     return _ask(SCHEDULER, lambda: _schedule(priority))
+
+
+def request_precedence(nice: int = -10) -> Grant:
+    """Let the calling process go before ordinary ones, and the threads it starts from now on.
+
+    For a recorder: it must not fall behind the loops because of what else is running, nor be in
+    their way. Call it in the main thread before other threads exist.
+    """
+    return _ask(PRECEDENCE, lambda: _precede(nice))
 
 
 def _ask(name: str, request: Callable[[], str]) -> Grant:
@@ -115,6 +125,17 @@ def _schedule(priority: int) -> str:
             f"SCHED_FIFO {priority}: {error.strerror}; priorities are 1 to 99"
         ) from error
     return f"SCHED_FIFO, priority {priority}"
+
+
+def _precede(nice: int) -> str:
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, nice)
+    except PermissionError as error:
+        raise _RefusedError(
+            f"nice {nice} is not permitted: allow it by nice {nice} in /etc/security/limits.conf, "
+            f"Nice={nice} in a systemd unit or the capability CAP_SYS_NICE"
+        ) from error
+    return f"nice {nice}"
 
 
 def _pin(cpu: int) -> str:
@@ -204,4 +225,4 @@ def _kib(text: str, key: str) -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps([asdict(grant) for grant in go_realtime()]))
+    print(json.dumps([asdict(grant) for grant in (*go_realtime(), request_precedence())]))

@@ -167,6 +167,8 @@ def _grants() -> list[Finding]:
         "clock lockstep",
         realtime.TIMER_SLACK: "each wake-up may come some 50 µs later in clock realtime; no "
         "effect in clock lockstep",
+        realtime.PRECEDENCE: "on a busy machine the recorder falls behind and needs memory for it; "
+        "no effect in clock lockstep",
         realtime.GARBAGE_COLLECTOR: "a collection may delay a cycle in clock realtime; no effect "
         "in clock lockstep",
     }

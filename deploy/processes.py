@@ -20,7 +20,7 @@ from rich.console import Console
 from bus_schema.can_link import CanControllerLink
 from bus_schema.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
 from bus_schema.errors import BusError
-from bus_schema.realtime import go_realtime
+from bus_schema.realtime import Grant, go_realtime, request_precedence
 from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
@@ -177,6 +177,8 @@ def _control(
 
 def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> int:
     """Be the recorder for one run; the exit code."""
+    if setup.scenario.clock == "realtime":
+        _tell([request_precedence()], voice)
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
@@ -203,7 +205,10 @@ def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> i
 def _go_realtime(setup: Setup, voice: Voice, role: Role) -> None:
     if setup.scenario.clock != "realtime":
         return
-    grants = go_realtime(cpu=_own_cpu(setup, role))
+    _tell(go_realtime(cpu=_own_cpu(setup, role)), voice)
+
+
+def _tell(grants: list[Grant], voice: Voice) -> None:
     voice.say("grants", grants=[vars(grant) for grant in grants])
     for grant in grants:
         if not grant.granted:

@@ -119,6 +119,23 @@ def test_an_unprivileged_process_is_told_what_was_refused_and_why(memlock_bytes:
     assert result["grants"][realtime.TIMER_SLACK][0]
 
 
+def test_precedence_is_granted_or_refused_with_what_would_change_that() -> None:
+    result = in_child("""
+        report([realtime.request_precedence(-3)], nice=os.getpriority(os.PRIO_PROCESS, 0))
+    """)
+    granted, detail = result["grants"][realtime.PRECEDENCE]
+    assert granted == (result["nice"] == -3)
+    assert "nice -3" in detail
+    refused = in_child("""
+        become_nobody(1 << 30)
+        report([realtime.request_precedence()], nice=os.getpriority(os.PRIO_PROCESS, 0))
+    """)
+    granted, detail = refused["grants"][realtime.PRECEDENCE]
+    assert not granted
+    assert "CAP_SYS_NICE" in detail
+    assert refused["nice"] == 0
+
+
 def test_memory_is_not_locked_where_locking_would_exhaust_it() -> None:
     result = in_child("""
         realtime._available_kib = lambda: 0
@@ -154,13 +171,14 @@ def test_probe_leaves_the_caller_as_it_is() -> None:
         realtime.MEMORY_LOCK,
         realtime.TIMER_SLACK,
         realtime.GARBAGE_COLLECTOR,
+        realtime.PRECEDENCE,
     ]
 
 
 def test_probe_foretells_what_go_realtime_is_granted() -> None:
     result = in_child("""
         foretold = {grant.name: grant.granted for grant in realtime.probe()}
-        report(realtime.go_realtime(), foretold=foretold)
+        report([*realtime.go_realtime(), realtime.request_precedence()], foretold=foretold)
     """)
     granted = {name: value for name, (value, _) in result["grants"].items()}
     assert result["foretold"] == granted
