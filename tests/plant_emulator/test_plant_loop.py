@@ -48,6 +48,9 @@ class Station:
     def report(self):
         return {}
 
+    def overflow(self):
+        return 0
+
     def take_commands(self):
         now_ns = self._clock.now_ns()
         here = [arrival for arrival in self.to_come if arrival.arrival_ns <= now_ns]
