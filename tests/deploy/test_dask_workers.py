@@ -17,7 +17,7 @@ from pyarrow import parquet
 from deploy.experiments.study import carry_out
 from deploy.experiments.study_folder import StudyFolder
 from deploy.experiments.sweep import load_sweep
-from tests.deploy.test_studies import Here, Silent
+from tests.deploy.studies import Here, Silent
 
 DEADLY_LAW = """
 import os
