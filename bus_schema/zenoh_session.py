@@ -76,7 +76,11 @@ class ZenohPublisher:
             self._publisher.put(payload, attachment=attachment)
 
     def has_subscribers(self) -> bool:
-        """Whether anybody on the network subscribes to the key."""
+        """Whether anybody on the network subscribes to the key.
+
+        What is sent at once may still miss them: in a session of zenoh 1.10, routes follow a few
+        milliseconds later. Whoever has announced a token *after* subscribing gets everything.
+        """
         return bool(self._publisher.matching_status)
 
 

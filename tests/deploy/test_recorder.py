@@ -14,8 +14,8 @@ import yaml
 from bus_schema.cdr_layout import Record
 from bus_schema.mcap_log import LogContents, read_log
 from bus_schema.record_file import RecordFile
-from bus_schema.rmw_wire import Attachment, node_token
-from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Topic, layout
+from bus_schema.rmw_wire import Attachment, node_token, node_tokens
+from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic, layout
 from bus_schema.zenoh_session import ZenohSession
 from deploy import recorder as recorder_module
 from deploy.recorder import Recorder, stamp_of
@@ -33,6 +33,10 @@ class Bench:
         self.path = path
         self.session = ZenohSession([setup.scenario.link.plant_endpoint], [], low_latency=True)
         self.session.announce(node_token(0, self.session.identifier, "funnel_hil_plant"))
+        recorder_is_there = threading.Event()
+        self.session.watch_tokens(
+            node_tokens(0, Role.RECORDER), lambda _token, _alive: recorder_is_there.set()
+        )
         self.recorder = Recorder(setup, path)
         self._publishers = {
             topic.name: self.session.publisher(topic.key_expression(0))
@@ -41,8 +45,7 @@ class Bench:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.recorder.run, args=(self._stop.is_set,))
         self._thread.start()
-        for topic in (JOINT_STATES, JOINT_COMMANDS):
-            await_true(self._publishers[topic.name].has_subscribers)
+        assert recorder_is_there.wait(HANG_S)
 
     def send(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
         self._publishers[topic.name].put(payload, attachment)
