@@ -30,8 +30,8 @@ from tests.eds_decoding import EdsDecoder
 
 ROOT = Path(__file__).resolve().parents[2]
 VCAN = CanConfiguration(interface="socketcan", channel="vcan0")
-HANG_S = 500
-PATIENT = ["link.can.answer_timeout_s=60", "link.reply_timeout_s=60", "link.connect_timeout_s=200"]
+HANG_S = 1500
+PATIENT = ["link.can.answer_timeout_s=60", "link.reply_timeout_s=60", "link.connect_timeout_s=600"]
 SHORT = ["duration_s=0.1", *PATIENT]
 TICKS = 50
 
