@@ -34,6 +34,7 @@ _STRUCT_CODES = {
     "f4": "f", "f8": "d",
 }  # fmt: skip
 _HEADER = ("header.stamp.sec", "header.stamp.nanosec")
+_STAMP_IN_STORAGE = slice(2 * ENCAPSULATION_BYTES, 2 * ENCAPSULATION_BYTES + 8)
 _NANOSECONDS = 1_000_000_000
 _WORD, _SIGN = 0xFFFF_FFFF, 0x8000_0000
 
@@ -66,15 +67,14 @@ class Record:
             for name in layout.dtype.names or ()
         }
         self.put_scalars = partial(layout.scalars.pack_into, self._memory, layout.scalars_offset)
-        # Seconds and nanoseconds of the stamp as one little-endian word: one access for both.
-        self._stamp: NDArray[np.uint64] = np.ndarray(
-            (1,), "<u8", storage.data, 2 * ENCAPSULATION_BYTES
-        )
+        # Seconds and nanoseconds of the stamp as one word: one access for both, and through a
+        # memory view, which takes half the time of an array.
+        self._stamp = storage.data[_STAMP_IN_STORAGE].cast("Q")
 
     @property
     def stamp_ns(self) -> int:
         """Stamp of the header, which all our messages begin with."""
-        word = int(self._stamp[0])
+        word = self._stamp[0]
         seconds = (word & _WORD) - ((word & _SIGN) << 1)
         return seconds * _NANOSECONDS + (word >> 32)
 
@@ -103,7 +103,7 @@ class Record:
 
     def has_valid_stamp(self) -> bool:
         """Whether the nanoseconds are what builtin_interfaces/Time allows."""
-        return int(self._stamp[0]) >> 32 < _NANOSECONDS
+        return self._stamp[0] >> 32 < _NANOSECONDS
 
     def payload(self) -> bytes:
         """The message as wire bytes."""

@@ -22,10 +22,11 @@ from rich.text import Text
 
 from deploy.experiments.report_tables import number
 from deploy.experiments.run_rows import Row
-from deploy.experiments.study_text import case_name, margin_text, shown_value
+from deploy.experiments.study_text import held_again, margin_text, shown_value
 
 _PLAIN_LINE_S = 5.0
 _SHOWN_POINTS = 40
+_COMPENSATION = {None: "", False: "without", True: "with"}
 
 
 class _Rate(ProgressColumn):
@@ -95,7 +96,12 @@ class StudyProgress:
 
 def show_study(console: Console, summary: dict[str, Any]) -> None:
     """The result as a table."""
-    console.print(_margins(summary) if summary["kind"] == "margin" else _points(summary))
+    if summary["kind"] == "margin":
+        console.print(_margins(summary))
+        for sentence in held_again(summary):
+            console.print(sentence, markup=False)
+    else:
+        console.print(_points(summary))
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")
@@ -105,19 +111,16 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
 
 def _margins(summary: dict[str, Any]) -> Table:
     table = _table(f"{summary['name']} · largest {summary['title']} at which the bounds are kept")
-    for heading in ("arm", "law"):
+    for heading in ("arm", "law", "compen-\nsation"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("largest that held", "first that failed", "outside there %"):
-        table.add_column(heading, justify="right")
-    table.add_column("")
+    for heading in ("held", "failed", "outside\nthen %"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for case in summary["cases"]:
         failed = next((p for p in case["probes"] if p["value"] == case["first_failure"]), None)
         outside = failed["violation_fraction"]["mean"] if failed else None
-        again = ", ".join(f"{value:g}" for value in case["held_again"])
         table.add_row(
-            case["arm"], case_name(case), margin_text(case, summary),
-            number(case["first_failure"]), number(outside, 100.0),
-            f"held again at {again}" if again else "",
+            case["arm"], case["law"], _COMPENSATION[case["compensation"]],
+            margin_text(case, summary), number(case["first_failure"]), number(outside, 100.0),
         )  # fmt: skip
     return table
 

@@ -10,7 +10,7 @@ from deploy.experiments.report_page import Panel
 from deploy.experiments.report_tables import number
 from deploy.experiments.study_figures import Bar, Curve, bars, curves
 from deploy.experiments.study_panels import Rerun, StudyPage, Summary, clickable
-from deploy.experiments.study_text import case_name, margin_text
+from deploy.experiments.study_text import case_name, held_again, margin_text
 
 _GROUPS = {None: "as the scenario has it", False: "without compensation", True: "with compensation"}
 
@@ -23,7 +23,7 @@ def margin_page(summary: Summary, rerun: Rerun) -> StudyPage:
         kind=f"margins of {summary['quantity']}",
         level="mixed",
         headline=f"Largest {summary['title']} at which the bounds are kept",
-        reasons=[*(_best(summary, arm) for arm in arms), *_held_again(summary)],
+        reasons=[*(_best(summary, arm) for arm in arms), *held_again(summary)],
         tiles=[
             ("Resolution", f"{summary['resolution']:g} {summary['unit']}".rstrip()),
             ("Largest value tried", f"{summary['limit']:g} {summary['unit']}".rstrip()),
@@ -76,7 +76,8 @@ def _bars(summary: Summary, arm: str, axis: str, rerun: Rerun) -> go.Figure | No
     for case in _cases(summary, arm):
         probe = _probe(case, case["first_failure"]) or _probe(case, case["margin"])
         command = rerun(probe["worst_point"]) if probe else ""
-        text, group = margin_text(case, summary), _GROUPS[case["compensation"]]
+        text = margin_text(case, summary).removesuffix(f" {summary['unit']}")  # the axis has it
+        group = _GROUPS[case["compensation"]]
         shown.append(Bar(group, case["law"], case["margin"], text, command))
     return bars(shown, axis)
 
@@ -114,15 +115,6 @@ def _best(summary: Summary, arm: str) -> str:
     best = max(known, key=lambda case: case["margin"])
     others = [case_name(case) for case in known if case["margin"] == best["margin"]]
     return f"{arm}: the largest margin is {margin_text(best, summary)}, of {' and '.join(others)}."
-
-
-def _held_again(summary: Summary) -> list[str]:
-    again = [case for case in summary["cases"] if case["held_again"]]
-    return [
-        f"{case['arm']}, {case_name(case)}: held again at"
-        f" {', '.join(f'{value:g}' for value in case['held_again'])}, beyond its first failure."
-        for case in again
-    ]
 
 
 def _cases(summary: Summary, arm: str) -> list[dict[str, Any]]:

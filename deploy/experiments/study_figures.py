@@ -93,6 +93,7 @@ def bars(all_bars: Sequence[Bar], y_title: str) -> go.Figure | None:
                 x=[html.escape(bar.name) for bar in members],
                 y=[bar.height or 0.0 for bar in members], text=[bar.text for bar in members],
                 textposition="outside", cliponaxis=False, name=html.escape(group),
+                constraintext="none", textangle=0, textfont={"size": 10},
                 customdata=[bar.rerun for bar in members], hovertemplate="%{x}: %{text}",
                 marker={"color": joint_colour(index) if len(groups) > 1 else own},
             )

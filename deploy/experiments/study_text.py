@@ -28,6 +28,16 @@ def margin_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
     return f"{sign}{case['margin']:g} {summary['unit']}".rstrip()
 
 
+def held_again(summary: dict[str, Any]) -> list[str]:
+    """A sentence for each case that kept its bounds once more beyond its first failure."""
+    return [
+        f"{case['arm']}, {case_name(case)}: held again at"
+        f" {', '.join(f'{value:g}' for value in case['held_again'])}, beyond its first failure."
+        for case in summary["cases"]
+        if case["held_again"]
+    ]
+
+
 def write_margin_table(summary: dict[str, Any], path: Path) -> None:
     """Write margins as a Markdown table: a row per law, a column per arm and compensation."""
     path.write_text(margin_table(summary) + "\n", encoding="utf-8")

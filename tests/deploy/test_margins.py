@@ -117,6 +117,16 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     assert "| `smc` | 7 ms |" in (path / "table.md").read_text()
 
 
+def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp_path):
+    margin = margin_of(laws=["fixed_time_model_based"], compensation=[False, True], limit=128)
+    text = study_text("margin", margin.definition_values(), margin.bases)
+    path = create_folder("margin", "m", tmp_path / "out", text)
+    conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))
+    _, output = funnel_hil("report", path)
+    assert "paper_arm   fixed_time_model_based   without   none" in output
+    assert "…" not in output
+
+
 def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compensation():
     definition = read_definition(find_study("delay_margin"), MarginDefinition)
     assert definition.laws == list(LAWS)
