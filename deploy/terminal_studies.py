@@ -128,8 +128,9 @@ def _margins(summary: dict[str, Any]) -> Table:
 def _points(summary: dict[str, Any]) -> Table:
     table = _table(f"{summary['name']} · {summary['scenario']}")
     for axis in summary["axes"]:
-        table.add_column("\n".join(axis["keys"]), overflow="fold")
-    for heading in ("bounds kept", "outside %", "RMS mrad\nworst joint", "failed"):
+        keys = [key.replace(".", ".\n") for key in axis["keys"]]
+        table.add_column("\n".join(keys), overflow="fold")
+    for heading in ("bounds\nkept", "outside\n%", "RMS mrad,\nworst\njoint", "failed"):
         table.add_column(heading, justify="right")
     for point in summary["points"][:_SHOWN_POINTS]:
         table.add_row(
