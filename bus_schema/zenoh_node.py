@@ -72,23 +72,32 @@ class ZenohNode:
         """Show the node to the others; to be called once it is ready."""
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
 
-    def advertise(self, topic: Topic) -> ZenohPublisher:
-        """Declare a publisher and announce it."""
+    def advertise(
+        self, topic: Topic, before_announcing: Callable[[], None] = lambda: None
+    ) -> ZenohPublisher:
+        """Declare a publisher and announce it.
+
+        Args:
+            topic: what it sends on.
+            before_announcing: called when messages can be sent, and nobody knows it yet.
+        """
         publisher = self._session.publisher(topic.key_expression(self._domain))
-        token = self._announce(EntityKind.PUBLISHER, topic)
+        token = self._token(EntityKind.PUBLISHER, topic)
         self._publishers[topic.name] = (publisher, endpoint_gid(token))
+        before_announcing()
+        self._session.announce(token)
         return publisher
 
     def subscribe(self, topic: Topic, on_delivery: Callable[[Delivery], None]) -> None:
         """Subscribe and announce it."""
         self._session.subscribe(topic.key_expression(self._domain), on_delivery)
-        self._announce(EntityKind.SUBSCRIBER, topic)
+        self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
 
     def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox:
         """Subscribe to everything in the domain, in one mailbox."""
         mailbox = self._session.mailbox(f"{self._domain}/**", capacity, lossless=lossless)
         for topic in topics.TOPICS:
-            self._announce(EntityKind.SUBSCRIBER, topic)
+            self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return mailbox
 
     def publish(self, topic: Topic, payload: bytes) -> int:
@@ -174,13 +183,11 @@ class ZenohNode:
         own = self._session.identifier
         return [entity for entity in list(self._entities.values()) if entity.session != own]
 
-    def _announce(self, kind: EntityKind, topic: Topic) -> str:
+    def _token(self, kind: EntityKind, topic: Topic) -> str:
         self._sequences["entities"] = entity_id = self._sequences["entities"] + 1
-        token = endpoint_token(
+        return endpoint_token(
             self._domain, self._session.identifier, self._node, entity_id, kind, topic
         )
-        self._session.announce(token)
-        return token
 
     def _on_token(self, token: str, alive: bool) -> None:
         entity = Entity.from_token(token)

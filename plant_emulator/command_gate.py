@@ -75,6 +75,10 @@ class CommandGate:
             self.rejections.note(error)
             return None
 
+    def lacks_commander(self) -> bool:
+        """Whether the commander has left the bus: the next sender of a command will be heard."""
+        return self.commander is not None and self._has_left(self.commander)
+
     def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:
         self._layout.decode(arrival.payload, self._record)
         torque = self._record.fields["effort"]
@@ -102,5 +106,5 @@ class CommandGate:
             if arrival.sequence <= self._newest_sequence and self._newest_sequence:
                 raise InvalidMessageError("replayed", "its number is no newer than the last one's")
             self._newest_sequence = arrival.sequence
-        elif self.commander is not None and not self._has_left(self.commander):
+        elif self.commander is not None and not self.lacks_commander():
             raise InvalidMessageError("other_commander", "another session is in command")

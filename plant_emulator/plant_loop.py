@@ -177,13 +177,13 @@ class PlantLoop:
         self._link.send_state(measurement.state, measurement.status)
         self._journal.send(self._link)
         if self._task.lockstep and not self._controller_is_lost:
-            self._await_reply(measurement.stamp_ns)
+            self._await_reply(measurement)
 
-    def _await_reply(self, stamp_ns: int) -> None:
+    def _await_reply(self, measurement: Measurement) -> None:
         """Wait for the reply to one state; if it stays out, go on alone until the watchdog acts."""
         timeout_s = self._task.link.reply_timeout_s
         give_up_s = time.monotonic() + timeout_s
-        self._gate.awaited_ns = stamp_ns
+        self._gate.awaited_ns = measurement.stamp_ns
         self._collect_commands()
         while self._gate.awaited_ns is not None and not self._stop_requested:
             if self._link.await_command(_PATIENCE_S):
@@ -197,6 +197,9 @@ class PlantLoop:
                 self._controller_is_lost = True
                 self._fail(str(PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")))
                 return
+            elif self._gate.lacks_commander():
+                # Whoever comes next was not heard when it answered this state: it is asked again.
+                self._link.send_state(measurement.state, measurement.status)
 
     def _collect_commands(self) -> None:
         arrivals = self._link.take_commands()

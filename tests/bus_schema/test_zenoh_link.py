@@ -9,7 +9,14 @@ import pytest
 from bus_schema import zenoh_link
 from bus_schema.cdr_layout import Record
 from bus_schema.errors import PeerSilentError
-from bus_schema.topics import CONTROL_STATUS, JOINT_COMMANDS, JOINT_STATES, layout
+from bus_schema.topics import (
+    CONTROL_STATUS,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    PLANT_STATUS,
+    Role,
+    layout,
+)
 from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
 from plant_emulator.command_gate import CommandGate
 from tests.bus_schema.zenoh_pair import (
@@ -46,6 +53,27 @@ def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
             assert arrival.sequence == tick + 1  # numbers begin with 1 and have no gaps
             assert len(arrival.sender) == 16
     assert heard == [(state(tick), status()) for tick in range(50)]
+
+
+def test_controller_that_joins_a_run_under_way_answers_once_it_is_in_command() -> None:
+    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
+    with plant_on(link) as plant, controller_on(link) as controller:
+
+        def answer(_payload: bytes, _status: bytes | None) -> None:
+            controller.publish(JOINT_COMMANDS, reply)
+
+        controller.serve(answer)
+        await_true(lambda: plant._node.sees(Role.CONTROLLER))
+        for tick in range(3):
+            plant.send_state(state(tick), status())
+        plant.publish(PLANT_STATUS, b"the last of what came too early")
+        await_true(lambda: controller._status == b"the last of what came too early")
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        plant.send_state(state(3), status())
+        assert plant.await_command(HANG_S)
+        assert [arrival.sequence for arrival in plant.take_commands()] == [1]
+    assert controller.failure is None
 
 
 def test_state_of_a_foreign_plant_comes_without_a_status() -> None:

@@ -1,0 +1,65 @@
+"""A second controller: not heard while the first commands, and its successor when that leaves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from running import (
+    HANG_S,
+    ROOT,
+    Watcher,
+    await_true,
+    free_endpoint,
+    processes_of,
+    settings,
+    started,
+)
+
+from bus_schema.events import EventKind
+
+LONG = settings(clock="lockstep", duration_s=40, link__connect_timeout_s=60)
+
+
+@contextmanager
+def another_controller(plant_endpoint: str) -> Iterator[subprocess.Popen[str]]:
+    """A controller that has begun to answer the states of a run under way."""
+    endpoints = settings(
+        link__plant_endpoint=plant_endpoint, link__controller_endpoint=free_endpoint()
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", "controller", "paper_arm", *LONG, *endpoints],
+        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        assert any("error_mrad" in line for line in process.stdout), "it never got so far"
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_second_controller_is_not_heard_before_the_first_has_left(tmp_path: Path) -> None:
+    with started("run", "paper_arm", *LONG, out=tmp_path / "run") as run:
+        endpoint = run.plant_endpoint()
+        with Watcher(endpoint) as watcher:
+            watcher.await_time(0.1, run)  # the run's own controller is in command
+            with another_controller(endpoint) as successor:
+                run.send(signal.SIGINT, "controller")
+                await_true(lambda: "controller" not in processes_of(run.folder), "it has left")
+                watcher.await_time(watcher.last_stamp_ns * 1e-9 + 0.5, run)  # the run goes on
+                run.send(signal.SIGINT)
+                ended = run.end()
+                assert successor.wait(HANG_S) == 0
+    assert ended.code == 130, ended.output
+    assert ended.summary["faults"] == []
+    assert ended.summary["transport"]["downlink"]["rejected"]["other_commander"] > 0
+    commanders = [e.detail for e in ended.data.events if e.kind == EventKind.COMMANDER]
+    assert len(commanders) == 2
+    assert commanders[1].endswith(f"after {commanders[0].removeprefix('session ')} left")
