@@ -141,7 +141,6 @@ class ZenohControllerLink:
         self._link = link
         self._on_state: StateHandler | None = None
         self._status = b""
-        self._answers = False
         self._states_seen = 0
         self._over = threading.Event()
         self.failure: Exception | None = None
@@ -169,7 +168,7 @@ class ZenohControllerLink:
         if await_recorder:
             timeout_s = self._link.connect_timeout_s
             self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
-        self._node.advertise(topics.JOINT_COMMANDS, self._begin_to_answer)
+        self._node.advertise(topics.JOINT_COMMANDS)
 
     def join(self, *, is_stop_requested: Callable[[], bool]) -> None:
         """Wait for the end of the run.
@@ -200,15 +199,13 @@ class ZenohControllerLink:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
         self._node.await_acknowledgement(self._link.reply_timeout_s)
 
-    def _begin_to_answer(self) -> None:
-        self._answers = True
-
     def _on_status_delivery(self, delivery: Delivery) -> None:
         self._status = delivery.payload
 
     def _on_state_delivery(self, delivery: Delivery) -> None:
         status, self._status = self._status, b""
-        if self._on_state is None or not self._answers or self._over.is_set():
+        is_in_command = self._node.sends_on(topics.JOINT_COMMANDS)
+        if self._on_state is None or not is_in_command or self._over.is_set():
             return
         self._states_seen += 1
         try:

@@ -72,19 +72,11 @@ class ZenohNode:
         """Show the node to the others; to be called once it is ready."""
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
 
-    def advertise(
-        self, topic: Topic, before_announcing: Callable[[], None] = lambda: None
-    ) -> ZenohPublisher:
-        """Declare a publisher and announce it.
-
-        Args:
-            topic: what it sends on.
-            before_announcing: called when messages can be sent, and nobody knows it yet.
-        """
+    def advertise(self, topic: Topic) -> ZenohPublisher:
+        """Declare a publisher and announce it, which is after `sends_on` has become true."""
         publisher = self._session.publisher(topic.key_expression(self._domain))
         token = self._token(EntityKind.PUBLISHER, topic)
         self._publishers[topic.name] = (publisher, endpoint_gid(token))
-        before_announcing()
         self._session.announce(token)
         return publisher
 
@@ -119,6 +111,10 @@ class ZenohNode:
                     waiting.put(its_payload, its_attachment)
                 self._waiting.clear()
         return sequence
+
+    def sends_on(self, topic: Topic) -> bool:
+        """Whether this node has a publisher of a topic."""
+        return topic.name in self._publishers
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether another session has announced that it sends on a topic."""

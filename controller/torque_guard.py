@@ -8,8 +8,6 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.finite import all_finite
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
 
-_FLOAT64 = np.dtype(np.float64)
-
 
 class ControllerError(Exception):
     """Root of the errors of a running controller."""
@@ -70,7 +68,7 @@ class TorqueGuard:
             raise InvalidTorqueError(
                 self._law, tick, f"{shape} where shape {self._out.shape} is expected"
             )
-        if torque.dtype != _FLOAT64:
+        if torque.dtype != np.float64:
             raise InvalidTorqueError(self._law, tick, f"{torque.dtype} where float64 is expected")
         if not all_finite(torque):
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")

@@ -106,5 +106,5 @@ class CommandGate:
             if arrival.sequence <= self._newest_sequence and self._newest_sequence:
                 raise InvalidMessageError("replayed", "its number is no newer than the last one's")
             self._newest_sequence = arrival.sequence
-        elif self.commander is not None and not self.lacks_commander():
+        elif self.commander is not None and not self._has_left(self.commander):
             raise InvalidMessageError("other_commander", "another session is in command")

@@ -10,7 +10,7 @@ from deploy.experiments.report_page import Panel
 from deploy.experiments.report_tables import number
 from deploy.experiments.study_figures import Bar, Curve, bars, curves
 from deploy.experiments.study_panels import Rerun, StudyPage, Summary, clickable
-from deploy.experiments.study_text import case_name, held_again, margin_text
+from deploy.experiments.study_text import case_name, held_again, margin_figure, margin_text
 
 _GROUPS = {None: "as the scenario has it", False: "without compensation", True: "with compensation"}
 
@@ -76,8 +76,7 @@ def _bars(summary: Summary, arm: str, axis: str, rerun: Rerun) -> go.Figure | No
     for case in _cases(summary, arm):
         probe = _probe(case, case["first_failure"]) or _probe(case, case["margin"])
         command = rerun(probe["worst_point"]) if probe else ""
-        text = margin_text(case, summary).removesuffix(f" {summary['unit']}")  # the axis has it
-        group = _GROUPS[case["compensation"]]
+        text, group = margin_figure(case), _GROUPS[case["compensation"]]  # the axis has the unit
         shown.append(Bar(group, case["law"], case["margin"], text, command))
     return bars(shown, axis)
 

@@ -18,14 +18,20 @@ def shown_value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def margin_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
-    """A margin with its unit; that it is beyond the limit, or that there is none."""
+def margin_figure(case: dict[str, Any]) -> str:
+    """A margin without its unit; that it is beyond the limit, or that there is none."""
     if not case["completed"]:
         return "not known yet"
     if case["margin"] is None:
         return "none"
     sign = "≥ " if case["first_failure"] is None else ""
-    return f"{sign}{case['margin']:g} {summary['unit']}".rstrip()
+    return f"{sign}{case['margin']:g}"
+
+
+def margin_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
+    """A margin with its unit."""
+    has_unit = case["completed"] and case["margin"] is not None
+    return f"{margin_figure(case)} {summary['unit'] if has_unit else ''}".rstrip()
 
 
 def held_again(summary: dict[str, Any]) -> list[str]:

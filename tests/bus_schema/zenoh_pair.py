@@ -37,8 +37,8 @@ def controller_on(link: LinkConfiguration) -> Iterator[ZenohControllerLink]:
 
 def fresh_link() -> LinkConfiguration:
     return LinkConfiguration(
-        plant_endpoint=f"tcp/127.0.0.1:{free_port()}",
-        controller_endpoint=f"tcp/127.0.0.1:{free_port()}",
+        plant_endpoint=free_endpoint(),
+        controller_endpoint=free_endpoint(),
         connect_timeout_s=HANG_S,
     )
 
@@ -62,7 +62,7 @@ def await_true(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def free_port() -> int:
+def free_endpoint() -> str:
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"

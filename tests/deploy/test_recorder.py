@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
-from bus_schema.cdr_layout import Record
 from bus_schema.mcap_log import LogContents, read_log
 from bus_schema.record_file import RecordFile
 from bus_schema.rmw_wire import Attachment, node_token, node_tokens
-from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic, layout
+from bus_schema.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.zenoh_session import ZenohSession
 from deploy import recorder as recorder_module
 from deploy.recorder import Recorder, stamp_of
 from deploy.scenario import Setup, load_setup
+from tests.bus_schema.zenoh_pair import HANG_S, await_true, free_endpoint, state
 
-HANG_S = 60.0
-JOINTS = ("base_yaw", "shoulder", "elbow")
 OURS, FOREIGN = b"o" * 16, b"f" * 16
 
 
@@ -78,12 +74,6 @@ def bench(setup: Setup, tmp_path: Path) -> Iterator[Bench]:
     bench = Bench(setup, tmp_path / "run.mcap")
     yield bench
     bench.give_up()
-
-
-def state(stamp_ns: int) -> bytes:
-    record = Record(layout(JOINT_STATES, JOINTS))
-    record.stamp_ns = stamp_ns
-    return record.payload()
 
 
 def number(sequence: int, gid: bytes = OURS, source_time_ns: int = 0) -> bytes:
@@ -182,16 +172,3 @@ def test_stamp_stands_behind_the_encapsulation_header() -> None:
     assert stamp_of(b"\0\1\0\0" + b"\2\0\0\0" + b"\3\0\0\0") == 2_000_000_003
     assert stamp_of(b"\0\1\0\0" + b"\xff\xff\xff\xff" + b"\0\0\0\0") is None  # before the start
     assert stamp_of(b"\0\1\0\0\2\0\0\0\3\0\0") is None
-
-
-def await_true(condition: Callable[[], bool]) -> None:
-    give_up_s = time.monotonic() + HANG_S
-    while not condition():
-        assert time.monotonic() < give_up_s, "waited in vain"
-        time.sleep(0.005)
-
-
-def free_endpoint() -> str:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
