@@ -6,6 +6,7 @@ is an error, and none is silent.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import json
@@ -14,13 +15,14 @@ import re
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 SCHEDULER = "real-time scheduler"
 MEMORY_LOCK = "memory lock"
 TIMER_SLACK = "timer slack"
+IDLE_STATES = "CPU idle states"
 AFFINITY = "CPU affinity"
 GARBAGE_COLLECTOR = "garbage collector"
 PRECEDENCE = "precedence"
@@ -30,6 +32,8 @@ _MCL_FUTURE = 2
 _PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _PR_GET_TIMERSLACK = 30
 _PROBE_TIMEOUT_S = 30.0
+_STEAL = 8  # the word of the line "cpu" in /proc/stat
+_IDLE_LATENCY_DEVICE = Path("/dev/cpu_dma_latency")
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,10 @@ class Grant:
     name: str
     granted: bool
     detail: str
+
+
+_UNTIL_THE_END = contextlib.ExitStack()
+"""Holds what is in force only while a file is open; the end of the process closes it."""
 
 
 class _RefusedError(Exception):
@@ -66,6 +74,7 @@ def go_realtime(priority: int = 50, cpu: int | None = None) -> list[Grant]:
         grants.append(_ask(AFFINITY, lambda: _pin(cpu)))
     grants.append(_ask(MEMORY_LOCK, _lock_memory))
     grants.append(_ask(TIMER_SLACK, _minimise_timer_slack))
+    grants.append(_UNTIL_THE_END.enter_context(light_sleep()))
     grants.append(_freeze_garbage_collector())
     return grants
 
@@ -79,7 +88,7 @@ def probe() -> list[Grant]:
         )
         return [Grant(**values) for values in json.loads(child.stdout)]
     except (OSError, subprocess.SubprocessError, ValueError) as error:
-        names = (SCHEDULER, MEMORY_LOCK, TIMER_SLACK, GARBAGE_COLLECTOR, PRECEDENCE)
+        names = (SCHEDULER, MEMORY_LOCK, TIMER_SLACK, IDLE_STATES, GARBAGE_COLLECTOR, PRECEDENCE)
         return [Grant(name, False, f"could not be tried out: {error}") for name in names]
 
 
@@ -99,6 +108,29 @@ def request_precedence(nice: int = -10) -> Grant:
     their way. Call it in the main thread before other threads exist.
     """
     return _ask(PRECEDENCE, lambda: _precede(nice))
+
+
+@contextlib.contextmanager
+def light_sleep() -> Iterator[Grant]:
+    """Keep all CPUs from idle states that take time to leave, for as long as the context lasts.
+
+    An idle CPU then polls. That costs power; in a virtual machine it also keeps the host from
+    taking the CPU away at every pause of a loop (Linux, ``admin-guide/pm``, PM QoS).
+    """
+    with contextlib.ExitStack() as stack:
+        yield _ask(IDLE_STATES, lambda: _stay_awake(stack))
+
+
+def stolen_ms() -> float:
+    """CPU time that the hypervisor gave to others while a CPU here had work, since boot, ms.
+
+    All CPUs together, in steps of some 10 ms; 0 where the kernel tells of none (proc(5), steal).
+    """
+    try:
+        totals = Path("/proc/stat").read_text().splitlines()[0].split()
+    except OSError:
+        return 0.0
+    return 1e3 * float(totals[_STEAL]) / os.sysconf("SC_CLK_TCK")
 
 
 def _ask(name: str, request: Callable[[], str]) -> Grant:
@@ -174,6 +206,23 @@ def _minimise_timer_slack() -> str:
         raise _RefusedError(f"prctl: {os.strerror(ctypes.get_errno())}")
     slack_ns = libc.prctl(_PR_GET_TIMERSLACK, ctypes.c_ulong(0), *unused)
     return f"{slack_ns} ns"  # the kernel keeps 0 for a thread under SCHED_FIFO
+
+
+def _stay_awake(stack: contextlib.ExitStack) -> str:
+    try:
+        request = stack.enter_context(_IDLE_LATENCY_DEVICE.open("r+b", buffering=0))
+    except FileNotFoundError as error:
+        raise _RefusedError(
+            f"{_IDLE_LATENCY_DEVICE} is not there, or hidden by a sandbox"
+        ) from error
+    except PermissionError as error:
+        raise _RefusedError(
+            f"{_IDLE_LATENCY_DEVICE} may not be written: allow it by a udev rule, such as "
+            'KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660"'
+        ) from error
+    request.write((0).to_bytes(4, sys.byteorder))
+    in_force_us = int.from_bytes(request.read(4) or b"", sys.byteorder)
+    return f"left within {in_force_us} µs"
 
 
 def _freeze_garbage_collector() -> Grant:

@@ -136,6 +136,11 @@ def _show_verdict(console: Console, summary: dict[str, Any]) -> None:
         console.print(f"[bold yellow]partial[/]  {PARTIAL}")
     if recorder["lost"]:
         console.print(f"[bold yellow]lost[/]  {recorder['lost']} messages, not recorded")
+    if timing["deadline_misses"] and timing["stolen_ms"]:
+        console.print(
+            f"[bold yellow]stolen[/]  a hypervisor took {timing['stolen_ms']:.0f} ms of CPU time"
+            " away during the run"
+        )
     rate, factor = timing["success_rate"], summary["real_time_factor"]
     console.print(
         f"{summary['ticks']} ticks"

@@ -22,6 +22,7 @@ from bus_schema.finite import all_finite
 from bus_schema.limits import LimitCounts, name_of
 from bus_schema.link import PlantLink
 from bus_schema.modes import COMMANDABLE, Mode, mode_event
+from bus_schema.realtime import stolen_ms
 from bus_schema.topics import Role
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel import Channel
@@ -96,7 +97,7 @@ class PlantLoop:
 
     def run(self) -> PlantOutcome:
         """Run from tick 0 to the end, a fault or a request to stop."""
-        started_s = time.monotonic()
+        started_s, stolen_before_ms = time.monotonic(), stolen_ms()
         self._clock.start()
         self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
         self._arm.begin()
@@ -110,6 +111,7 @@ class PlantLoop:
         self._outcome.ticks = self.tick
         self._outcome.completed = self.tick >= self._task.ticks and not self._outcome.faults
         self._outcome.wall_s = time.monotonic() - started_s
+        self._outcome.stolen_ms = stolen_ms() - stolen_before_ms
         self._say_goodbye()
         return self._outcome
 
@@ -301,7 +303,7 @@ class PlantLoop:
         if self._stop_requested:
             self._announce(EventKind.STOPPED, "stopped on request")
         self._announce(EventKind.COUNTS, json.dumps(counts))
-        ended = {"completed": outcome.completed, "ticks": outcome.ticks, "wall_s": outcome.wall_s}
+        ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
         self._announce(EventKind.ENDED, json.dumps(ended))
         self._journal.send(self._link)
 

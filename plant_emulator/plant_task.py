@@ -53,9 +53,11 @@ class PlantOutcome:
         completed: the run came to its planned end.
         faults: one sentence each.
         wall_s: wall time the loop took.
+        stolen_ms: CPU time that a hypervisor gave to others meanwhile.
     """
 
     ticks: int = 0
     completed: bool = False
     faults: list[str] = field(default_factory=list)
     wall_s: float = 0.0
+    stolen_ms: float = 0.0

@@ -41,7 +41,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "bounds": judge_bounds(run),
         "tracking": _tracking(run),
         "torque": _torque(run),
-        "timing": _timing(run, ticks),
+        "timing": _timing(run, ticks, outcome.get("stolen_ms")),
         "transport": _transport(run),
         "limits": _limits(run),
         "recorder": {
@@ -133,7 +133,7 @@ def _torque(run: RunData) -> dict[str, Any]:
     }
 
 
-def _timing(run: RunData, ticks: int) -> dict[str, Any]:
+def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]:
     truth = run.tables[topics.PLANT_TRUTH.name]
     missed = truth["deadline_met"] == 0
     misses = int(missed.sum())
@@ -150,6 +150,7 @@ def _timing(run: RunData, ticks: int) -> dict[str, Any]:
         "deadline_misses": misses,
         "deadline_miss_longest_run": _longest_run(missed),
         "success_rate": 1.0 - misses / ticks if ticks else None,
+        "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
     }
 
 

@@ -136,6 +136,57 @@ def test_precedence_is_granted_or_refused_with_what_would_change_that() -> None:
     assert refused["nice"] == 0
 
 
+def test_cpus_sleep_lightly_while_the_grant_lasts_and_no_longer() -> None:
+    result = in_child("""
+        device = Path("/dev/cpu_dma_latency")
+
+        def allowed_us():
+            with device.open("rb", buffering=0) as request:
+                return int.from_bytes(request.read(4), "little")
+
+        with realtime.light_sleep() as grant:
+            inside_us = allowed_us() if grant.granted else None
+        outside_us = allowed_us() if grant.granted else None
+        grants = realtime.go_realtime()
+        kept_us = allowed_us() if grant.granted else None
+        report([*grants, grant], inside_us=inside_us, outside_us=outside_us, kept_us=kept_us)
+    """)
+    granted, detail = result["grants"][realtime.IDLE_STATES]
+    if granted:
+        assert detail == "left within 0 µs"
+        assert result["inside_us"] == result["kept_us"] == 0
+        # The kernel's default is 2,000 s; another process may ask for less at the same time.
+        assert result["outside_us"] >= 0
+    else:
+        assert "cpu_dma_latency" in detail
+
+
+def test_light_sleep_is_refused_with_what_would_allow_it() -> None:
+    script = """
+        realtime._IDLE_LATENCY_DEVICE = Path({!r})
+        become_nobody(1 << 30)
+        report(realtime.go_realtime())
+    """
+    absent = in_child(script.format("/dev/no_such_device"))
+    granted, detail = absent["grants"][realtime.IDLE_STATES]
+    assert not granted
+    assert "is not there" in detail
+    if os.getuid() == 0:
+        refused = in_child(script.format("/dev/cpu_dma_latency"))
+        granted, detail = refused["grants"][realtime.IDLE_STATES]
+        assert not granted
+        assert "cpu_dma_latency" in detail
+
+
+def test_stolen_time_is_the_kernels_own_figure() -> None:
+    def of_kernel_ms() -> float:
+        ticks = int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8])
+        return 1e3 * ticks / os.sysconf("SC_CLK_TCK")
+
+    before_ms = of_kernel_ms()
+    assert before_ms <= realtime.stolen_ms() <= of_kernel_ms()
+
+
 def test_memory_is_not_locked_where_locking_would_exhaust_it() -> None:
     result = in_child("""
         realtime._available_kib = lambda: 0
@@ -170,6 +221,7 @@ def test_probe_leaves_the_caller_as_it_is() -> None:
         realtime.SCHEDULER,
         realtime.MEMORY_LOCK,
         realtime.TIMER_SLACK,
+        realtime.IDLE_STATES,
         realtime.GARBAGE_COLLECTOR,
         realtime.PRECEDENCE,
     ]
