@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,11 @@ def drawn(setup: Setup, seed: int) -> Setup:
 
 def load_gains(path: Path | None) -> list[str]:
     """A file of gains as overrides of a scenario."""
-    gains = {} if path is None else read_yaml(path)
+    return gains_as_overrides({} if path is None else read_yaml(path))
+
+
+def gains_as_overrides(gains: Mapping[str, Any]) -> list[str]:
+    """Gains by law as overrides of a scenario."""
     return [f"controller.gains.{law}={json.dumps(values)}" for law, values in gains.items()]
 
 

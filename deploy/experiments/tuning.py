@@ -16,14 +16,15 @@ The rules, written down before the search was run and the same for all laws:
   torques are largest, is tried alone: gains that saturate there cost no more than that.
 
 ``python -m deploy.experiments.tuning paper_arm smc`` prints the gains found (needs the extra
-``tuning``).
+``tuning``). With a limit on the torque's travel error alone is the cost, and the boundary layer is
+tuned too (`equal_travel`).
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -42,6 +43,9 @@ START_S = 0.5
 FIXED = frozenset(
     {"phi_1", "phi_2", "gamma_1", "gamma_2", "phi", "psi", "power", "eta", "boundary_layer"}
 )
+"""Gains that are not tuned; where travel is limited, those without `boundary_layer`."""
+
+SMOOTHED = FIXED - {"boundary_layer"}
 HARDWARE = (
     f"plant.encoder.resolution_rad={2.0 * math.pi / 2**20}",
     "plant.encoder.velocity_noise_rad_s=6e-4",
@@ -53,6 +57,9 @@ HARDWARE = (
 
 SMOOTHNESS_WEIGHT = 0.25
 """Weight of the torque's total variation against that of the error, both as logarithms."""
+
+EXCESS_WEIGHT = 10.0
+"""Weight of travel beyond its limit against that of the error, both as logarithms."""
 
 UNFINISHED, SATURATED = 1000.0, 100.0
 """Costs beyond any of a run that counts."""
@@ -66,39 +73,47 @@ def with_gains(setup: Setup, gains: Any) -> Setup:
     return replace(setup, gains=gains)
 
 
-def varied(gains: Any, factor: Callable[[int], Any]) -> Any:
+def varied(gains: Any, factor: Callable[[int], Any], fixed: Collection[str] = FIXED) -> Any:
     """Gains with each tuned entry multiplied by a factor.
 
     Args:
         gains: a NamedTuple of gains.
         factor: called with the number of entries of a gain, returns factors of shape (entries,).
+        fixed: names of gains that are not tuned.
     """
     values = {}
     for name, value in gains._asdict().items():
-        if name not in FIXED:
+        if name not in fixed:
             product = value * factor(np.size(value))
             values[name] = product if isinstance(value, np.ndarray) else float(product[0])
     return gains._replace(**values)
 
 
-def entries(gains: Any) -> int:
+def entries(gains: Any, fixed: Collection[str] = FIXED) -> int:
     """How many numbers of these gains are tuned."""
-    return sum(np.size(value) for name, value in gains._asdict().items() if name not in FIXED)
+    return sum(np.size(value) for name, value in gains._asdict().items() if name not in fixed)
 
 
-def scaled(gains: Any, log_factors: Vector) -> Any:
+def scaled(gains: Any, log_factors: Vector, fixed: Collection[str] = FIXED) -> Any:
     """Gains with tuned entry number i multiplied by exp(log_factors[i]).
 
     Args:
         gains: a NamedTuple of gains.
-        log_factors: shape (`entries(gains)`,).
+        log_factors: shape (`entries(gains, fixed)`,).
+        fixed: names of gains that are not tuned.
     """
     left = iter(np.exp(log_factors))
-    return varied(gains, lambda count: np.array([next(left) for _ in range(count)]))
+    return varied(gains, lambda count: np.array([next(left) for _ in range(count)]), fixed)
 
 
-def cost(setup: Setup) -> float:
-    """What a run of a scenario is worth; less is better."""
+def cost(setup: Setup, travel_limit_per_s: float | None = None) -> float:
+    """What a run of a scenario is worth; less is better.
+
+    Args:
+        setup: the scenario.
+        travel_limit_per_s: how far any torque may travel, in its own limits per second; smoothness
+            below it is worth nothing. None: every bit of smoothness is.
+    """
     simulation = simulate(setup)
     summary = summarise(simulation.data())
     torque, bounds = summary["torque"], summary["bounds"]
@@ -109,17 +124,22 @@ def cost(setup: Setup) -> float:
     errors = np.array(summary["tracking"]["rms_rad"]) / setup.funnel.final_rad
     travel = np.array(torque["total_variation_nm_per_s"]) / setup.robot.effort_limits_nm
     outside = 0.0 if bounds["kept"] else 1.0 + 10.0 * bounds["violation_fraction"]
-    return float(np.log(errors).mean() + SMOOTHNESS_WEIGHT * np.log(travel).mean() + outside)
+    if travel_limit_per_s is None:
+        roughness = SMOOTHNESS_WEIGHT * np.log(travel).mean()
+    else:
+        excess = np.maximum(np.log(travel / travel_limit_per_s), 0.0)
+        roughness = excess.any() + EXCESS_WEIGHT * excess.mean()
+    return float(np.log(errors).mean() + roughness + outside)
 
 
-def trial(setup: Setup) -> tuple[float, float]:
+def trial(setup: Setup, travel_limit_per_s: float | None = None) -> tuple[float, float]:
     """Cost of a scenario, and the simulated time that it took to know, s."""
     scenario = setup.scenario
     metrics = scenario.metrics.model_copy(update={"from_s": 0.0})
     start = scenario.model_copy(update={"duration_s": START_S, "metrics": metrics})
     if (cost_of_start := cost(replace(setup, scenario=start))) >= SATURATED:
         return cost_of_start, START_S
-    return cost(setup), START_S + scenario.duration_s
+    return cost(setup, travel_limit_per_s), START_S + scenario.duration_s
 
 
 def tuning_setup(scenario: str, law: str, overrides: Sequence[str] = ()) -> Setup:
@@ -128,24 +148,31 @@ def tuning_setup(scenario: str, law: str, overrides: Sequence[str] = ()) -> Setu
     return load_setup(scenario, [*overrides, *tuned_on])
 
 
-def tune(setup: Setup, budget_s: float = BUDGET_S, seed: int = 1) -> tuple[Any, float]:
+def tune(
+    setup: Setup,
+    budget_s: float = BUDGET_S,
+    seed: int = 1,
+    travel_limit_per_s: float | None = None,
+) -> tuple[Any, float]:
     """The best gains found, and their cost.
 
     Args:
         setup: the scenario under the law to be tuned, with the gains to start from.
         budget_s: simulated time to spend; the last trial may exceed it.
         seed: of the search.
+        travel_limit_per_s: as of `cost`.
     """
     import cma  # of the extra `tuning`, which nothing else needs
 
     options = {"seed": seed, "bounds": [-_WIDEST, _WIDEST], "verbose": -9, "verb_log": 0}
-    search = cma.CMAEvolutionStrategy(np.zeros(entries(setup.gains)), _SPREAD, options)
+    fixed = FIXED if travel_limit_per_s is None else SMOOTHED
+    search = cma.CMAEvolutionStrategy(np.zeros(entries(setup.gains, fixed)), _SPREAD, options)
     best, best_cost, spent_s = setup.gains, math.inf, 0.0
     while True:
         population, costs = search.ask(), []
         for log_factors in population:
-            gains = scaled(setup.gains, log_factors)
-            reached, took_s = trial(with_gains(setup, gains))
+            gains = scaled(setup.gains, log_factors, fixed)
+            reached, took_s = trial(with_gains(setup, gains), travel_limit_per_s)
             costs.append(reached)
             if reached < best_cost:
                 best, best_cost = gains, reached
