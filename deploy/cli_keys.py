@@ -13,7 +13,9 @@ from bus_schema.key_files import DEFAULT_FOLDER, KeyFolder
 from bus_schema.topics import Role
 from deploy.keys import common_name, create_authority, hosts_of, issue, read_certificate
 
-app = typer.Typer(help="Make, issue and list keys for link.security.", no_args_is_help=True)
+app = typer.Typer(
+    help="Make, issue and list keys for link.security.", no_args_is_help=True, add_completion=False
+)
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 Folder = Annotated[Path, typer.Option("--folder", help="Where the keys lie: link.security.folder.")]

@@ -1,36 +1,25 @@
-"""Links of a scenario's kind: for controller and plant as processes of their own, or in one."""
+"""Links of a scenario's kind, for controller and plant as processes of their own.
+
+What only a link over CAN needs is imported where there is one: its libraries take their time.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from bus_schema.can_cansimple_codec import CanSimpleCodec
-from bus_schema.can_cansimple_master import CanSimpleMaster
-from bus_schema.can_cia402_codec import Cia402Codec
-from bus_schema.can_cia402_master import Cia402Master
-from bus_schema.can_codec import build_codec
-from bus_schema.can_frame import CanBus
-from bus_schema.can_link import CanControllerLink
-from bus_schema.can_master import CanMaster
-from bus_schema.can_medium import CanMedium
-from bus_schema.can_run import CanRun
-from bus_schema.can_session import check_can_bus, open_can_bus
-from bus_schema.candump import CandumpLog
-from bus_schema.clock import Clock, MonotonicClock, VirtualClock
+from bus_schema.clock import Clock
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link import PlantLink
-from bus_schema.telemetry import Telemetry, ZenohTelemetry
 from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink, ZenohPlantLink
 from deploy.scenario import Setup
 from deploy.yaml_files import ScenarioError
 from plant_emulator.arm_plant import ArmPlant
-from plant_emulator.can_plant_link import CanPlantLink
 from plant_emulator.driven_arm import DrivenArm
-from plant_emulator.drives.commissioning import build_bank
-from plant_emulator.drives.fault_plan import FaultPlan, parse_fault
-from plant_emulator.drives_on_bus import DrivesOnBus
+
+if TYPE_CHECKING:
+    from bus_schema.can_link import CanControllerLink
 
 
 class RecordedPlantLink(PlantLink, Protocol):
@@ -60,9 +49,24 @@ def check_link(setup: Setup, *, one_process: bool) -> None:
                     "reaches no other process: must be udp_multicast, socketcan or hardware for"
                     " run; simulate runs in one process",
                 )  # fmt: skip
+            from bus_schema.can_session import check_can_bus
+
             check_can_bus(link.can)
     except ConfigurationError as error:
         raise ScenarioError(f"{setup.source}: {error}") from error
+
+
+def require_keys(setup: Setup, *roles: Role) -> None:
+    """Bad keys are bad input, told before anything starts.
+
+    Raises:
+        ScenarioError: as `check_keys`.
+    """
+    security = setup.scenario.link.security
+    if security.enabled:
+        from deploy.keys import check_keys  # needs libraries that no other run does
+
+        check_keys(security.keys, roles)
 
 
 def open_plant_link(
@@ -83,12 +87,9 @@ def open_plant_link(
     link, lockstep = setup.scenario.link, setup.scenario.clock == "lockstep"
     if not isinstance(arm, DrivenArm):
         return ZenohPlantLink(link, clock, lossless=lockstep, await_recorder=await_recorder)
-    bus = open_can_bus(link.can)
-    telemetry = ZenohTelemetry(link, Role.PLANT, lossless=lockstep)
-    run = setup.can_run(lockstep=lockstep)
-    return can_plant_link(
-        setup, run, arm, bus, clock, telemetry, can_log, await_recorder=await_recorder
-    )
+    from deploy.can_links import open_can_plant_link
+
+    return open_can_plant_link(setup, arm, clock, can_log, await_recorder=await_recorder)
 
 
 def open_controller_link(setup: Setup) -> ZenohControllerLink | CanControllerLink:
@@ -100,50 +101,6 @@ def open_controller_link(setup: Setup) -> ZenohControllerLink | CanControllerLin
     link, lockstep = setup.scenario.link, setup.scenario.clock == "lockstep"
     if link.kind != "can":
         return ZenohControllerLink(link, lossless=lockstep)
-    bus = open_can_bus(link.can)
-    telemetry = ZenohTelemetry(link, Role.CONTROLLER, lossless=lockstep)
-    clock: Clock = VirtualClock() if lockstep else MonotonicClock()
-    return can_controller_link(setup, setup.can_run(lockstep=lockstep), bus, clock, telemetry)
+    from deploy.can_links import open_can_controller_link
 
-
-def can_plant_link(
-    setup: Setup,
-    run: CanRun,
-    arm: DrivenArm,
-    bus: CanBus,
-    clock: Clock,
-    telemetry: Telemetry,
-    can_log: Path | None,
-    *,
-    await_recorder: bool,
-) -> CanPlantLink:
-    """The plant's side of a link over CAN on a bus that is open; the arm gets its drives."""
-    can, robot = run.link.can, setup.robot
-    log = None if can_log is None else CandumpLog(can_log, can.resolved_channel)
-    node_ids = can.node_ids_of(robot.joints)
-    drives = DrivesOnBus(
-        bus,
-        FaultPlan([parse_fault(text, node_ids) for text in can.faults.drives]),
-        lambda send: build_bank(can, robot, setup.scenario.plant, send, polled=True),
-        CanMedium(can, setup.scenario.seed),
-        log,
-    )
-    arm.attach(drives.bank)
-    codec = build_codec(can, robot)
-    return CanPlantLink(run, drives, codec, clock, telemetry, await_recorder=await_recorder)
-
-
-def can_controller_link(
-    setup: Setup, run: CanRun, bus: CanBus, clock: Clock, telemetry: Telemetry
-) -> CanControllerLink:
-    """The controller's side of a link over CAN on a bus that is open."""
-    return CanControllerLink(run, _build_master(setup, bus), bus, clock, telemetry)
-
-
-def _build_master(setup: Setup, bus: CanBus) -> CanMaster:
-    can, robot = setup.scenario.link.can, setup.robot
-    node_ids, codec = can.node_ids_of(robot.joints), build_codec(can, robot)
-    if isinstance(codec, CanSimpleCodec):
-        return CanSimpleMaster(bus, can, node_ids, codec)
-    assert isinstance(codec, Cia402Codec)
-    return Cia402Master(bus, can, node_ids, codec)
+    return open_can_controller_link(setup)

@@ -12,12 +12,11 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
 
-from bus_schema.can_link import CanControllerLink
 from bus_schema.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
 from bus_schema.errors import BusError
 from bus_schema.realtime import Grant, go_realtime, request_precedence
@@ -31,6 +30,9 @@ from deploy.recorder import Recorder
 from deploy.scenario import Setup
 from deploy.striker import order_values
 from plant_emulator.plant_loop import PlantLoop
+
+if TYPE_CHECKING:
+    from bus_schema.can_link import CanControllerLink
 
 FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2

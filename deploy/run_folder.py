@@ -20,7 +20,6 @@ from bus_schema.mcap_log import LogContents, read_log
 from bus_schema.whole_files import partial_path, write_whole
 from deploy.experiments.fault_record import fault_record
 from deploy.experiments.metrics import summarise
-from deploy.experiments.report import write_report
 from deploy.experiments.run_data import RunData, build_run_data
 from deploy.link_files import DIRECTIONS
 from deploy.recorder import (
@@ -32,12 +31,12 @@ from deploy.recorder import (
 )
 from deploy.scenario import Setup, load_setup
 from deploy.scenario_text import effective_scenario, plain
-from deploy.yaml_files import ScenarioError
+from deploy.yaml_files import InputError, ScenarioError
 
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 
 
-class RunFolderError(Exception):
+class RunFolderError(InputError):
     """A folder holds no run that can be read."""
 
 
@@ -109,6 +108,8 @@ class RunFolder:
         record = fault_record(run)
         if record is not None:
             write_whole(self.fault, json.dumps(record, indent=1) + "\n")
+        from deploy.experiments.report import write_report  # figures take their time to import
+
         write_report(run, summary, self.report)
         return summary
 

@@ -38,7 +38,6 @@ from controller.control_loop import ControlTask
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference, sample_positions
 from controller.torque_guard import TorqueGuard
-from deploy.can_check import check_can_link
 from deploy.fault_schedule import ScheduledFault, check_faults, plant_faults
 from deploy.link_files import find_delay_files
 from deploy.robot_files import find_urdf
@@ -278,6 +277,8 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     )
     setup.control_task()
     if scenario.link.kind == "can":
+        from deploy.can_check import check_can_link  # imports what only CAN needs
+
         check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
     ArmPlant.check(scenario.plant, robot, start, grid.substep_s, scenario.limits)
     return setup

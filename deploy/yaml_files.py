@@ -11,7 +11,11 @@ from pydantic import ValidationError
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where it is there
 
 
-class ScenarioError(Exception):
+class InputError(Exception):
+    """What the user gave cannot be used; the message says what, and what is allowed."""
+
+
+class ScenarioError(InputError):
     """A scenario cannot be used; the message names file, key, value and what is allowed."""
 
 

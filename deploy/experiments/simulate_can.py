@@ -12,7 +12,7 @@ from bus_schema.can_session import open_can_bus
 from bus_schema.clock import VirtualClock
 from bus_schema.in_process_link import InProcessBus, InProcessTelemetry
 from controller.control_loop import ControlLoop, reason_of
-from deploy.links import can_controller_link, can_plant_link
+from deploy.can_links import can_controller_link, can_plant_link
 from deploy.scenario import Setup
 from plant_emulator.driven_arm import DrivenArm
 from plant_emulator.plant_loop import PlantLoop

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from deploy import cli
+from deploy import cli, cli_processes, cli_run, cli_simulate
 
 
 @pytest.fixture
@@ -19,3 +19,16 @@ def funnel_hil(monkeypatch, capsys):
         return ended.value.code or 0, said.out + said.err
 
     return run
+
+
+@pytest.fixture
+def nothing_starts(monkeypatch):
+    """Whatever would start a process or a simulation fails the test."""
+
+    def start(*_):
+        pytest.fail("something was started")
+
+    monkeypatch.setattr(cli_run, "Launcher", start)
+    monkeypatch.setattr(cli_simulate, "simulate_setup", start)
+    for name in ("run_controller", "run_plant", "run_recorder"):
+        monkeypatch.setattr(cli_processes, name, start)

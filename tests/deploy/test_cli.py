@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,10 @@ JOINTLESS = """<robot name="r"><link name="a"/><link name="b"/>
 
 @pytest.fixture
 def refuse(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    nothing_starts: None,
 ) -> Refusal:
     return Refusal(monkeypatch, tmp_path / "out", capsys)
 
@@ -32,12 +36,6 @@ class Refusal:
         self, monkeypatch: pytest.MonkeyPatch, out: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         self._monkeypatch, self._out, self._capsys = monkeypatch, out, capsys
-
-        def start(*_: object) -> None:
-            pytest.fail("something was started")
-
-        for name in ("Launcher", "simulate_setup", "run_controller", "run_plant", "run_recorder"):
-            monkeypatch.setattr(cli, name, start)
 
     def __call__(self, *words: str, out: Path | None = None) -> str:
         if words[0] in ("run", "simulate", "record"):
@@ -302,6 +300,27 @@ def test_folder_without_a_run_is_refused(refuse: Refusal, tmp_path: Path, comman
     assert refuse(command, str(tmp_path)).startswith(f"{tmp_path}: ")
     (tmp_path / "run.mcap").write_bytes(b"no recording")
     assert "no recording of funnel-hil" in refuse(command, str(tmp_path))
+
+
+def test_a_process_of_a_run_starts_without_what_only_others_need() -> None:
+    look = (
+        "import sys; from deploy import cli; cli._Commands(cli._COMMANDS)['plant'];"
+        "print(*{'plotly', 'dask', 'pyarrow', 'can', 'canopen', 'cryptography'} & {*sys.modules})"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", look], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    assert ended.stdout.strip() == ""
+
+
+def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil) -> None:
+    code, said = funnel_hil("--help")
+    assert code == 0
+    for name in cli._COMMANDS:
+        assert re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE), name
+    code, said = funnel_hil("smulate")
+    assert code == 2
+    assert "Did you mean 'simulate'" in said
 
 
 def test_process_of_its_own_ends_with_the_same_code_and_message(tmp_path: Path) -> None:

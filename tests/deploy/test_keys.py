@@ -142,13 +142,12 @@ def test_host_that_is_none_is_refused(keys: KeyFolder) -> None:
         issue(keys, Role.PLANT, ["a b"], 1)
 
 
+@pytest.mark.usefixtures("nothing_starts")
 @pytest.mark.parametrize("command", ["run", "controller", "plant", "record"])
 def test_commands_refuse_before_anything_starts(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    for name in ("Launcher", "run_controller", "run_plant", "run_recorder"):
-        monkeypatch.setattr(cli, name, lambda *_: pytest.fail("something was started"))
     out = tmp_path / "out"
     security = ["link.security.enabled=true", f"link.security.folder={tmp_path}/none"]
     words = [command, "paper_arm", *(word for value in security for word in ("--set", value))]
