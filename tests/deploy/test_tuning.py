@@ -1,14 +1,20 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from controller.laws import LAWS
+from deploy.experiments.metrics import summarise
+from deploy.experiments.simulate import simulate
 from deploy.experiments.tuning import (
+    EXCESS_WEIGHT,
     FIXED,
     SATURATED,
+    SMOOTHED,
+    SMOOTHNESS_WEIGHT,
     START_S,
     cost,
     entries,
@@ -63,6 +69,27 @@ def test_leaving_the_funnel_costs_more_than_a_factor_e_in_error():
     setup = short("pid")
     wide = replace(setup, funnel=replace(setup.funnel, rate_per_s=1e-6))
     assert cost(setup) - cost(wide) > 1.0
+
+
+def test_with_a_limit_travel_costs_nothing_below_it_and_much_above():
+    setup = short("pid")
+    torque = summarise(simulate(setup).data())["torque"]
+    travel_per_s = torque["total_variation_nm_per_s"] / setup.robot.effort_limits_nm
+    free = cost(setup, 1e9)
+    assert cost(setup, 1.001 * travel_per_s.max()) == free
+    # Without a limit all travel counts, by its logarithm.
+    assert cost(setup) - free == pytest.approx(SMOOTHNESS_WEIGHT * np.log(travel_per_s).mean())
+    # e times the limit, or more, on every joint: 1 for being beyond it, 10 for each factor e.
+    limit_per_s = travel_per_s.min() / math.e
+    excess = np.log(travel_per_s / limit_per_s).mean()
+    assert cost(setup, limit_per_s) - free == pytest.approx(1.0 + EXCESS_WEIGHT * excess)
+
+
+def test_the_boundary_layer_is_tuned_where_travel_is_limited():
+    gains = tuning_setup("paper_arm", "smc").gains._replace(boundary_layer=0.1)
+    doubled = scaled(gains, np.full(entries(gains, SMOOTHED), math.log(2.0)), SMOOTHED)
+    assert doubled.boundary_layer == pytest.approx(0.2)
+    assert entries(gains, SMOOTHED) == entries(gains) + 1
 
 
 def test_a_search_repeats_itself_and_never_spends_much_more_than_its_budget():
