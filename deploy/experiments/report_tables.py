@@ -148,12 +148,12 @@ def health_table(summary: dict[str, Any]) -> str:
     rows = [
         ["Deadlines missed", number(timing["deadline_misses"])],
         ["Longest run of misses (ticks)", number(timing["deadline_miss_longest_run"])],
-        ["CPU time taken by the hypervisor (ms)", number(timing["stolen_ms"])],
         [
             "Ticks with a saturated actuator",
             number(summary["torque"]["saturated_fraction"], 100, " %"),
         ],
         ["Real-time factor", number(summary["real_time_factor"])],
+        ["CPU time that a hypervisor took (ms)", number(timing["stolen_ms"])],
         ["Messages recorded", number(recorder["messages"])],
         ["Messages lost by the recorder", number(recorder["lost"])],
         *(
