@@ -54,9 +54,10 @@ class Voice:
     def say(self, kind: str, **values: Any) -> None:
         """Say something: ``note``, ``lacks``, ``fault``, ``grants``, ``progress`` or ``result``."""
         if self._to_parent:
-            # print would interleave with other threads; one write per line does not.
+            # print writes the end of a line by itself, and another thread's line may get before it.
             with contextlib.suppress(BrokenPipeError):
-                print(json.dumps({"kind": kind, **values}), flush=True)
+                sys.stdout.write(json.dumps({"kind": kind, **values}) + "\n")
+                sys.stdout.flush()
         elif kind in ("note", "lacks", "fault"):
             self._console.print(f"{self._role}: {values['text']}", markup=False)
         elif kind in ("progress", "result"):

@@ -50,7 +50,8 @@ common = {"msg_type": TYPE, "msg_definition": JOINT_STATE, "type_hash": hash_, "
           "router_ip": "127.0.0.1", "router_port": port}
 
 def say(**values):
-    print(json.dumps(values), flush=True)
+    sys.stdout.write(json.dumps(values) + chr(10))  # in one go: other threads write too
+    sys.stdout.flush()
 
 def hear(message):
     say(stamp=[message.header.stamp.sec, message.header.stamp.nanosec], name=list(message.name),
