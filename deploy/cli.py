@@ -38,12 +38,12 @@ class _Commands(UserDict[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if isinstance(self.data[name], str):
-            self.data[name] = _imported(name)
+            self.data[name] = _imported(name, self.data[name])
         return self.data[name]
 
 
-def _imported(name: str) -> Any:
-    module, _, attribute = _COMMANDS[name].partition(":")
+def _imported(name: str, place: str) -> Any:
+    module, _, attribute = place.partition(":")
     found = getattr(import_module(module), attribute)
     if isinstance(found, typer.Typer):
         group = typer.main.get_command(found)

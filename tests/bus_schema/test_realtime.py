@@ -140,25 +140,26 @@ def test_cpus_sleep_lightly_while_the_grant_lasts_and_no_longer() -> None:
     result = in_child("""
         device = Path("/dev/cpu_dma_latency")
 
+        def requests():
+            links = [file for file in Path("/proc/self/fd").iterdir() if file.is_symlink()]
+            return sum(file.readlink() == device for file in links)
+
         def allowed_us():
             with device.open("rb", buffering=0) as request:
                 return int.from_bytes(request.read(4), "little")
 
         with realtime.light_sleep() as grant:
-            inside_us = allowed_us() if grant.granted else None
-        outside_us = allowed_us() if grant.granted else None
+            inside = [requests(), allowed_us() if grant.granted else 0]
+        outside = requests()
         grants = realtime.go_realtime()
-        kept_us = allowed_us() if grant.granted else None
-        report([*grants, grant], inside_us=inside_us, outside_us=outside_us, kept_us=kept_us)
+        kept = [requests(), allowed_us() if grant.granted else 0]
+        report([*grants, grant], inside=inside, outside=outside, kept=kept)
     """)
     granted, detail = result["grants"][realtime.IDLE_STATES]
-    if granted:
-        assert detail == "left within 0 µs"
-        assert result["inside_us"] == result["kept_us"] == 0
-        # The kernel's default is 2,000 s; another process may ask for less at the same time.
-        assert result["outside_us"] >= 0
-    else:
-        assert "cpu_dma_latency" in detail
+    # The request is in force while the process has the device open.
+    assert result["inside"] == result["kept"] == [int(granted), 0]
+    assert result["outside"] == 0
+    assert detail == "left within 0 µs" if granted else "cpu_dma_latency" in detail
 
 
 def test_light_sleep_is_refused_with_what_would_allow_it() -> None:

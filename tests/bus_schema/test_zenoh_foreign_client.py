@@ -50,7 +50,7 @@ common = {"msg_type": TYPE, "msg_definition": JOINT_STATE, "type_hash": hash_, "
           "router_ip": "127.0.0.1", "router_port": port}
 
 def say(**values):
-    sys.stdout.write(json.dumps(values) + chr(10))  # in one go: other threads write too
+    sys.stdout.write(json.dumps(values) + "\n")  # in one go: other threads write too
     sys.stdout.flush()
 
 def hear(message):
