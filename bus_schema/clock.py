@@ -5,6 +5,10 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
+import numpy as np
+
+from bus_schema.arrays import Offsets
+
 
 class Clock(Protocol):
     """What a loop may ask of time."""
@@ -87,21 +91,19 @@ class TickGrid:
     Attributes:
         period_ns: length of a tick.
         substep_s: length of a physics step.
-        substep_offsets_ns: start of each substep within its tick.
+        substep_offsets_ns: start of each substep within its tick, shape (substeps,).
     """
 
     def __init__(self, rate_hz: float, substeps: int) -> None:
         self.period_ns = round(1e9 / rate_hz)
         self.substeps = substeps
         self.substep_s = self.period_ns * 1e-9 / substeps
-        self.substep_offsets_ns = tuple(
-            substep * self.period_ns // substeps for substep in range(substeps)
-        )
+        self.substep_offsets_ns: Offsets = np.arange(substeps) * self.period_ns // substeps
 
     def tick_ns(self, tick: int) -> int:
         return tick * self.period_ns
 
-    def stages(self, *, paced: bool) -> tuple[tuple[int, ...], ...]:
+    def stages(self, *, paced: bool) -> tuple[Offsets, ...]:
         """How the substeps of a tick are gone through: each stage once its last one has begun.
 
         Args:

@@ -7,11 +7,12 @@ are cached under a folder named by a hash of the package's sources.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -30,8 +31,26 @@ def _cache_folder() -> Path:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder()))
 
 import numba  # noqa: E402  (reads its cache folder at import)
+from llvmlite import binding  # noqa: E402
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
     return cast("Callable[P, R]", numba.njit(cache=True, error_model="numpy")(function))
+
+
+def c_function(library: ctypes.CDLL, name: str, result: str, *arguments: str) -> Any:
+    """A C function for `compiled` functions to call; nothing else can.
+
+    Args:
+        library: where it is.
+        name: its name there.
+        result: type of what it returns, as numba names it; ``uintp`` for pointers.
+        arguments: types of its arguments.
+
+    Raises:
+        AttributeError: the library has no such function.
+    """
+    binding.add_symbol(name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
+    types = [getattr(numba.types, argument) for argument in arguments]
+    return numba.types.ExternalFunction(name, getattr(numba.types, result)(*types))

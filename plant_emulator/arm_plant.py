@@ -8,17 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Matrix, Offsets, Vector
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.modes import Cue, Mode, follow
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.arm_faults import ArmFaults
+from plant_emulator.bullet_arm import BulletArm
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.fault_configuration import Fault
 from plant_emulator.joint_hardware import Encoders
 from plant_emulator.joint_torques import JointTorques
-from plant_emulator.pybullet_arm import PybulletArm
 
 
 class ArmPlant:
@@ -70,12 +70,10 @@ class ArmPlant:
             else None
         )
         self._commanded: Vector = np.zeros(robot.joints)
-        self._arm = PybulletArm(
+        self._arm = BulletArm(
             robot, substep_s, payload_kg=configuration.payload_kg, gui=configuration.gui
         )
         self._arm.place(start_position_rad)
-        self._held: NDArray[np.bool_] = np.zeros(robot.joints, dtype=np.bool_)
-        self._holds_some = False
         self.position: Vector = self._arm.position
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
@@ -102,10 +100,10 @@ class ArmPlant:
         ArmPlant(without_window, robot, start_position_rad, substep_s, 0, limits).close()
 
     def warm_up(self) -> None:
-        """Compile what a step calls, and leave no trace of it."""
-        self.torques.act(self._commanded, self.motion, 0.0)
-        self.torques.rest()
-        self.torques.hits = 0
+        """Compile what the substeps call, and leave no trace of it."""
+        no_substeps = np.empty(0, np.int64)
+        self._arm.advance(self.torques, self._commanded, 0, no_substeps)
+        self._arm.coast(0)
 
     def read_encoders(self, into_position: Vector, into_velocity: Vector, now_ns: int = 0) -> None:
         """Write what a controller gets to see of the motion at `now_ns`."""
@@ -127,11 +125,11 @@ class ArmPlant:
 
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
-        if not np.array_equal(joints, self._held):
-            self._held[:] = joints
-            self._holds_some = bool(joints.any())
+        held = self.torques.held
+        if not np.array_equal(joints, held):
+            held[:] = joints
             if not self._is_braked:
-                self._arm.hold(self._held.tolist())
+                self._arm.hold(held.tolist())
 
     def stop(self) -> None:
         """Begin the configured safe stop. There is no way back."""
@@ -146,31 +144,45 @@ class ArmPlant:
         self._commanded[:] = 0.0
         self._set_brakes(engaged=True)
 
-    def step(self, now_ns: int) -> None:
-        """Advance by one substep that starts at `now_ns`."""
-        if self._faults is not None and self._faults.payload_falls(now_ns):
-            self._arm.drop_payload()
-        if self._is_braked:
-            self.torques.rest()
-            self._arm.step_braked()
+    def advance(self, tick_ns: int, offsets_ns: Offsets) -> None:
+        """Advance by substeps under the command in force.
+
+        Args:
+            tick_ns: beginning of the tick.
+            offsets_ns: beginnings of the substeps after that of the tick, shape (substeps,).
+        """
+        is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
+        if self._faults is None and not is_damped:
+            self._go(self._commanded, tick_ns, offsets_ns)
             return
-        if self.mode is Mode.STOPPING and self._safe_stop == "damping":
-            np.multiply(self._stop_damping, self.velocity, out=self._commanded)
-            np.negative(self._commanded, out=self._commanded)
-        asked = self._commanded
-        if self._faults is not None:
-            asked = self._faults.ask(asked, now_ns)
-        total = self.torques.act(asked, self.motion, now_ns * 1e-9)
-        if self._holds_some:
-            self.torques.rest_at(self._held)
-        self._arm.step(total)
+        for substep in range(offsets_ns.size):
+            if is_damped:
+                np.multiply(self._stop_damping, self.velocity, out=self._commanded)
+                np.negative(self._commanded, out=self._commanded)
+            offset_ns = offsets_ns[substep : substep + 1]
+            self._go(self._asked(tick_ns + int(offset_ns[0])), tick_ns, offset_ns)
 
     def close(self) -> None:
         """Free the physics server."""
         self._arm.close()
 
+    def _asked(self, now_ns: int) -> Vector:
+        """What the actuators are asked for at `now_ns`, once that has been through the faults."""
+        if self._faults is None:
+            return self._commanded
+        if self._faults.payload_falls(now_ns):
+            self._arm.drop_payload()
+        return self._faults.ask(self._commanded, now_ns)
+
+    def _go(self, asked: Vector, tick_ns: int, offsets_ns: Offsets) -> None:
+        if self._is_braked:
+            self.torques.rest()
+            self._arm.coast(offsets_ns.size)
+        else:
+            self._arm.advance(self.torques, asked, tick_ns, offsets_ns)
+
     def _set_brakes(self, *, engaged: bool) -> None:
         self._arm.set_brakes(engaged=engaged)
-        if self._holds_some and not engaged:
-            self._arm.hold(self._held.tolist())
+        if not engaged and self.torques.held.any():
+            self._arm.hold(self.torques.held.tolist())
         self._is_braked = engaged

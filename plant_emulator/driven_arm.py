@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Offsets, Vector
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.arm_plant import ArmPlant
@@ -46,8 +46,8 @@ class DrivenArm(ArmPlant):
         """Give the joints their drives."""
         self._bank = bank
 
-    def step(self, now_ns: int) -> None:
+    def advance(self, tick_ns: int, offsets_ns: Offsets) -> None:
         if self._bank is not None:
             self.hold(self._bank.braked)
             np.copyto(self._commanded, self._bank.torque_nm)
-        super().step(now_ns)
+        super().advance(tick_ns, offsets_ns)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,29 @@ from plant_emulator.friction import friction_table, friction_torque
 from plant_emulator.joint_hardware import ActuatorLimits
 
 
+class Tables(NamedTuple):
+    """What the torques of a substep depend on, and where they go, as compiled code takes it.
+
+    Attributes:
+        limits: of the torques, `bus_schema.limits.JointLimits.table`.
+        saturation: largest torques of the actuators, N m, shape (joints,).
+        lag_factor: share of the difference to the commanded torque that is left after a substep.
+        friction: `friction_table`.
+        disturbance: `disturbance_table`.
+        held: joints that their brakes hold, shape (joints,).
+        torques: actuator, friction, disturbance, total and limited torques as rows, N m, shape
+            (5, joints).
+    """
+
+    limits: Matrix
+    saturation: Vector
+    lag_factor: float
+    friction: Matrix
+    disturbance: Matrix
+    held: NDArray[np.bool_]
+    torques: Matrix
+
+
 class JointTorques:
     """Actuators, friction and disturbance between a command and the rigid bodies.
 
@@ -22,7 +47,8 @@ class JointTorques:
         actuator: torque that the actuators deliver, N m.
         friction: friction, opposing, N m.
         disturbance: disturbance, opposing, N m.
-        total: actuator − friction − disturbance, N m. All of shape (joints,).
+        held: joints that their brakes hold: nothing else is felt there. All of shape (joints,).
+        tables: what compiled code needs to work the torques out.
         acting: actuator, friction and disturbance as rows, shape (3, joints).
         saturated: whether the last command asked for all that an actuator has, or more.
         hits: limits that commands or motion ran into since this was last set to 0: a sum of
@@ -38,69 +64,52 @@ class JointTorques:
         limits: LimitsConfiguration,
     ) -> None:
         actuators = ActuatorLimits(configuration.actuator, robot, substep_s)
-        self._limits = limits.of_plant(robot).table(substep_s)
-        self._saturation = actuators.saturation_nm
-        self._lag_factor = actuators.lag_factor
-        self._friction_table = friction_table(configuration.friction, robot.joints)
-        self._disturbance_table = disturbance_table(
-            configuration.disturbance, robot.joint_names, random
-        )
         self._torques: Matrix = np.zeros((5, robot.joints))
+        self.tables = Tables(
+            limits.of_plant(robot).table(substep_s),
+            actuators.saturation_nm,
+            actuators.lag_factor,
+            friction_table(configuration.friction, robot.joints),
+            disturbance_table(configuration.disturbance, robot.joint_names, random),
+            np.zeros(robot.joints, dtype=np.bool_),
+            self._torques,
+        )
+        self.held = self.tables.held
         self.actuator: Vector = self._torques[0]
         self.friction: Vector = self._torques[1]
         self.disturbance: Vector = self._torques[2]
-        self.total: Vector = self._torques[3]
         self.acting: Matrix = self._torques[:3]
         self.saturated = False
         self.hits = 0
-
-    def act(self, commanded_nm: Vector, motion: Matrix, time_s: float) -> Vector:
-        """Total torque of a substep that starts at `time_s`, shape (joints,), N m.
-
-        Args:
-            commanded_nm: torques in force, shape (joints,).
-            motion: positions and velocities as rows, shape (2, joints).
-            time_s: start of the substep.
-        """
-        self.saturated, hits = _act(
-            commanded_nm,
-            motion,
-            time_s,
-            self._limits,
-            self._saturation,
-            self._lag_factor,
-            self._friction_table,
-            self._disturbance_table,
-            self._torques,
-        )
-        self.hits |= hits
-        return self.total
 
     def rest(self) -> None:
         """The brakes hold the joints: nothing else is felt."""
         self._torques[:] = 0.0
         self.saturated = False
 
-    def rest_at(self, joints: NDArray[np.bool_]) -> None:
-        """The brakes of some joints, shape (joints,), hold: nothing else is felt there."""
-        self._torques[:, joints] = 0.0
-
 
 @compiled
-def _act(
-    commanded: Vector, motion: Matrix, time_s: float, limits: Matrix,
-    saturation: Vector, lag_factor: float, friction_parameters: Matrix, disturbances: Matrix,
-    torques: Matrix,
-) -> tuple[bool, int]:  # fmt: skip
+def act(commanded_nm: Vector, motion: Matrix, time_s: float, tables: Tables) -> tuple[bool, int]:
+    """Write the torques of a substep; whether actuators saturate, and the limits that were hit.
+
+    Args:
+        commanded_nm: torques in force, shape (joints,).
+        motion: positions and velocities as rows, shape (2, joints).
+        time_s: start of the substep.
+        tables: what the torques depend on, and where they go.
+    """
+    torques, saturation = tables.torques, tables.saturation
     actuator, friction, disturbance, total = torques[0], torques[1], torques[2], torques[3]
     allowed = torques[4]
-    hits = limit_torques(commanded, motion, limits, 1.0, allowed)
-    add_disturbance(time_s, disturbances, disturbance)
+    hits = limit_torques(commanded_nm, motion, tables.limits, 1.0, allowed)
+    add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
-    for i in range(commanded.size):
+    for i in range(commanded_nm.size):
         target = min(max(allowed[i], -saturation[i]), saturation[i])
-        saturated = saturated or abs(commanded[i]) >= saturation[i]
-        actuator[i] = target + lag_factor * (actuator[i] - target)
-        friction[i] = friction_torque(motion[1, i], friction_parameters, i)
+        saturated = saturated or abs(commanded_nm[i]) >= saturation[i]
+        actuator[i] = target + tables.lag_factor * (actuator[i] - target)
+        friction[i] = friction_torque(motion[1, i], tables.friction, i)
         total[i] = actuator[i] - friction[i] - disturbance[i]
+        if tables.held[i]:  # its brake holds it: nothing else is felt there
+            torques[:, i] = 0.0
     return saturated, hits

@@ -14,6 +14,7 @@ import time
 from collections import Counter
 
 from bus_schema import topics
+from bus_schema.arrays import Offsets
 from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
@@ -137,7 +138,7 @@ class PlantLoop:
         # What acts in a substep is known when it begins: the physics need not wait for the tick,
         # at which nothing is left to do but to measure.
         for offsets_ns in self._stages:
-            self._exchange_until(self._grid.tick_ns(tick - 1) + offsets_ns[-1])
+            self._exchange_until(self._grid.tick_ns(tick - 1) + int(offsets_ns[-1]))
             self._journal.begin_physics()
             if self.tick < tick - 1:
                 self._skip_to(tick - 1)
@@ -216,18 +217,22 @@ class PlantLoop:
             self._advance(self._grid.substep_offsets_ns)
             self._complete_tick(was_skipped=True)
 
-    def _advance(self, offsets_ns: tuple[int, ...]) -> None:
+    def _advance(self, offsets_ns: Offsets) -> None:
         """Let the physics go through the substeps of this tick that begin at these offsets."""
-        arm, downlink, watchdog = self._arm, self._commands.downlink, self._watchdog
-        tick_ns = self._grid.tick_ns(self.tick)
-        for offset_ns in offsets_ns:
-            now_ns = tick_ns + offset_ns
+        downlink, watchdog = self._commands.downlink, self._watchdog
+        tick_ns, substeps, begin = self._grid.tick_ns(self.tick), offsets_ns.size, 0
+        last_ns = tick_ns + int(offsets_ns[-1])
+        while begin < substeps:
+            now_ns = tick_ns + int(offsets_ns[begin])
             if downlink.next_due_ns <= now_ns:
                 self._commands.put_into_force(now_ns)
-            if watchdog.expires_ns < now_ns and arm.mode in COMMANDABLE:
+            if watchdog.expires_ns < now_ns and self._arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._stop_safely(f"no valid command for {timeout_ms:g} ms")
-            arm.step(now_ns)
+            stays_so = downlink.next_due_ns > last_ns and watchdog.expires_ns >= last_ns
+            end = substeps if stays_so else begin + 1
+            self._arm.advance(tick_ns, offsets_ns[begin:end])
+            begin = end
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1

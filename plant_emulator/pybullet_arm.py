@@ -1,13 +1,12 @@
-"""The arm's rigid-body physics: pybullet, one physics server per arm."""
+"""The arm by pybullet's own Python functions: pictures, and what a run's physics is held against.
+
+In a run the arm is a `BulletArm`, which gives the same bits at less cost.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import os
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,35 +14,13 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import PAYLOAD_LINK, RobotDescription
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.bullet_server import GRAVITY_M_S2
+from plant_emulator.quiet import quiet
 
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep what pybullet's C code prints out of a program's output."""
-    flush = ctypes.CDLL(None).fflush
-    sys.stdout.flush()
-    kept = [os.dup(1), os.dup(2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        flush(None)
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        flush(None)
-        for descriptor, copy in enumerate(kept, start=1):
-            os.dup2(copy, descriptor)
-            os.close(copy)
-        os.close(nowhere)
-
-
-with _quiet():
+with quiet():
     import pybullet
 
-GRAVITY_M_S2 = 9.81
-_BRAKE_TO_EFFORT = 10.0
-_BRAKE_TORQUE_NM = 10_000.0
 _CAMERA_FROM = np.array([0.55, -0.75, 0.36])
 _FIELD_OF_VIEW_DEG = 35.0
 _FRAME_MARGIN = 1.05
@@ -56,26 +33,23 @@ class PybulletArm:
         robot: description of the arm.
         substep_s: length of one physics step.
         payload_kg: point mass at the tip.
-        gui: open pybullet's window (needs a display).
+
+    Attributes:
+        position: joint positions, rad, shape (joints,).
+        velocity: joint velocities, rad/s, shape (joints,).
+
+    Raises:
+        RobotDescriptionError: pybullet cannot load the arm.
     """
 
     def __init__(
-        self,
-        robot: RobotDescription,
-        substep_s: float,
-        *,
-        payload_kg: float = 0.0,
-        gui: bool = False,
+        self, robot: RobotDescription, substep_s: float, *, payload_kg: float = 0.0
     ) -> None:
-        self._client = pybullet.connect(pybullet.GUI if gui else pybullet.DIRECT)
+        self._client = pybullet.connect(pybullet.DIRECT)
         # One body that never touches anything: looking for contacts would be a tenth of a step.
         pybullet.resetSimulation(pybullet.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self._client)
         self._body = self._load(robot, payload_kg)
         self._joints = self._find_joints(robot.joint_names)
-        self._brake_torques = [
-            _BRAKE_TO_EFFORT * limit if np.isfinite(limit) else _BRAKE_TORQUE_NM
-            for limit in robot.effort_limits_nm
-        ]
         pybullet.setGravity(0, 0, -GRAVITY_M_S2, physicsClientId=self._client)
         pybullet.setTimeStep(substep_s, physicsClientId=self._client)
         for link in range(-1, pybullet.getNumJoints(self._body, physicsClientId=self._client)):
@@ -83,11 +57,12 @@ class PybulletArm:
                 self._body, link, linearDamping=0, angularDamping=0, jointDamping=0,
                 physicsClientId=self._client,
             )  # fmt: skip
-        self.motion: Matrix = np.zeros((2, robot.joints))
-        self.position: Vector = self.motion[0]
-        self.velocity: Vector = self.motion[1]
-        self._position_view, self._velocity_view = self.position.data, self.velocity.data
-        self.set_brakes(engaged=False)
+        pybullet.setJointMotorControlArray(  # which every joint has at first
+            self._body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * robot.joints,
+            physicsClientId=self._client,
+        )  # fmt: skip
+        self.position: Vector = np.zeros(robot.joints)
+        self.velocity: Vector = np.zeros(robot.joints)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
@@ -96,28 +71,6 @@ class PybulletArm:
                 self._body, joint, float(angle), 0.0, physicsClientId=self._client
             )
         self._read()
-
-    def set_brakes(self, *, engaged: bool) -> None:
-        """Engage or release brakes that hold every joint against ten times its largest torque."""
-        self.hold([engaged] * len(self._joints))
-
-    def hold(self, joints: Sequence[bool]) -> None:
-        """Engage the brakes of some joints, shape (joints,), and release those of the others."""
-        forces = [
-            torque if is_held else 0.0
-            for torque, is_held in zip(self._brake_torques, joints, strict=True)
-        ]
-        pybullet.setJointMotorControlArray(
-            self._body, self._joints, pybullet.VELOCITY_CONTROL, forces=forces,
-            physicsClientId=self._client,
-        )  # fmt: skip
-
-    def drop_payload(self) -> None:
-        """Take the payload off, if there is one."""
-        for link in range(pybullet.getNumJoints(self._body, physicsClientId=self._client)):
-            name = pybullet.getJointInfo(self._body, link, physicsClientId=self._client)[12]
-            if name.decode() == PAYLOAD_LINK:
-                pybullet.changeDynamics(self._body, link, mass=0, physicsClientId=self._client)
 
     def step(self, torque_nm: Vector) -> None:
         """Apply joint torques (shape (joints,)) for one substep and read the joints."""
@@ -138,11 +91,6 @@ class PybulletArm:
             body, joints, physicsClientId=client
         )
         return states
-
-    def step_braked(self) -> None:
-        """One substep with the brakes engaged and no torque."""
-        self.advance()
-        self._read()
 
     def advance(self) -> None:
         """One substep under the forces in force, and nothing else: the joints are not read."""
@@ -222,18 +170,14 @@ class PybulletArm:
         self._take(pybullet.getJointStates(self._body, self._joints, physicsClientId=self._client))
 
     def _take(self, states: Sequence[Sequence[float]]) -> None:
-        # Through memory views, which take a Python float in half the time that NumPy needs.
-        position, velocity = self._position_view, self._velocity_view
-        for index, state in enumerate(states):
-            position[index] = state[0]
-            velocity[index] = state[1]
+        self.position[:], self.velocity[:] = ([state[row] for state in states] for row in range(2))
 
     def _load(self, robot: RobotDescription, payload_kg: float) -> int:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / robot.path.name
             file.write_text(robot.resolved_urdf(payload_kg))
             try:
-                with _quiet():
+                with quiet():
                     body: int = pybullet.loadURDF(
                         str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                         physicsClientId=self._client,

@@ -105,9 +105,7 @@ class DriveRig:
         arm.command(bank.torque_nm)
         self.counts.skipped += tick - self.counts.ticks - 1
         while self.counts.ticks < tick:
-            tick_ns = self._grid.tick_ns(self.counts.ticks)
-            for offset_ns in self._grid.substep_offsets_ns:
-                arm.step(tick_ns + offset_ns)
+            arm.advance(self._grid.tick_ns(self.counts.ticks), self._grid.substep_offsets_ns)
             self.counts.ticks += 1
 
     def _measure(self) -> None:

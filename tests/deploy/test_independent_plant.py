@@ -11,6 +11,7 @@ from deploy.experiments.metrics import summarise
 from deploy.experiments.simulate import simulate
 from deploy.scenario import load_setup
 from plant_emulator import arm_plant
+from plant_emulator.joint_torques import act
 
 SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 
@@ -30,7 +31,14 @@ class PinocchioArm:
     def set_brakes(self, *, engaged):
         pass
 
-    def step(self, torque_nm):
+    def advance(self, torques, commanded_nm, tick_ns, offsets_ns):
+        for offset_ns in offsets_ns.tolist():
+            time_s = (tick_ns + offset_ns) * 1e-9
+            torques.saturated, hits = act(commanded_nm, self.motion, time_s, torques.tables)
+            torques.hits |= hits
+            self._step(torques.tables.torques[3])
+
+    def _step(self, torque_nm):
         def rate(state):
             acceleration = self._model.forward_dynamics(state[0], state[1], torque_nm)
             return np.stack([state[1], acceleration])
@@ -43,7 +51,7 @@ class PinocchioArm:
         state += step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
         self.position[:], self.velocity[:] = state
 
-    def step_braked(self):
+    def coast(self, substeps):
         self.velocity[:] = 0.0
 
     def close(self):
@@ -60,7 +68,7 @@ def both():
     """RMS errors by law on pybullet and on pinocchio, shape (joints,) each."""
     pybullet = {law: rms_rad(law) for law in LAWS}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(arm_plant, "PybulletArm", PinocchioArm)
+        patch.setattr(arm_plant, "BulletArm", PinocchioArm)
         pinocchio = {law: rms_rad(law) for law in LAWS}
     return pybullet, pinocchio
 

@@ -13,6 +13,7 @@ from plant_emulator.configuration import PlantConfiguration
 SUBSTEP_S = 2.5e-4
 START = np.array([0.3, -0.9, 1.2])
 PUSH = np.array([60.0, -250.0, -20.0])
+AT_ONCE = np.zeros(1, np.int64)
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 
 
@@ -29,7 +30,7 @@ class Bench:
         """Advance; positions and velocities after each substep."""
         rows = []
         for _ in range(round(duration_s / SUBSTEP_S)):
-            self.arm.step(round(self.steps * SUBSTEP_S * 1e9))
+            self.arm.advance(round(self.steps * SUBSTEP_S * 1e9), AT_ONCE)
             self.steps += 1
             rows.append((self.arm.position.copy(), self.arm.velocity.copy()))
         positions, velocities = zip(*rows, strict=True)

@@ -71,17 +71,17 @@ def run():
         for stamp_ns, arrival_ns in expected:
             station.expect(stamp_ns, arrival_ns)
         in_force, steps = [0.0], []
-        command, step = arm.command, arm.step
+        command, advance = arm.command, arm.advance
 
         def note_command(torque_nm):
             in_force[0] = float(torque_nm[0])
             command(torque_nm)
 
-        def note_step(now_ns):
-            steps.append((now_ns, in_force[0]))
-            step(now_ns)
+        def note_advance(tick_ns, offsets_ns):
+            steps.extend((tick_ns + int(offset_ns), in_force[0]) for offset_ns in offsets_ns)
+            advance(tick_ns, offsets_ns)
 
-        arm.command, arm.step = note_command, note_step
+        arm.command, arm.advance = note_command, note_advance
         PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()
         return station, steps
 

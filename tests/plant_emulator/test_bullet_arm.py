@@ -1,0 +1,95 @@
+"""The arm of a run against pybullet's own Python functions."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.robot_description import load_robot
+from deploy.robot_files import find_urdf
+from plant_emulator.bullet_arm import BulletArm
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.joint_torques import JointTorques, act
+from plant_emulator.pybullet_arm import PybulletArm
+
+SUBSTEP_S = 2.5e-4
+TICK_NS = 1_000_000
+OFFSETS_NS = np.arange(4) * 250_000
+ARMS = ["paper_arm", "pybullet_data:kuka_iiwa/model.urdf", "pybullet_data:franka_panda/panda.urdf"]
+PLANT = PlantConfiguration.model_validate(
+    {
+        "friction": {"coulomb_nm": 2.0, "viscous_nm_s": 3.0, "stribeck_nm": 1.0},
+        "disturbance": {"terms": [
+            {"joint": "all", "kind": "sine", "amplitude_nm": 5.0, "frequency_rad_s": 9.0}
+        ]},
+        "actuator": {"lag_ms": 1.0},
+    }
+)  # fmt: skip
+
+
+def torques_of(robot):
+    return JointTorques(PLANT, robot, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration())
+
+
+def thrown(robot, payload_kg):
+    """Positions and velocities after each tick of being thrown about, four substeps in one call."""
+    arm = BulletArm(robot, SUBSTEP_S, payload_kg=payload_kg)
+    arm.place(np.resize([0.3, -0.9, 1.2], robot.joints))
+    torques, rows = torques_of(robot), []
+    for tick in range(50):
+        arm.advance(torques, pushes(robot, tick), tick * TICK_NS, OFFSETS_NS)
+        rows.append(arm.motion.copy())
+    arm.close()
+    return np.array(rows)
+
+
+def thrown_by_pybullet(robot, payload_kg):
+    """The same, one substep and three calls of pybullet at a time."""
+    arm = PybulletArm(robot, SUBSTEP_S, payload_kg=payload_kg)
+    arm.place(np.resize([0.3, -0.9, 1.2], robot.joints))
+    torques, rows = torques_of(robot), []
+    for tick in range(50):
+        for offset_ns in OFFSETS_NS.tolist():
+            motion = np.array([arm.position, arm.velocity])
+            time_s = (tick * TICK_NS + offset_ns) * 1e-9
+            act(pushes(robot, tick), motion, time_s, torques.tables)
+            arm.step(torques.tables.torques[3])
+        rows.append(np.array([arm.position, arm.velocity]))
+    arm.close()
+    return np.array(rows)
+
+
+def pushes(robot, tick):
+    return (
+        0.3
+        * np.nan_to_num(robot.effort_limits_nm, posinf=100.0)
+        * np.sin(0.1 * tick + np.arange(robot.joints))
+    )
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
+@pytest.mark.parametrize("name", ARMS)
+def test_substeps_have_the_bits_that_pybullets_python_functions_give(name, payload_kg):
+    robot = load_robot(find_urdf(name, Path()))
+    motion = thrown(robot, payload_kg)
+    assert np.abs(motion[-1, 1]).max() > 0.1
+    assert motion.tobytes() == thrown_by_pybullet(robot, payload_kg).tobytes()
+
+
+def test_several_arms_do_not_know_of_each_other():
+    robot = load_robot(find_urdf("paper_arm", Path()))
+    bystander = BulletArm(robot, SUBSTEP_S)
+    bystander.place(np.array([0.1, 0.2, 0.3]))
+    assert thrown(robot, 0.0).tobytes() == thrown(robot, 0.0).tobytes()
+    assert bystander.position.tolist() == [0.1, 0.2, 0.3]
+    bystander.close()
+
+
+def test_urdf_that_bullet_cannot_load_is_named(tmp_path):
+    robot = load_robot(find_urdf("paper_arm", Path()))
+    object.__setattr__(robot, "path", tmp_path / "arm.urdf")
+    object.__setattr__(robot, "resolved_urdf", lambda _: "<robot/>")
+    with pytest.raises(RobotDescriptionError, match=r"arm\.urdf: pybullet cannot load it"):
+        BulletArm(robot, SUBSTEP_S)
