@@ -12,6 +12,3 @@ Vector: TypeAlias = NDArray[np.float64]
 
 Matrix: TypeAlias = NDArray[np.float64]
 """Two axes of float64."""
-
-Offsets: TypeAlias = NDArray[np.int64]
-"""Instants after another one, ns."""

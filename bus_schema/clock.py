@@ -5,10 +5,6 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-import numpy as np
-
-from bus_schema.arrays import Offsets
-
 
 class Clock(Protocol):
     """What a loop may ask of time."""
@@ -91,19 +87,17 @@ class TickGrid:
     Attributes:
         period_ns: length of a tick.
         substep_s: length of a physics step.
-        substep_offsets_ns: start of each substep within its tick, shape (substeps,).
     """
 
     def __init__(self, rate_hz: float, substeps: int) -> None:
         self.period_ns = round(1e9 / rate_hz)
         self.substeps = substeps
         self.substep_s = self.period_ns * 1e-9 / substeps
-        self.substep_offsets_ns: Offsets = np.arange(substeps) * self.period_ns // substeps
 
     def tick_ns(self, tick: int) -> int:
         return tick * self.period_ns
 
-    def stages(self, *, paced: bool) -> tuple[Offsets, ...]:
+    def stages(self, *, paced: bool) -> tuple[range, ...]:
         """How the substeps of a tick are gone through: each stage once its last one has begun.
 
         Args:
@@ -111,10 +105,15 @@ class TickGrid:
                 them before the tick; in virtual time, each further stage costs and gains nothing.
 
         Returns:
-            the offsets of the substeps, stage by stage.
+            the numbers of the substeps within the tick, stage by stage.
         """
-        offsets_ns = self.substep_offsets_ns
-        return (offsets_ns[:-1], offsets_ns[-1:]) if paced and self.substeps > 1 else (offsets_ns,)
+        if paced and self.substeps > 1:
+            return range(self.substeps - 1), range(self.substeps - 1, self.substeps)
+        return (range(self.substeps),)
+
+    def substep_ns(self, number: int) -> int:
+        """Start of a physics step, all those of the run numbered through."""
+        return number * self.period_ns // self.substeps
 
     def tick_at_or_before(self, instant_ns: int) -> int:
         return instant_ns // self.period_ns

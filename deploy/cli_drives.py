@@ -88,7 +88,6 @@ def _serve(
     except ConfigurationError as error:
         raise ScenarioError(f"{setup.source}: {error}") from error
     arm = setup.arm()
-    arm.warm_up()
     rig = DriveRig(
         arm, witness.bank, bus, clock, setup.grid,
         plan=FaultPlan(plan), on_frame=witness.hear, on_event=witness.say,

@@ -165,7 +165,7 @@ class Setup:
             self.scenario.plant,
             self.robot,
             self.start_position_rad,
-            self.grid.substep_s,
+            self.grid,
             self.scenario.seed,
             self.scenario.limits,
             plant_faults(self.scenario.faults),
@@ -280,7 +280,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         from deploy.can_check import check_can_link  # imports what only CAN needs
 
         check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
-    ArmPlant.check(scenario.plant, robot, start, grid.substep_s, scenario.limits)
+    ArmPlant.check(scenario.plant, robot, start, grid, scenario.limits)
     return setup
 
 

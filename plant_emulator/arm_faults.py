@@ -36,14 +36,12 @@ class ArmFaults:
         self._joint = {name: joint for joint, name in enumerate(joint_names)}
         self._random = random
         self._stuck_at_rad: dict[int, float] = {}
-        self._asked: Vector = np.zeros(len(joint_names))
         self._payload_falls_ns = [
             fault.start_ns for fault in self._faults if isinstance(fault, PayloadDropped)
         ]
 
-    def ask(self, commanded_nm: Vector, now_ns: int) -> Vector:
-        """The torques that reach the actuators in place of those commanded, shape (joints,)."""
-        asked = self._asked
+    def ask(self, commanded_nm: Vector, now_ns: int, asked: Vector) -> None:
+        """Write the torques that the actuators are asked for in place of those commanded."""
         asked[:] = commanded_nm
         for fault in self._faults:
             if fault.is_active(now_ns):
@@ -54,7 +52,6 @@ class ArmFaults:
                         asked[self._joint[fault.joint]] *= fault.share
                     case TorqueOffset():
                         asked[self._joint[fault.joint]] += fault.torque_nm
-        return asked
 
     def sense(self, position: Vector, velocity: Vector, now_ns: int) -> None:
         """Spoil what the encoders read, shape (joints,) each, in place."""

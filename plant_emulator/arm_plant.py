@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix, Offsets, Vector
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.clock import TickGrid
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.modes import Cue, Mode, follow
@@ -28,7 +29,7 @@ class ArmPlant:
         configuration: section ``plant`` of the scenario.
         robot: description of the arm.
         start_position_rad: joint positions at the start, shape (joints,).
-        substep_s: length of a substep.
+        grid: ticks and physics steps of the run.
         seed: seed of everything random in the arm.
         limits: section ``limits`` of the scenario.
         faults: what breaks, and when.
@@ -47,7 +48,7 @@ class ArmPlant:
         configuration: PlantConfiguration,
         robot: RobotDescription,
         start_position_rad: Vector,
-        substep_s: float,
+        grid: TickGrid,
         seed: int,
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
@@ -59,7 +60,7 @@ class ArmPlant:
             configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s"
         )
         self.torques = JointTorques(
-            configuration, robot, substep_s, np.random.default_rng(disturbance_seed), limits
+            configuration, robot, grid.substep_s, np.random.default_rng(disturbance_seed), limits
         )
         self._encoders = Encoders(
             configuration.encoder, robot.joints, np.random.default_rng(encoder_seed)
@@ -69,9 +70,11 @@ class ArmPlant:
             if faults
             else None
         )
-        self._commanded: Vector = np.zeros(robot.joints)
+        # Without faults, what is commanded is what the actuators are asked for.
+        self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
+        self._grid = grid
         self._arm = BulletArm(
-            robot, substep_s, payload_kg=configuration.payload_kg, gui=configuration.gui
+            robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
         )
         self._arm.place(start_position_rad)
         self.position: Vector = self._arm.position
@@ -85,7 +88,7 @@ class ArmPlant:
         configuration: PlantConfiguration,
         robot: RobotDescription,
         start_position_rad: Vector,
-        substep_s: float,
+        grid: TickGrid,
         limits: LimitsConfiguration,
     ) -> None:
         """Check that such an arm can be made.
@@ -97,13 +100,7 @@ class ArmPlant:
         if configuration.gui and not os.environ.get("DISPLAY"):
             raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
         without_window = configuration.model_copy(update={"gui": False})
-        ArmPlant(without_window, robot, start_position_rad, substep_s, 0, limits).close()
-
-    def warm_up(self) -> None:
-        """Compile what the substeps call, and leave no trace of it."""
-        no_substeps = np.empty(0, np.int64)
-        self._arm.advance(self.torques, self._commanded, 0, no_substeps)
-        self._arm.coast(0)
+        ArmPlant(without_window, robot, start_position_rad, grid, 0, limits).close()
 
     def read_encoders(self, into_position: Vector, into_velocity: Vector, now_ns: int = 0) -> None:
         """Write what a controller gets to see of the motion at `now_ns`."""
@@ -144,42 +141,41 @@ class ArmPlant:
         self._commanded[:] = 0.0
         self._set_brakes(engaged=True)
 
-    def advance(self, tick_ns: int, offsets_ns: Offsets) -> None:
+    def advance(self, first: int, end: int) -> None:
         """Advance by substeps under the command in force.
 
         Args:
-            tick_ns: beginning of the tick.
-            offsets_ns: beginnings of the substeps after that of the tick, shape (substeps,).
+            first: number of the first substep in the run.
+            end: number of the first one that is not to come yet.
         """
         is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
         if self._faults is None and not is_damped:
-            self._go(self._commanded, tick_ns, offsets_ns)
+            self._go(first, end)
             return
-        for substep in range(offsets_ns.size):
+        for number in range(first, end):
             if is_damped:
                 np.multiply(self._stop_damping, self.velocity, out=self._commanded)
                 np.negative(self._commanded, out=self._commanded)
-            offset_ns = offsets_ns[substep : substep + 1]
-            self._go(self._asked(tick_ns + int(offset_ns[0])), tick_ns, offset_ns)
+            if self._faults is not None:
+                self._suffer(self._faults, self._grid.substep_ns(number))
+            self._go(number, number + 1)
 
     def close(self) -> None:
         """Free the physics server."""
         self._arm.close()
 
-    def _asked(self, now_ns: int) -> Vector:
-        """What the actuators are asked for at `now_ns`, once that has been through the faults."""
-        if self._faults is None:
-            return self._commanded
-        if self._faults.payload_falls(now_ns):
+    def _suffer(self, faults: ArmFaults, now_ns: int) -> None:
+        """Let the faults come between what is commanded and what the actuators are asked for."""
+        if faults.payload_falls(now_ns):
             self._arm.drop_payload()
-        return self._faults.ask(self._commanded, now_ns)
+        faults.ask(self._commanded, now_ns, self.torques.asked)
 
-    def _go(self, asked: Vector, tick_ns: int, offsets_ns: Offsets) -> None:
+    def _go(self, first: int, end: int) -> None:
         if self._is_braked:
             self.torques.rest()
-            self._arm.coast(offsets_ns.size)
+            self._arm.coast(end - first)
         else:
-            self._arm.advance(self.torques, asked, tick_ns, offsets_ns)
+            self._arm.advance(first, end)
 
     def _set_brakes(self, *, engaged: bool) -> None:
         self._arm.set_brakes(engaged=engaged)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix, Offsets, Vector
-from bus_schema.compiled import compiled
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.clock import TickGrid
+from bus_schema.compiled import bind, compiled
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.bullet_server import (
     CONTROL_TORQUE,
@@ -34,7 +35,8 @@ class BulletArm:
 
     Args:
         robot: description of the arm.
-        substep_s: length of one physics step.
+        grid: ticks and physics steps of the run.
+        torques: all that acts on the joints.
         payload_kg: point mass at the tip.
         gui: open Bullet's window (needs a display).
 
@@ -50,32 +52,38 @@ class BulletArm:
     def __init__(
         self,
         robot: RobotDescription,
-        substep_s: float,
+        grid: TickGrid,
+        torques: JointTorques,
         *,
         payload_kg: float = 0.0,
         gui: bool = False,
     ) -> None:
-        self._server = BulletServer(robot, substep_s, payload_kg=payload_kg, gui=gui)
+        server = BulletServer(robot, grid.substep_s, payload_kg=payload_kg, gui=gui)
+        self._server, self._torques = server, torques
         self._brake_torques = [
             _BRAKE_TO_EFFORT * limit if np.isfinite(limit) else _BRAKE_TORQUE_NM
             for limit in robot.effort_limits_nm
         ]
-        joints = self._server.joints
-        self._indices = np.array(
-            [[joint.position_index for joint in joints], [joint.velocity_index for joint in joints]]
-        )
-        self._state_pointers = np.zeros(2, np.uintp)
+        positions = [joint.position_index for joint in server.joints]
+        velocities = [joint.velocity_index for joint in server.joints]
+        indices, pointers = np.array([positions, velocities]), np.zeros(2, np.uintp)
         self.motion: Matrix = np.zeros((2, robot.joints))
         self.position: Vector = self.motion[0]
         self.velocity: Vector = self.motion[1]
-        self.drop_payload = self._server.drop_payload
-        self.close = self._server.close
+        arm = (server.handle, server.body, indices, pointers, self.motion)
+        self._read = bind(_read, *arm)
+        self._coast = bind(_coast, *arm, free=["int64"])
+        self._advance = bind(
+            _advance, *arm, grid.period_ns, grid.substeps, torques.tables, free=["int64", "int64"]
+        )
+        self.drop_payload = server.drop_payload
+        self.close = server.close
         self.set_brakes(engaged=False)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
         self._server.place(position)
-        self._require(_read(*self._arm(), self.motion))
+        self._require(self._read())
 
     def set_brakes(self, *, engaged: bool) -> None:
         """Engage or release brakes that hold every joint against ten times its largest torque."""
@@ -90,36 +98,27 @@ class BulletArm:
             ]
         )
 
-    def advance(
-        self,
-        torques: JointTorques,
-        commanded_nm: Vector,
-        tick_ns: int,
-        offsets_ns: Offsets,
-    ) -> None:
-        """Go through substeps under a commanded torque, and read the joints after each.
+    def advance(self, first: int, end: int) -> None:
+        """Go through substeps under the torque that is asked for, and read the joints after each.
 
         Args:
-            torques: what makes of it the torque that acts.
-            commanded_nm: shape (joints,), N m.
-            tick_ns: beginning of the tick.
-            offsets_ns: beginnings of the substeps after that of the tick, shape (substeps,).
+            first: number of the first substep in the run.
+            end: number of the first one not to go through.
 
         Raises:
             ConnectionError: Bullet's physics server is gone, as when its window was closed.
         """
-        is_done, torques.saturated, hits = _advance(
-            *self._arm(), self.motion, commanded_nm, tick_ns, offsets_ns, torques.tables
-        )
-        torques.hits |= hits
+        is_done, self._torques.saturated, hits = self._advance(first, end)
+        self._torques.hits |= hits
         self._require(is_done)
 
     def coast(self, substeps: int) -> None:
-        """Go through substeps under no torque but that of the brakes which are engaged."""
-        self._require(_coast(*self._arm(), self.motion, substeps))
+        """Go through substeps under no torque but that of the brakes which are engaged.
 
-    def _arm(self) -> tuple[int, int, NDArray[np.int64], NDArray[np.uintp]]:
-        return self._server.handle, self._server.body, self._indices, self._state_pointers
+        Raises:
+            ConnectionError: Bullet's physics server is gone.
+        """
+        self._require(self._coast(substeps))
 
     @staticmethod
     def _require(is_done: bool) -> None:
@@ -130,17 +129,17 @@ class BulletArm:
 @compiled
 def _advance(
     server: int, body: int, indices: NDArray[np.int64], pointers: NDArray[np.uintp],
-    motion: Matrix, commanded: Vector, tick_ns: int, offsets_ns: Offsets, tables: Tables,
+    motion: Matrix, period_ns: int, substeps: int, tables: Tables, first: int, end: int,
 ) -> tuple[bool, bool, int]:  # fmt: skip
     saturated, hits = False, 0
-    for offset_ns in offsets_ns:
-        time_s = (tick_ns + offset_ns) * 1e-9
-        saturated, new_hits = act(commanded, motion, time_s, tables)
+    for number in range(first, end):
+        time_s = (number * period_ns // substeps) * 1e-9
+        saturated, new_hits = act(motion, time_s, tables)
         hits |= new_hits
         if not can_submit(server):
             return False, saturated, hits
         motors = control(server, body, CONTROL_TORQUE)
-        for i in range(commanded.size):
+        for i in range(indices.shape[1]):
             set_torque(motors, indices[1, i], tables.torques[3, i])
         submit(server, motors)
         submit(server, step_simulation(server))

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bus_schema.arrays import Offsets, Vector
+from bus_schema.arrays import Vector
+from bus_schema.clock import TickGrid
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.arm_plant import ArmPlant
@@ -22,7 +23,7 @@ class DrivenArm(ArmPlant):
         configuration: section ``plant`` of the scenario; of its safe stop nothing is needed.
         robot: description of the arm.
         start_position_rad: joint positions at the start, shape (joints,).
-        substep_s: length of a substep.
+        grid: ticks and physics steps of the run.
         seed: seed of everything random in the arm.
         limits: section ``limits`` of the scenario.
         faults: what breaks, and when.
@@ -33,21 +34,21 @@ class DrivenArm(ArmPlant):
         configuration: PlantConfiguration,
         robot: RobotDescription,
         start_position_rad: Vector,
-        substep_s: float,
+        grid: TickGrid,
         seed: int,
         limits: LimitsConfiguration,
         faults: Sequence[Fault] = (),
     ) -> None:
         left_alone = configuration.model_copy(update={"safe_stop": "zero_torque"})
-        super().__init__(left_alone, robot, start_position_rad, substep_s, seed, limits, faults)
+        super().__init__(left_alone, robot, start_position_rad, grid, seed, limits, faults)
         self._bank: DriveBank | None = None
 
     def attach(self, bank: DriveBank) -> None:
         """Give the joints their drives."""
         self._bank = bank
 
-    def advance(self, tick_ns: int, offsets_ns: Offsets) -> None:
+    def advance(self, first: int, end: int) -> None:
         if self._bank is not None:
             self.hold(self._bank.braked)
             np.copyto(self._commanded, self._bank.torque_nm)
-        super().advance(tick_ns, offsets_ns)
+        super().advance(first, end)

@@ -26,9 +26,10 @@ class Tables(NamedTuple):
         lag_factor: share of the difference to the commanded torque that is left after a substep.
         friction: `friction_table`.
         disturbance: `disturbance_table`.
+        asked: what the actuators are asked for, N m.
         held: joints that their brakes hold, shape (joints,).
-        torques: actuator, friction, disturbance, total and limited torques as rows, N m, shape
-            (5, joints).
+        torques: actuator, friction, disturbance, total, limited and asked torques as rows, N m,
+            shape (6, joints).
     """
 
     limits: Matrix
@@ -47,6 +48,7 @@ class JointTorques:
         actuator: torque that the actuators deliver, N m.
         friction: friction, opposing, N m.
         disturbance: disturbance, opposing, N m.
+        asked: what the actuators are asked for, N m.
         held: joints that their brakes hold: nothing else is felt there. All of shape (joints,).
         tables: what compiled code needs to work the torques out.
         acting: actuator, friction and disturbance as rows, shape (3, joints).
@@ -64,7 +66,7 @@ class JointTorques:
         limits: LimitsConfiguration,
     ) -> None:
         actuators = ActuatorLimits(configuration.actuator, robot, substep_s)
-        self._torques: Matrix = np.zeros((5, robot.joints))
+        self._torques: Matrix = np.zeros((6, robot.joints))
         self.tables = Tables(
             limits.of_plant(robot).table(substep_s),
             actuators.saturation_nm,
@@ -79,37 +81,37 @@ class JointTorques:
         self.friction: Vector = self._torques[1]
         self.disturbance: Vector = self._torques[2]
         self.acting: Matrix = self._torques[:3]
+        self.asked: Vector = self._torques[5]
         self.saturated = False
         self.hits = 0
 
     def rest(self) -> None:
         """The brakes hold the joints: nothing else is felt."""
-        self._torques[:] = 0.0
+        self._torques[:5] = 0.0
         self.saturated = False
 
 
 @compiled
-def act(commanded_nm: Vector, motion: Matrix, time_s: float, tables: Tables) -> tuple[bool, int]:
+def act(motion: Matrix, time_s: float, tables: Tables) -> tuple[bool, int]:
     """Write the torques of a substep; whether actuators saturate, and the limits that were hit.
 
     Args:
-        commanded_nm: torques in force, shape (joints,).
         motion: positions and velocities as rows, shape (2, joints).
         time_s: start of the substep.
         tables: what the torques depend on, and where they go.
     """
     torques, saturation = tables.torques, tables.saturation
     actuator, friction, disturbance, total = torques[0], torques[1], torques[2], torques[3]
-    allowed = torques[4]
-    hits = limit_torques(commanded_nm, motion, tables.limits, 1.0, allowed)
+    allowed, asked = torques[4], torques[5]
+    hits = limit_torques(asked, motion, tables.limits, 1.0, allowed)
     add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
-    for i in range(commanded_nm.size):
+    for i in range(asked.size):
         target = min(max(allowed[i], -saturation[i]), saturation[i])
-        saturated = saturated or abs(commanded_nm[i]) >= saturation[i]
+        saturated = saturated or abs(asked[i]) >= saturation[i]
         actuator[i] = target + tables.lag_factor * (actuator[i] - target)
         friction[i] = friction_torque(motion[1, i], tables.friction, i)
         total[i] = actuator[i] - friction[i] - disturbance[i]
         if tables.held[i]:  # its brake holds it: nothing else is felt there
-            torques[:, i] = 0.0
+            torques[:5, i] = 0.0
     return saturated, hits

@@ -14,7 +14,6 @@ import time
 from collections import Counter
 
 from bus_schema import topics
-from bus_schema.arrays import Offsets
 from bus_schema.cdr_layout import Record, stamp_word
 from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
@@ -87,7 +86,6 @@ class PlantLoop:
 
     def warm_up(self) -> None:
         """Compile what the loop calls before time counts, and leave no trace of it."""
-        self._arm.warm_up()
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
         RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
         all_finite(self._state.fields["position"])
@@ -137,12 +135,13 @@ class PlantLoop:
         tick = self._next_tick()
         # What acts in a substep is known when it begins: the physics need not wait for the tick,
         # at which nothing is left to do but to measure.
-        for offsets_ns in self._stages:
-            self._exchange_until(self._grid.tick_ns(tick - 1) + int(offsets_ns[-1]))
+        for stage in self._stages:
+            last_substep = (tick - 1) * self._grid.substeps + stage[-1]
+            self._exchange_until(self._grid.substep_ns(last_substep))
             self._journal.begin_physics()
             if self.tick < tick - 1:
                 self._skip_to(tick - 1)
-            self._advance(offsets_ns)
+            self._advance(stage)
             self._journal.end_physics()
         self._exchange_until(self._grid.tick_ns(tick))
         self._journal.begin_cycle(self._lateness_ns)
@@ -214,25 +213,26 @@ class PlantLoop:
     def _skip_to(self, tick: int) -> None:
         """Let the physics go through the ticks before this one, at which nothing is measured."""
         while self.tick < tick:
-            self._advance(self._grid.substep_offsets_ns)
+            self._advance(range(self._grid.substeps))
             self._complete_tick(was_skipped=True)
 
-    def _advance(self, offsets_ns: Offsets) -> None:
-        """Let the physics go through the substeps of this tick that begin at these offsets."""
-        downlink, watchdog = self._commands.downlink, self._watchdog
-        tick_ns, substeps, begin = self._grid.tick_ns(self.tick), offsets_ns.size, 0
-        last_ns = tick_ns + int(offsets_ns[-1])
-        while begin < substeps:
-            now_ns = tick_ns + int(offsets_ns[begin])
+    def _advance(self, stage: range) -> None:
+        """Let the physics go through a stage of this tick."""
+        downlink, watchdog, grid = self._commands.downlink, self._watchdog, self._grid
+        first = self.tick * grid.substeps + stage.start
+        end = first + len(stage)
+        last_ns = grid.substep_ns(end - 1)
+        while first < end:
+            now_ns = grid.substep_ns(first)
             if downlink.next_due_ns <= now_ns:
                 self._commands.put_into_force(now_ns)
             if watchdog.expires_ns < now_ns and self._arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._stop_safely(f"no valid command for {timeout_ms:g} ms")
             stays_so = downlink.next_due_ns > last_ns and watchdog.expires_ns >= last_ns
-            end = substeps if stays_so else begin + 1
-            self._arm.advance(tick_ns, offsets_ns[begin:end])
-            begin = end
+            then = end if stays_so else first + 1
+            self._arm.advance(first, then)
+            first = then
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1

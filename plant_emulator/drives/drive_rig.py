@@ -105,7 +105,8 @@ class DriveRig:
         arm.command(bank.torque_nm)
         self.counts.skipped += tick - self.counts.ticks - 1
         while self.counts.ticks < tick:
-            arm.advance(self._grid.tick_ns(self.counts.ticks), self._grid.substep_offsets_ns)
+            first = self.counts.ticks * self._grid.substeps
+            arm.advance(first, first + self._grid.substeps)
             self.counts.ticks += 1
 
     def _measure(self) -> None:

@@ -30,7 +30,6 @@ from deploy.experiments.replay import replay
 from deploy.experiments.simulate import simulate
 from deploy.scenario import load_setup
 from deploy.yaml_files import ScenarioError
-from plant_emulator.bullet_arm import BulletArm
 
 SIMULATED = [name for name in fault_scenarios() if not needs_processes(load_setup(name))]
 STRUCK_TICK, TIMEOUT_MS = 1000, 200.0
@@ -191,14 +190,17 @@ def test_faulty_actuator_delivers_another_torque(name, joint, delivered):
 
 
 def test_arm_without_its_payload_falls_like_one_that_never_had_it():
-    setup = load_setup("paper_arm")
+    dropped = "faults=[{kind: payload_dropped, at_s: 0}]"
     fallen = {}
-    for kind, payload_kg in (("light", 0.0), ("loaded", 2.0), ("dropped", 2.0)):
-        arm = BulletArm(setup.robot, 1e-3, payload_kg=payload_kg)
-        if kind == "dropped":
-            arm.drop_payload()
-        arm.place(setup.start_position_rad)
-        arm.coast(10)  # with no brake engaged, it falls
+    for kind, overrides in (
+        ("light", []),
+        ("loaded", ["plant.payload_kg=2"]),
+        ("dropped", ["plant.payload_kg=2", dropped]),
+    ):
+        arm = load_setup("paper_arm", overrides).arm()
+        arm.begin()
+        arm.command(np.zeros(3))
+        arm.advance(0, 40)
         fallen[kind] = arm.velocity.copy()
         arm.close()
     assert np.abs(fallen["loaded"] - fallen["light"]).max() > 1e-3

@@ -19,9 +19,9 @@ SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 class PinocchioArm:
     """What `ArmPlant` asks of its physics, by RK4 (pybullet: semi-implicit Euler)."""
 
-    def __init__(self, robot, substep_s, *, payload_kg=0.0, gui=False):
+    def __init__(self, robot, grid, torques, *, payload_kg=0.0, gui=False):
         self._model = ManipulatorModel(robot, payload_kg=payload_kg)
-        self._substep_s = substep_s
+        self._grid, self._torques = grid, torques
         self.motion = np.zeros((2, robot.joints))
         self.position, self.velocity = self.motion
 
@@ -31,10 +31,11 @@ class PinocchioArm:
     def set_brakes(self, *, engaged):
         pass
 
-    def advance(self, torques, commanded_nm, tick_ns, offsets_ns):
-        for offset_ns in offsets_ns.tolist():
-            time_s = (tick_ns + offset_ns) * 1e-9
-            torques.saturated, hits = act(commanded_nm, self.motion, time_s, torques.tables)
+    def advance(self, first, end):
+        torques = self._torques
+        for number in range(first, end):
+            time_s = self._grid.substep_ns(number) * 1e-9
+            torques.saturated, hits = act(self.motion, time_s, torques.tables)
             torques.hits |= hits
             self._step(torques.tables.torques[3])
 
@@ -43,7 +44,7 @@ class PinocchioArm:
             acceleration = self._model.forward_dynamics(state[0], state[1], torque_nm)
             return np.stack([state[1], acceleration])
 
-        step_s, state = self._substep_s, np.stack([self.position, self.velocity])
+        step_s, state = self._grid.substep_s, np.stack([self.position, self.velocity])
         k_1 = rate(state)
         k_2 = rate(state + 0.5 * step_s * k_1)
         k_3 = rate(state + 0.5 * step_s * k_2)

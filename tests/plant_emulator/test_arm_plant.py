@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus_schema.clock import TickGrid
 from bus_schema.modes import Mode
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
@@ -10,10 +11,10 @@ from deploy.robot_files import find_urdf
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 
-SUBSTEP_S = 2.5e-4
+GRID = TickGrid(1000.0, 4)
+SUBSTEP_S = GRID.substep_s
 START = np.array([0.3, -0.9, 1.2])
 PUSH = np.array([60.0, -250.0, -20.0])
-AT_ONCE = np.zeros(1, np.int64)
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 
 
@@ -22,7 +23,7 @@ class Bench:
 
     def __init__(self, robot=ROBOT, start=START, seed=1, **plant):
         configuration = PlantConfiguration.model_validate(plant)
-        self.arm = ArmPlant(configuration, robot, start, SUBSTEP_S, seed)
+        self.arm = ArmPlant(configuration, robot, start, GRID, seed)
         self.arm.begin()
         self.steps = 0
 
@@ -30,7 +31,7 @@ class Bench:
         """Advance; positions and velocities after each substep."""
         rows = []
         for _ in range(round(duration_s / SUBSTEP_S)):
-            self.arm.advance(round(self.steps * SUBSTEP_S * 1e9), AT_ONCE)
+            self.arm.advance(self.steps, self.steps + 1)
             self.steps += 1
             rows.append((self.arm.position.copy(), self.arm.velocity.copy()))
         positions, velocities = zip(*rows, strict=True)
@@ -101,20 +102,6 @@ def test_gravity_torque_keeps_the_arm_where_it_is(bench):
     still.arm.command(ManipulatorModel(ROBOT).gravity(START))
     positions, _ = still.run(0.2)
     assert np.abs(positions - START).max() < 1e-6
-
-
-def test_warming_up_leaves_no_trace(bench):
-    runs = []
-    for is_warm in (False, True):
-        made = bench(friction={"viscous_nm_s": 5.0}, encoder={"velocity_noise_rad_s": 0.1})
-        if is_warm:
-            made.arm.warm_up()
-        made.arm.command(PUSH)
-        positions, _ = made.run(0.02)
-        seen = np.empty(3), np.empty(3)
-        made.arm.read_encoders(*seen)
-        runs.append((positions.tobytes(), seen[1].tobytes()))
-    assert runs[0] == runs[1]
 
 
 def test_payload_pulls_the_arm_down(bench):

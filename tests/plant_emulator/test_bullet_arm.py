@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus_schema.clock import TickGrid
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
@@ -14,9 +15,9 @@ from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.joint_torques import JointTorques, act
 from plant_emulator.pybullet_arm import PybulletArm
 
-SUBSTEP_S = 2.5e-4
-TICK_NS = 1_000_000
-OFFSETS_NS = np.arange(4) * 250_000
+GRID = TickGrid(1000.0, 4)
+TICKS = 50
+START = [0.3, -0.9, 1.2]
 ARMS = ["paper_arm", "pybullet_data:kuka_iiwa/model.urdf", "pybullet_data:franka_panda/panda.urdf"]
 PLANT = PlantConfiguration.model_validate(
     {
@@ -30,16 +31,19 @@ PLANT = PlantConfiguration.model_validate(
 
 
 def torques_of(robot):
-    return JointTorques(PLANT, robot, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration())
+    return JointTorques(
+        PLANT, robot, GRID.substep_s, np.random.default_rng(0), LimitsConfiguration()
+    )
 
 
 def thrown(robot, payload_kg):
     """Positions and velocities after each tick of being thrown about, four substeps in one call."""
-    arm = BulletArm(robot, SUBSTEP_S, payload_kg=payload_kg)
-    arm.place(np.resize([0.3, -0.9, 1.2], robot.joints))
     torques, rows = torques_of(robot), []
-    for tick in range(50):
-        arm.advance(torques, pushes(robot, tick), tick * TICK_NS, OFFSETS_NS)
+    arm = BulletArm(robot, GRID, torques, payload_kg=payload_kg)
+    arm.place(np.resize(START, robot.joints))
+    for tick in range(TICKS):
+        torques.asked[:] = pushes(robot, tick)
+        arm.advance(4 * tick, 4 * tick + 4)
         rows.append(arm.motion.copy())
     arm.close()
     return np.array(rows)
@@ -47,14 +51,14 @@ def thrown(robot, payload_kg):
 
 def thrown_by_pybullet(robot, payload_kg):
     """The same, one substep and three calls of pybullet at a time."""
-    arm = PybulletArm(robot, SUBSTEP_S, payload_kg=payload_kg)
-    arm.place(np.resize([0.3, -0.9, 1.2], robot.joints))
     torques, rows = torques_of(robot), []
-    for tick in range(50):
-        for offset_ns in OFFSETS_NS.tolist():
+    arm = PybulletArm(robot, GRID.substep_s, payload_kg=payload_kg)
+    arm.place(np.resize(START, robot.joints))
+    for tick in range(TICKS):
+        torques.asked[:] = pushes(robot, tick)
+        for number in range(4 * tick, 4 * tick + 4):
             motion = np.array([arm.position, arm.velocity])
-            time_s = (tick * TICK_NS + offset_ns) * 1e-9
-            act(pushes(robot, tick), motion, time_s, torques.tables)
+            act(motion, GRID.substep_ns(number) * 1e-9, torques.tables)
             arm.step(torques.tables.torques[3])
         rows.append(np.array([arm.position, arm.velocity]))
     arm.close()
@@ -80,7 +84,7 @@ def test_substeps_have_the_bits_that_pybullets_python_functions_give(name, paylo
 
 def test_several_arms_do_not_know_of_each_other():
     robot = load_robot(find_urdf("paper_arm", Path()))
-    bystander = BulletArm(robot, SUBSTEP_S)
+    bystander = BulletArm(robot, GRID, torques_of(robot))
     bystander.place(np.array([0.1, 0.2, 0.3]))
     assert thrown(robot, 0.0).tobytes() == thrown(robot, 0.0).tobytes()
     assert bystander.position.tolist() == [0.1, 0.2, 0.3]
@@ -92,4 +96,4 @@ def test_urdf_that_bullet_cannot_load_is_named(tmp_path):
     object.__setattr__(robot, "path", tmp_path / "arm.urdf")
     object.__setattr__(robot, "resolved_urdf", lambda _: "<robot/>")
     with pytest.raises(RobotDescriptionError, match=r"arm\.urdf: pybullet cannot load it"):
-        BulletArm(robot, SUBSTEP_S)
+        BulletArm(robot, GRID, torques_of(robot))

@@ -40,7 +40,8 @@ def torques_of(**values):
 def acted(torques, commanded, velocity=(0.0, 0.0, 0.0)):
     """Total torque of a substep, and whether actuators saturate."""
     motion = np.array([np.zeros(3), velocity])
-    saturated, _ = act(np.array(commanded), motion, 0.0, torques.tables)
+    torques.asked[:] = commanded
+    saturated, _ = act(motion, 0.0, torques.tables)
     return torques.tables.torques[3].tolist(), saturated
 
 

@@ -77,9 +77,9 @@ def run():
             in_force[0] = float(torque_nm[0])
             command(torque_nm)
 
-        def note_advance(tick_ns, offsets_ns):
-            steps.extend((tick_ns + int(offset_ns), in_force[0]) for offset_ns in offsets_ns)
-            advance(tick_ns, offsets_ns)
+        def note_advance(first, end):
+            steps.extend((number * SUBSTEP_NS, in_force[0]) for number in range(first, end))
+            advance(first, end)
 
         arm.command, arm.advance = note_command, note_advance
         PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()

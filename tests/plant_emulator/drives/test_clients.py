@@ -46,8 +46,7 @@ class Rig:
         options = {"interface": "virtual", "channel": self.channel, "protocol": protocol}
         configuration = CanConfiguration.model_validate(options)
         self._bus = open_can_bus(configuration)
-        self.arm = ArmPlant(PLANT, ROBOT, START, GRID.substep_s, seed=1)
-        self.arm.warm_up()
+        self.arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)
         bank = build_bank(configuration, ROBOT, PLANT, self._bus.send)
         self.events = []
         self._rig = DriveRig(

@@ -60,7 +60,7 @@ def make():
     arms = []
 
     def build(bus, clock, faults=()):
-        arm = ArmPlant(PLANT, ROBOT, START, GRID.substep_s, seed=1)
+        arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)
         arms.append(arm)
         bank = build_bank(CanConfiguration(), ROBOT, PLANT, bus.send)
         events = []
