@@ -177,7 +177,7 @@ def name_of(hit: Hit) -> str:
 
 @compiled
 def limit_torques(
-    wanted: Vector, motion: Matrix, table: Matrix, step_s: float, previous_and_out: Vector
+    wanted: Vector, motion: Matrix, table: Matrix, previous_and_out: Vector, step_s: float
 ) -> int:
     """Write torques within the limits; which limits were hit.
 
@@ -188,8 +188,8 @@ def limit_torques(
         wanted: torques asked for, N m, shape (joints,).
         motion: positions and velocities as rows, shape (2, joints).
         table: `JointLimits.table`.
-        step_s: time since the torques before; 0 for the first.
         previous_and_out: the torques before, replaced by those to send, shape (joints,).
+        step_s: time since the torques before; 0 for the first.
     """
     hits = 0
     for i in range(wanted.size):

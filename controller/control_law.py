@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import compiled
+from bus_schema.compiled import bind, compiled
 from controller.prescribed_performance import Funnel, performance_function
 from controller.reference import Reference
 
@@ -16,7 +16,10 @@ UPPER, D_UPPER, DD_UPPER, LOWER, D_LOWER, DD_LOWER = 0, 1, 2, 3, 4, 5
 
 
 class Tracking:
-    """The situation a law has to answer. Arrays have shape (joints,) and are reused every cycle.
+    """The situation a law has to answer.
+
+    Arrays have shape (joints,) and are reused every cycle. They can be replaced before the first
+    `update`; from then on compiled code keeps hold of them.
 
     Attributes:
         time_s: time of measurement since the start of the run.
@@ -39,15 +42,22 @@ class Tracking:
         self.error: Vector = np.zeros(joints)
         self.error_rate: Vector = np.zeros(joints)
         self.bounds: Matrix = np.zeros((6, joints))
+        self._funnel: Funnel | None = None
 
     def update(self, time_s: float, step_s: float, reference: Reference, funnel: Funnel) -> None:
         """Take stock at `time_s`, with `position` and `velocity` already set."""
+        if funnel is not self._funnel:
+            self._bind(funnel)
         self.time_s, self.step_s = time_s, step_s
         reference.evaluate(
             time_s, self.reference_position, self.reference_velocity, self.reference_acceleration
         )
-        _errors_and_bounds(
-            time_s,
+        self._take_stock(time_s)
+
+    def _bind(self, funnel: Funnel) -> None:
+        self._funnel = funnel
+        self._take_stock = bind(
+            _errors_and_bounds,
             self.position,
             self.velocity,
             self.reference_position,
@@ -55,19 +65,20 @@ class Tracking:
             funnel.initial_upper_rad,
             funnel.initial_lower_rad,
             funnel.final_rad,
-            funnel.rate_per_s,
+            float(funnel.rate_per_s),
             self.error,
             self.error_rate,
             self.bounds,
+            free=["float64"],
         )
 
 
 @compiled
 def _errors_and_bounds(
-    time_s: float, position: Vector, velocity: Vector,
+    position: Vector, velocity: Vector,
     reference_position: Vector, reference_velocity: Vector,
     initial_upper: Vector, initial_lower: Vector, final: Vector, rate: float,
-    error: Vector, error_rate: Vector, bounds: Matrix,
+    error: Vector, error_rate: Vector, bounds: Matrix, time_s: float,
 ) -> None:  # fmt: skip
     for i in range(position.size):
         error[i] = position[i] - reference_position[i]
@@ -78,6 +89,13 @@ def _errors_and_bounds(
         bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i] = performance_function(
             time_s, initial_lower[i], final[i], rate
         )
+
+
+@compiled
+def report_bounds(bounds: Matrix, upper: Vector, lower: Vector) -> None:
+    """Write the funnel's ends as errors: the upper one positive, the lower one negative."""
+    for i in range(upper.size):
+        upper[i], lower[i] = bounds[UPPER, i], -bounds[LOWER, i]
 
 
 class Diagnostics:

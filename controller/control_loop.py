@@ -17,6 +17,7 @@ import numpy as np
 from bus_schema import topics
 from bus_schema.arrays import Vector
 from bus_schema.cdr_layout import Record, stamp_word
+from bus_schema.compiled import bind
 from bus_schema.errors import InvalidMessageError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.finite import all_finite
@@ -27,7 +28,7 @@ from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
 from bus_schema.topics import Role
 from controller.command_timeline import Echo
-from controller.control_law import LOWER, UPPER, ControlLaw, Tracking
+from controller.control_law import ControlLaw, Tracking, report_bounds
 from controller.delay_compensation import DelayCompensation
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference
@@ -71,11 +72,14 @@ class ControlLoop:
         self._plant_status = Record(self._plant_status_layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
         self._status = Record(topics.layout(topics.CONTROL_STATUS, names))
-        self._motion = self._state.matrix("position", "velocity")
+        motion = self._state.matrix("position", "velocity")
+        self._is_finite = bind(all_finite, motion)
         self._effort = self._command.fields["effort"]
-        self._upper_bound = self._status.fields["upper_bound"]
-        self._lower_bound = self._status.fields["lower_bound"]
         self.tracking = self._tracking_in_status()
+        self._report_bounds = bind(
+            report_bounds, self.tracking.bounds,
+            self._status.fields["upper_bound"], self._status.fields["lower_bound"],
+        )  # fmt: skip
         self._start_ns: int | None = None
         self._echo: Echo | None = None
         self._horizon_ns = 0
@@ -86,7 +90,7 @@ class ControlLoop:
         self.rejections = Rejections("joint state", logger)
         self.mode = Mode.IDLE
         self._to_announce: list[tuple[EventKind, str]] = []
-        task.guard.watch(self._motion)
+        task.guard.watch(motion)
         self._change_mode(Cue.BEGIN, "waiting for the first joint state")
         link.serve(self.cycle)
 
@@ -97,7 +101,6 @@ class ControlLoop:
         if self._compensation is not None:
             self._compensation.warm_up(self.tracking, reference, funnel)
         self._task.guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
-        self._require_finite()
         self._task.law.reset()
         self._task.guard.reset()
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
@@ -152,7 +155,8 @@ class ControlLoop:
         """Take in a state; whether it calls for a new torque."""
         try:
             self._state_layout.decode(state, self._state)
-            self._require_finite()
+            if not self._is_finite():
+                raise InvalidMessageError("not_finite", "a position or velocity is not finite")
         except InvalidMessageError as error:
             self.rejections.note(error)
             return False
@@ -199,11 +203,10 @@ class ControlLoop:
         """Publish what the law thought and how long it took; the torque is already on its way."""
         step_ns = time.perf_counter_ns() - started_ns
         period_ns = started_ns - self._cycle_started_ns if self.cycles else 0
-        status, bounds = self._status, self.tracking.bounds
+        status = self._status
         status.put_stamp(stamp_word(self.stamp_ns))
         status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence, self._horizon_ns)
-        self._upper_bound[:] = bounds[UPPER]
-        np.negative(bounds[LOWER], out=self._lower_bound)
+        self._report_bounds()
         self._link.publish(topics.CONTROL_STATUS, status.payload())
         self._cycle_started_ns = started_ns
         self.cycles += 1
@@ -230,10 +233,6 @@ class ControlLoop:
         for kind, detail in told:
             event = RunEvent(max(self.stamp_ns, 0), Role.CONTROLLER, kind, detail)
             self._link.publish(topics.RUN_EVENTS, event.encode())
-
-    def _require_finite(self) -> None:
-        if not all_finite(self._motion):
-            raise InvalidMessageError("not_finite", "a position or velocity is not finite")
 
     def _heed(self, plant_status: bytes | None, stamp_ns: int) -> int:
         """Take in what the plant says of the command in force; when it says the run began.

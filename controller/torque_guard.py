@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.compiled import bind
 from bus_schema.finite import all_finite
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
 
@@ -43,14 +44,18 @@ class TorqueGuard:
     def __init__(self, law: str, limits: JointLimits) -> None:
         self._law = law
         self._table = limits.table()
+        self._wanted: Vector = np.zeros(limits.torque_nm.size)
         self._out: Vector = np.zeros(limits.torque_nm.size)
-        self._motion: Matrix = np.zeros((2, limits.torque_nm.size))
         self.hits = 0
         self.counts = LimitCounts()
+        self.watch(np.zeros((2, limits.torque_nm.size)))
 
     def watch(self, motion: Matrix) -> None:
         """Look at this motion from now on: positions and velocities as rows, shape (2, joints)."""
-        self._motion = motion
+        self._is_finite = bind(all_finite, self._wanted)
+        self._limit = bind(
+            limit_torques, self._wanted, motion, self._table, self._out, free=["float64"]
+        )
 
     def reset(self) -> None:
         """Forget the torque before."""
@@ -70,7 +75,8 @@ class TorqueGuard:
             )
         if torque.dtype != np.float64:
             raise InvalidTorqueError(self._law, tick, f"{torque.dtype} where float64 is expected")
-        if not all_finite(torque):
+        self._wanted[:] = torque
+        if not self._is_finite():
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
-        self.hits = limit_torques(torque, self._motion, self._table, step_s, self._out)
+        self.hits = self._limit(step_s)
         return self._out

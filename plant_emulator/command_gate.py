@@ -9,6 +9,7 @@ from typing import NamedTuple
 from bus_schema import topics
 from bus_schema.arrays import Vector
 from bus_schema.cdr_layout import Record
+from bus_schema.compiled import bind
 from bus_schema.errors import InvalidMessageError
 from bus_schema.finite import all_finite
 from bus_schema.link import CommandArrival
@@ -55,6 +56,8 @@ class CommandGate:
     ) -> None:
         self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
         self._record = Record(self._layout)
+        self._torque_nm = self._record.fields["effort"]
+        self._is_finite = bind(all_finite, self._torque_nm)
         self._has_left = has_left
         self.rejections = Rejections("command", logger)
         self.newest_ns = -1
@@ -81,9 +84,8 @@ class CommandGate:
 
     def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:
         self._layout.decode(arrival.payload, self._record)
-        torque = self._record.fields["effort"]
         stamp_ns = self._record.stamp_ns
-        if not all_finite(torque):
+        if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
@@ -95,7 +97,7 @@ class CommandGate:
         self.newest_ns = stamp_ns
         self._newest_sequence = arrival.sequence
         self.commander = arrival.sender
-        return Command(torque.copy(), arrival.sequence, stamp_ns)
+        return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns)
 
     def _require_commander(self, arrival: CommandArrival) -> None:
         """Refuse whoever is not the commander, and what the commander has sent before.

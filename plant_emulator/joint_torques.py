@@ -103,7 +103,7 @@ def act(motion: Matrix, time_s: float, tables: Tables) -> tuple[bool, int]:
     torques, saturation = tables.torques, tables.saturation
     actuator, friction, disturbance, total = torques[0], torques[1], torques[2], torques[3]
     allowed, asked = torques[4], torques[5]
-    hits = limit_torques(asked, motion, tables.limits, 1.0, allowed)
+    hits = limit_torques(asked, motion, tables.limits, allowed, 1.0)
     add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
     for i in range(asked.size):

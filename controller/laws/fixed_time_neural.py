@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import compiled
+from bus_schema.compiled import bind, compiled
 from bus_schema.configuration import (
     NonNegative,
     PerJointNonNegative,
@@ -81,6 +81,7 @@ class FixedTimeNeural:
         self._activation: Vector = np.zeros(NODES)
         self._weights: Matrix = np.zeros((joints, NODES))
         self._torque: Vector = np.zeros(joints)
+        self._tracking: Tracking | None = None
 
     def reset(self) -> None:
         self._funnel.reset()
@@ -88,11 +89,18 @@ class FixedTimeNeural:
         self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
-        _torque(
+        if tracking is not self._tracking:
+            self._bind(tracking)
+        self._kernel(tracking.step_s)
+        return self._torque
+
+    def _bind(self, tracking: Tracking) -> None:
+        self._tracking = tracking
+        self._kernel = bind(
+            _torque,
             tracking.error,
             tracking.error_rate,
             tracking.bounds,
-            tracking.step_s,
             self._funnel.opening,
             self._funnel.bounds,
             self._gains,
@@ -105,16 +113,17 @@ class FixedTimeNeural:
             self.diagnostics.network_output,
             self.diagnostics.network_norm,
             self._torque,
+            free=["float64"],
         )
-        return self._torque
 
 
 @compiled
 def _torque(
-    error: Vector, error_rate: Vector, real_bounds: Matrix, step_s: float,
+    error: Vector, error_rate: Vector, real_bounds: Matrix,
     opening: Vector, bounds: Matrix, gains: NDArray[np.void],
     limits: Vector, weights: Matrix, axis: Vector, activation: Vector,
     transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
+    step_s: float,
 ) -> None:  # fmt: skip
     g = gains[0]
     reopen(error, real_bounds, step_s, opening, bounds)

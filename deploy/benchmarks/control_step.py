@@ -85,7 +85,7 @@ class _StepBench:
 
     def _step(self) -> None:
         tracking, task = self._tracking, self._task
-        time_s, tracking.position, tracking.velocity = next(self._situations)
+        time_s, tracking.position[:], tracking.velocity[:] = next(self._situations)
         tracking.update(time_s, self._setup.grid.period_ns * 1e-9, task.reference, task.funnel)
         task.guard.admit(task.law.torque(tracking), 0, tracking.step_s)
 
