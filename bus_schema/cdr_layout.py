@@ -39,12 +39,6 @@ _NANOSECONDS = 1_000_000_000
 _WORD, _SIGN = 0xFFFF_FFFF, 0x8000_0000
 
 
-def stamp_word(stamp_ns: int) -> int:
-    """A stamp as builtin_interfaces/Time lies in memory: seconds in the lower half."""
-    seconds, nanoseconds = divmod(stamp_ns, _NANOSECONDS)
-    return (seconds & _WORD) | nanoseconds << 32
-
-
 class Record:
     """One message in wire layout, reused cycle after cycle.
 
@@ -80,11 +74,12 @@ class Record:
 
     @stamp_ns.setter
     def stamp_ns(self, stamp_ns: int) -> None:
-        self._stamp[0] = stamp_word(stamp_ns)
+        seconds, nanoseconds = divmod(stamp_ns, _NANOSECONDS)
+        self._stamp[0] = (seconds & _WORD) | nanoseconds << 32
 
-    def put_stamp(self, word: int) -> None:
-        """Set the stamp from a `stamp_word`, which several messages of one instant can share."""
-        self._stamp[0] = word
+    def share_stamp(self, other: Record) -> None:
+        """Bear the same stamp as another message."""
+        self._stamp[0] = other._stamp[0]
 
     def matrix(self, first: str, last: str) -> NDArray[np.float64]:
         """Consecutive arrays of doubles as the rows of one writable view, shape (arrays, length).

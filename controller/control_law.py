@@ -42,20 +42,22 @@ class Tracking:
         self.error: Vector = np.zeros(joints)
         self.error_rate: Vector = np.zeros(joints)
         self.bounds: Matrix = np.zeros((6, joints))
+        self._reference: Reference | None = None
         self._funnel: Funnel | None = None
 
     def update(self, time_s: float, step_s: float, reference: Reference, funnel: Funnel) -> None:
         """Take stock at `time_s`, with `position` and `velocity` already set."""
-        if funnel is not self._funnel:
-            self._bind(funnel)
+        if funnel is not self._funnel or reference is not self._reference:
+            self._bind(reference, funnel)
         self.time_s, self.step_s = time_s, step_s
-        reference.evaluate(
-            time_s, self.reference_position, self.reference_velocity, self.reference_acceleration
-        )
+        self._follow(time_s)
         self._take_stock(time_s)
 
-    def _bind(self, funnel: Funnel) -> None:
-        self._funnel = funnel
+    def _bind(self, reference: Reference, funnel: Funnel) -> None:
+        self._reference, self._funnel = reference, funnel
+        self._follow = reference.onto(
+            self.reference_position, self.reference_velocity, self.reference_acceleration
+        )
         self._take_stock = bind(
             _errors_and_bounds,
             self.position,

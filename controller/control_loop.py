@@ -16,7 +16,7 @@ import numpy as np
 
 from bus_schema import topics
 from bus_schema.arrays import Vector
-from bus_schema.cdr_layout import Record, stamp_word
+from bus_schema.cdr_layout import Record
 from bus_schema.compiled import bind
 from bus_schema.errors import InvalidMessageError
 from bus_schema.events import EventKind, RunEvent
@@ -130,7 +130,7 @@ class ControlLoop:
         if self.mode not in COMMANDABLE:
             return
         self._change_mode(Cue.FAIL, "zero torque")
-        self._command.put_stamp(stamp_word(max(self.stamp_ns, 0)))
+        self._command.stamp_ns = max(self.stamp_ns, 0)
         self._effort[:] = 0.0
         with contextlib.suppress(Exception):  # the bus may be what has failed
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
@@ -188,7 +188,7 @@ class ControlLoop:
         return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
 
     def _write(self, torque: Vector) -> int:
-        self._command.put_stamp(stamp_word(self.stamp_ns))
+        self._command.share_stamp(self._state)
         self._effort[:] = torque
         return self._send()
 
@@ -204,7 +204,7 @@ class ControlLoop:
         step_ns = time.perf_counter_ns() - started_ns
         period_ns = started_ns - self._cycle_started_ns if self.cycles else 0
         status = self._status
-        status.put_stamp(stamp_word(self.stamp_ns))
+        status.share_stamp(self._state)
         status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence, self._horizon_ns)
         self._report_bounds()
         self._link.publish(topics.CONTROL_STATUS, status.payload())

@@ -3,22 +3,38 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import compiled
+from bus_schema.compiled import bind, compiled
 
 
-class Reference(Protocol):
-    """A joint trajectory over the time of a run."""
+class Reference:
+    """A joint trajectory over the time of a run.
+
+    Args:
+        kernel: compiled function of the parameters, of position, velocity and acceleration to be
+            written, and of time.
+        parameters: what it takes first.
+    """
+
+    def __init__(self, kernel: Callable[..., None], *parameters: Matrix | Vector | float) -> None:
+        self._kernel, self._parameters = kernel, parameters
 
     def evaluate(
         self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
     ) -> None:
         """Write position (rad), velocity and acceleration at `time_s`, shape (joints,) each."""
-        ...
+        self._kernel(*self._parameters, position, velocity, acceleration, time_s)
+
+    def onto(
+        self, position: Vector, velocity: Vector, acceleration: Vector
+    ) -> Callable[[float], None]:
+        """`evaluate` as a function of time alone, always onto the same arrays."""
+        targets = (position, velocity, acceleration)
+        return bind(self._kernel, *self._parameters, *targets, free=["float64"])
 
 
 def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matrix:
@@ -30,7 +46,7 @@ def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matr
     return positions
 
 
-class CartesianPath:
+class CartesianPath(Reference):
     """A path of the tool of a yaw-pitch-pitch arm, through analytic inverse kinematics, elbow up.
 
     Args:
@@ -46,16 +62,11 @@ class CartesianPath:
     def __init__(
         self, axes: Matrix, shoulder_height_m: float, upper_arm_m: float, forearm_m: float
     ) -> None:
-        self._axes = np.ascontiguousarray(axes)
-        self._lengths = (shoulder_height_m, upper_arm_m, forearm_m)
-
-    def evaluate(
-        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
-    ) -> None:
-        _cartesian_path(time_s, self._axes, *self._lengths, position, velocity, acceleration)
+        axes = np.ascontiguousarray(axes)
+        super().__init__(_cartesian_path, axes, shoulder_height_m, upper_arm_m, forearm_m)
 
 
-class JointSinusoids:
+class JointSinusoids(Reference):
     """Each joint moves as centre + Σ amplitude sin(frequency t + phase).
 
     Args:
@@ -64,16 +75,10 @@ class JointSinusoids:
     """
 
     def __init__(self, centre_rad: Vector, terms: Matrix) -> None:
-        self._centre = centre_rad
-        self._terms = np.ascontiguousarray(terms)
-
-    def evaluate(
-        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
-    ) -> None:
-        _joint_sinusoids(time_s, self._centre, self._terms, position, velocity, acceleration)
+        super().__init__(_joint_sinusoids, centre_rad, np.ascontiguousarray(terms))
 
 
-class MinimumJerk:
+class MinimumJerk(Reference):
     """Rest-to-rest moves through waypoints, each a quintic of least jerk; at rest before and after.
 
     Args:
@@ -82,13 +87,8 @@ class MinimumJerk:
     """
 
     def __init__(self, times_s: Vector, positions_rad: Matrix) -> None:
-        self._times = np.ascontiguousarray(times_s)
-        self._positions = np.ascontiguousarray(positions_rad)
-
-    def evaluate(
-        self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
-    ) -> None:
-        _minimum_jerk(time_s, self._times, self._positions, position, velocity, acceleration)
+        waypoints = np.ascontiguousarray(positions_rad)
+        super().__init__(_minimum_jerk, np.ascontiguousarray(times_s), waypoints)
 
 
 @compiled
@@ -105,8 +105,8 @@ def _axis(time_s: float, axis: Vector) -> tuple[float, float, float]:
 
 @compiled
 def _cartesian_path(
-    time_s: float, axes: Matrix, shoulder_height: float, upper_arm: float, forearm: float,
-    position: Vector, velocity: Vector, acceleration: Vector,
+    axes: Matrix, shoulder_height: float, upper_arm: float, forearm: float,
+    position: Vector, velocity: Vector, acceleration: Vector, time_s: float,
 ) -> None:  # fmt: skip
     x, d_x, dd_x = _axis(time_s, axes[0])
     y, d_y, dd_y = _axis(time_s, axes[1])
@@ -148,8 +148,8 @@ def _cartesian_path(
 
 @compiled
 def _joint_sinusoids(
-    time_s: float, centre: Vector, terms: Matrix,
-    position: Vector, velocity: Vector, acceleration: Vector,
+    centre: Vector, terms: Matrix,
+    position: Vector, velocity: Vector, acceleration: Vector, time_s: float,
 ) -> None:  # fmt: skip
     for i in range(centre.size):
         position[i], velocity[i], acceleration[i] = centre[i], 0.0, 0.0
@@ -164,8 +164,8 @@ def _joint_sinusoids(
 
 @compiled
 def _minimum_jerk(
-    time_s: float, times: Vector, positions: Matrix,
-    position: Vector, velocity: Vector, acceleration: Vector,
+    times: Vector, positions: Matrix,
+    position: Vector, velocity: Vector, acceleration: Vector, time_s: float,
 ) -> None:  # fmt: skip
     segment = min(max(int(np.searchsorted(times, time_s)) - 1, 0), max(times.size - 2, 0))
     following = min(segment + 1, times.size - 1)

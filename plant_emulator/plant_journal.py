@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 
 from bus_schema import topics
-from bus_schema.cdr_layout import Record, stamp_word
+from bus_schema.cdr_layout import Record
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.link import PlantLink
 from bus_schema.topics import Role
@@ -88,7 +88,7 @@ class PlantJournal:
         is_in_time = age_ns <= self._deadline_ns
         self.deadline_misses += not is_in_time
         truth = self._truth
-        truth.put_stamp(stamp_word(stamp_ns))
+        truth.stamp_ns = stamp_ns
         truth.put_scalars(
             tick, self._period_ns, _NO_CYCLE_NS if was_skipped else self._lateness_ns,
             self._step_ns, self.skipped,

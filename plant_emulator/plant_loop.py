@@ -14,7 +14,7 @@ import time
 from collections import Counter
 
 from bus_schema import topics
-from bus_schema.cdr_layout import Record, stamp_word
+from bus_schema.cdr_layout import Record
 from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
@@ -265,9 +265,8 @@ class PlantLoop:
         """Measure the joints and send the state on its way."""
         state, status = self._state, self._status
         stamp_ns = self._grid.tick_ns(self.tick)
-        word = stamp_word(stamp_ns)
-        state.put_stamp(word)
-        status.put_stamp(word)
+        state.stamp_ns = stamp_ns
+        status.share_stamp(state)
         self._arm.read_encoders(self._position, self._velocity, stamp_ns)
         self._effort[:] = self._arm.torques.actuator
         commands = self._commands
