@@ -36,7 +36,6 @@ _STRUCT_CODES = {
 _HEADER = ("header.stamp.sec", "header.stamp.nanosec")
 _STAMP_IN_STORAGE = slice(2 * ENCAPSULATION_BYTES, 2 * ENCAPSULATION_BYTES + 8)
 _NANOSECONDS = 1_000_000_000
-_WORD, _SIGN = 0xFFFF_FFFF, 0x8000_0000
 
 
 class Record:
@@ -61,21 +60,19 @@ class Record:
             for name in layout.dtype.names or ()
         }
         self.put_scalars = partial(layout.scalars.pack_into, self._memory, layout.scalars_offset)
-        # Seconds and nanoseconds of the stamp as one word: one access for both, and through a
-        # memory view, which takes half the time of an array.
-        self._stamp = storage.data[_STAMP_IN_STORAGE].cast("Q")
+        # Through memory views, which take half the time of arrays; the stamp also as one word.
+        stamp = storage.data[_STAMP_IN_STORAGE]
+        self._stamp, self._seconds = stamp.cast("Q"), stamp[:4].cast("i")
+        self._nanoseconds = stamp[4:].cast("I")
 
     @property
     def stamp_ns(self) -> int:
         """Stamp of the header, which all our messages begin with."""
-        word = self._stamp[0]
-        seconds = (word & _WORD) - ((word & _SIGN) << 1)
-        return seconds * _NANOSECONDS + (word >> 32)
+        return self._seconds[0] * _NANOSECONDS + self._nanoseconds[0]
 
     @stamp_ns.setter
     def stamp_ns(self, stamp_ns: int) -> None:
-        seconds, nanoseconds = divmod(stamp_ns, _NANOSECONDS)
-        self._stamp[0] = (seconds & _WORD) | nanoseconds << 32
+        self._seconds[0], self._nanoseconds[0] = divmod(stamp_ns, _NANOSECONDS)
 
     def share_stamp(self, other: Record) -> None:
         """Bear the same stamp as another message."""
@@ -98,7 +95,7 @@ class Record:
 
     def has_valid_stamp(self) -> bool:
         """Whether the nanoseconds are what builtin_interfaces/Time allows."""
-        return self._stamp[0] >> 32 < _NANOSECONDS
+        return self._nanoseconds[0] < _NANOSECONDS
 
     def payload(self) -> bytes:
         """The message as wire bytes."""
