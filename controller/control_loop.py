@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bus_schema import topics
-from bus_schema.arrays import Vector
 from bus_schema.cdr_layout import Record
 from bus_schema.compiled import bind
 from bus_schema.errors import InvalidMessageError
@@ -90,7 +89,7 @@ class ControlLoop:
         self.rejections = Rejections("joint state", logger)
         self.mode = Mode.IDLE
         self._to_announce: list[tuple[EventKind, str]] = []
-        task.guard.watch(motion)
+        task.guard.attach(motion, self._effort)
         self._change_mode(Cue.BEGIN, "waiting for the first joint state")
         link.serve(self.cycle)
 
@@ -118,8 +117,8 @@ class ControlLoop:
             return
         try:
             if self._read(state, plant_status):
-                torque = self._update()
-                sequence = self._write(torque)
+                self._update()
+                sequence = self._write()
                 self._report(sequence, started_ns)
         except Exception as error:
             self.stop(reason_of(error))
@@ -177,7 +176,7 @@ class ControlLoop:
         )  # fmt: skip
         return True
 
-    def _update(self) -> Vector:
+    def _update(self) -> None:
         situation = self.tracking
         if self._compensation is not None:
             situation = self._compensation.foresee(
@@ -185,11 +184,10 @@ class ControlLoop:
             )
             self._horizon_ns = self._compensation.timeline.horizon_ns
         torque = self._task.law.torque(situation)
-        return self._task.guard.admit(torque, self.cycles, self.tracking.step_s)
+        self._task.guard.admit(torque, self.cycles, self.tracking.step_s)  # into the command
 
-    def _write(self, torque: Vector) -> int:
+    def _write(self) -> int:
         self._command.share_stamp(self._state)
-        self._effort[:] = torque
         return self._send()
 
     def _send(self) -> int:

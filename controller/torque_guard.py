@@ -45,19 +45,23 @@ class TorqueGuard:
 
     def __init__(self, law: str, limits: JointLimits) -> None:
         self._law = law
+        joints = limits.torque_nm.size
         self._table = limits.table()
-        self._wanted: Vector = np.zeros(limits.torque_nm.size)
-        self._out: Vector = np.zeros(limits.torque_nm.size)
+        self._wanted: Vector = np.zeros(joints)
+        self._is_finite = bind(all_finite, self._wanted)
         self.hits = 0
         self.counts = LimitCounts()
-        self.watch(np.zeros((2, limits.torque_nm.size)))
+        self.attach(np.zeros((2, joints)), np.zeros(joints))
 
-    def watch(self, motion: Matrix) -> None:
-        """Look at this motion from now on: positions and velocities as rows, shape (2, joints)."""
-        self._is_finite = bind(all_finite, self._wanted)
-        self._limit = bind(
-            limit_torques, self._wanted, motion, self._table, self._out, free=["float64"]
-        )
+    def attach(self, motion: Matrix, out: Vector) -> None:
+        """Go by this motion from now on, and write the torques to send here.
+
+        Args:
+            motion: positions and velocities as rows, shape (2, joints).
+            out: shape (joints,); read again as the torques before.
+        """
+        self._out = out
+        self._limit = bind(limit_torques, self._wanted, motion, self._table, out, free=["float64"])
 
     def reset(self) -> None:
         """Forget the torque before."""

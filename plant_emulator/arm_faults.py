@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from plant_emulator.fault_configuration import (
     ActuatorDead,
     ActuatorWeak,
@@ -53,8 +53,9 @@ class ArmFaults:
                     case TorqueOffset():
                         asked[self._joint[fault.joint]] += fault.torque_nm
 
-    def sense(self, position: Vector, velocity: Vector, now_ns: int) -> None:
-        """Spoil what the encoders read, shape (joints,) each, in place."""
+    def sense(self, motion: Matrix, now_ns: int) -> None:
+        """Spoil what the encoders read, positions and velocities as rows, in place."""
+        position, velocity = motion
         for index, fault in enumerate(self._faults):
             if fault.is_active(now_ns):
                 match fault:

@@ -102,11 +102,11 @@ class ArmPlant:
         without_window = configuration.model_copy(update={"gui": False})
         ArmPlant(without_window, robot, start_position_rad, grid, 0, limits).close()
 
-    def read_encoders(self, into_position: Vector, into_velocity: Vector, now_ns: int = 0) -> None:
+    def read_encoders(self, into: Matrix, now_ns: int = 0) -> None:
         """Write what a controller gets to see of the motion at `now_ns`."""
-        self._encoders.read(self.position, self.velocity, into_position, into_velocity)
+        self._encoders.read(self.motion, into)
         if self._faults is not None:
-            self._faults.sense(into_position, into_velocity, now_ns)
+            self._faults.sense(into, now_ns)
 
     def begin(self) -> None:
         """Take part in a run: the brakes hold until the first torque."""

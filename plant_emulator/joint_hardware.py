@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix
 from bus_schema.configuration import expand
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import ActuatorConfiguration, EncoderConfiguration
@@ -29,17 +29,19 @@ class Encoders:
         self._is_noisy = bool((self._noise > 0.0).any())
         self._random = random
 
-    def read(
-        self, position: Vector, velocity: Vector, into_position: Vector, into_velocity: Vector
-    ) -> None:
-        """Write what the encoders show of the true motion, shape (joints,) each."""
-        into_position[:] = position
-        into_velocity[:] = velocity
+    def read(self, motion: Matrix, into: Matrix) -> None:
+        """Write what the encoders show of the true motion.
+
+        Args:
+            motion: positions and velocities as rows, shape (2, joints).
+            into: the same, as shown.
+        """
+        into[:] = motion
         if self._quantises:
-            counts = np.round(position[self._is_coarse] / self._resolution[self._is_coarse])
-            into_position[self._is_coarse] = counts * self._resolution[self._is_coarse]
+            counts = np.round(motion[0, self._is_coarse] / self._resolution[self._is_coarse])
+            into[0, self._is_coarse] = counts * self._resolution[self._is_coarse]
         if self._is_noisy:
-            into_velocity += self._noise * self._random.standard_normal(velocity.size)
+            into[1] += self._noise * self._random.standard_normal(motion.shape[1])
 
 
 class ActuatorLimits:

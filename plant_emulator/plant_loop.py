@@ -18,7 +18,6 @@ from bus_schema.cdr_layout import Record
 from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
-from bus_schema.finite import all_finite
 from bus_schema.limits import LimitCounts, name_of
 from bus_schema.link import PlantLink
 from bus_schema.modes import COMMANDABLE, Mode, mode_event
@@ -68,9 +67,8 @@ class PlantLoop:
             self._gate, downlink, self._watchdog, arm, self._journal, self._announce
         )
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
-        self._position, self._velocity, self._effort = (
-            self._state.fields[name] for name in ("position", "velocity", "effort")
-        )
+        self._motion = self._state.matrix("position", "velocity")
+        self._effort = self._state.fields["effort"]
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._controller_is_lost = False
         self._end_tick = task.ticks
@@ -88,7 +86,6 @@ class PlantLoop:
         """Compile what the loop calls before time counts, and leave no trace of it."""
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
         RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
-        all_finite(self._state.fields["position"])
 
     def request_stop(self) -> None:
         """End the run cleanly at the next tick; safe from signal handlers and other threads."""
@@ -182,11 +179,16 @@ class PlantLoop:
             self._await_reply(measurement)
 
     def _await_reply(self, measurement: Measurement) -> None:
-        """Wait for the reply to one state; if it stays out, go on alone until the watchdog acts."""
-        timeout_s = self._task.link.reply_timeout_s
-        give_up_s = time.monotonic() + timeout_s
+        """Take the reply to one state, at once or when it comes."""
         self._gate.awaited_ns = measurement.stamp_ns
         self._collect_commands()
+        if self._gate.awaited_ns is not None:
+            self._wait_for_reply(measurement)
+
+    def _wait_for_reply(self, measurement: Measurement) -> None:
+        """If the reply to a state stays out, go on alone until the watchdog acts."""
+        timeout_s = self._task.link.reply_timeout_s
+        give_up_s = time.monotonic() + timeout_s
         while self._gate.awaited_ns is not None and not self._stop_requested:
             if self._link.await_command(_PATIENCE_S):
                 self._collect_commands()
@@ -267,7 +269,7 @@ class PlantLoop:
         stamp_ns = self._grid.tick_ns(self.tick)
         state.stamp_ns = stamp_ns
         status.share_stamp(state)
-        self._arm.read_encoders(self._position, self._velocity, stamp_ns)
+        self._arm.read_encoders(self._motion, stamp_ns)
         self._effort[:] = self._arm.torques.actuator
         commands = self._commands
         status.put_scalars(

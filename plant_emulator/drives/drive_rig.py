@@ -63,8 +63,7 @@ class DriveRig:
         self._arm, self._bank, self._bus = arm, bank, bus
         self._clock, self._grid, self._plan = clock, grid, plan
         self._on_frame, self._on_event = on_frame, on_event
-        self._position = np.zeros_like(arm.position)
-        self._velocity = np.zeros_like(arm.position)
+        self._motion = np.zeros_like(arm.motion)
         self._told: list[str] = []
         self._stop_requested = False
         self.counts = RigCounts()
@@ -110,8 +109,9 @@ class DriveRig:
             self.counts.ticks += 1
 
     def _measure(self) -> None:
-        self._arm.read_encoders(self._position, self._velocity)
-        self._bank.measure(self._position, self._velocity, self._arm.torques.actuator)
+        self._arm.read_encoders(self._motion)
+        position, velocity = self._motion
+        self._bank.measure(position, velocity, self._arm.torques.actuator)
 
     def _tell(self) -> None:
         """Say which drives have changed their state."""
