@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -133,8 +133,8 @@ class MessageLayout:
         self.size = len(self.template)
         self.dtype = self._numpy_type()
         self.scalars_offset, self.scalars = self._scalars_after_header()
-        mask = self._mask_of_fixed_bytes()
-        self._fixed_mask = int.from_bytes(mask, "little")
+        self._mask = np.frombuffer(self._mask_of_fixed_bytes(), np.uint8)
+        self._fixed_mask = int.from_bytes(self._mask.tobytes(), "little")
         self._fixed_bits = int.from_bytes(self.template, "little") & self._fixed_mask
 
     def decode(self, payload: bytes, into: Record) -> None:
@@ -149,6 +149,29 @@ class MessageLayout:
             self._decode_foreign(payload, into)
         if not into.has_valid_stamp():
             raise InvalidMessageError("malformed", "its stamp is no time")
+
+    def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
+        """Messages as rows of one table, shape (messages,); what `decode` refuses is left out."""
+        if all(len(payload) == self.size for payload in payloads):
+            joined = b"".join(payloads)
+            block = np.frombuffer(joined, np.uint8).reshape(-1, self.size)
+            table = np.frombuffer(joined, self.dtype)
+            fixed = np.flatnonzero(self._mask)
+            template = np.frombuffer(self.template, np.uint8)
+            is_ours = (block[:, fixed] == template[fixed]).all()
+            if is_ours and (table[_HEADER[1]] < _NANOSECONDS).all():
+                return table
+        return np.frombuffer(b"".join(self._decodable(payloads)), self.dtype)
+
+    def _decodable(self, payloads: Iterable[bytes]) -> Iterator[bytes]:
+        """Those payloads that can be decoded, each in this layout."""
+        record = Record(self)
+        for payload in payloads:
+            try:
+                self.decode(payload, record)
+            except InvalidMessageError:
+                continue
+            yield record.payload()
 
     def _is_ours(self, payload: bytes) -> bool:
         """Whether all that is fixed in this layout stands in `payload` as it should."""

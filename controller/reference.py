@@ -40,9 +40,11 @@ class Reference:
 def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matrix:
     """Reference positions at each time, shape (times, joints), rad."""
     positions = np.empty((len(times_s), joints))
-    velocity, acceleration = np.empty(joints), np.empty(joints)
-    for row, time_s in zip(positions, times_s, strict=True):
-        reference.evaluate(float(time_s), row, velocity, acceleration)
+    position, velocity, acceleration = np.empty((3, joints))
+    follow = reference.onto(position, velocity, acceleration)
+    for row, time_s in enumerate(times_s.tolist()):
+        follow(time_s)
+        positions[row] = position
     return positions
 
 

@@ -87,7 +87,7 @@ def error_envelopes(comparison: Comparison) -> go.Figure | None:
     figure = law_rows(setup.robot.joint_names, "mrad")
     for run in comparison.drawn:
         times_s = run.data.times_s(topics.PLANT_TRUTH)
-        _add_envelopes(figure, comparison, run.law, times_s, _MRAD * run.data.true_errors_rad())
+        _add_envelopes(figure, comparison, run.law, times_s, _MRAD * run.data.true_errors_rad)
     for joint, final in enumerate(_MRAD * setup.funnel.final_rad):
         dotted = {"color": MUTED, "width": 1, "dash": "dot"}
         figure.add_hline(float(final), row=joint + 1, line=dotted)
@@ -174,7 +174,7 @@ def _errors(comparison: Comparison, until_s: float) -> go.Figure | None:
     for run in reversed(comparison.drawn):  # the first law lies on top
         times_s = run.data.times_s(topics.PLANT_TRUTH)
         shown = times_s <= until_s
-        errors = _MRAD * run.data.true_errors_rad()[shown]
+        errors = _MRAD * run.data.true_errors_rad[shown]
         for joint in range(setup.robot.joints):
             add_law(figure, comparison, run.law, joint + 1, times_s[shown], errors[:, joint])
     figure.update_xaxes(range=[0.0, band_s[-1]])

@@ -44,7 +44,7 @@ def error_in_funnel(run: RunData) -> go.Figure | None:
         return None
     late = run.times_s(topics.PLANT_TRUTH) >= run.setup.scenario.metrics.from_s
     if late.any():
-        largest = np.abs(run.true_errors_rad()[late]).max(axis=0)
+        largest = np.abs(run.true_errors_rad[late]).max(axis=0)
         reach = _MRAD * np.maximum(_HEADROOM * run.setup.funnel.final_rad, 1.1 * largest)
         for joint, limit in enumerate(reach):
             figure.update_yaxes(range=[-limit, limit], row=joint + 1)
@@ -151,7 +151,7 @@ def _errors(run: RunData, until_s: float) -> go.Figure | None:
     shown = times_s <= until_s
     if not shown.any():
         return None
-    times_s, errors = times_s[shown], _MRAD * run.true_errors_rad()[shown]
+    times_s, errors = times_s[shown], _MRAD * run.true_errors_rad[shown]
     outside = bound_usage(run)[shown] >= 1.0
     band_s = np.linspace(times_s[0], times_s[-1], _BAND_POINTS)
     upper, lower = (_MRAD * bound for bound in run.setup.funnel.bounds(band_s))

@@ -56,7 +56,7 @@ def summarise(run: RunData) -> dict[str, Any]:
 
 def bound_usage(run: RunData) -> Matrix:
     """|e| over the bound on the error's own side, at every tick, shape (ticks, joints)."""
-    errors = run.true_errors_rad()
+    errors = run.true_errors_rad
     upper, lower = run.setup.funnel.bounds(run.times_s(topics.PLANT_TRUTH))
     return np.where(errors >= 0.0, errors / upper, errors / lower)
 
@@ -88,7 +88,7 @@ def percentiles_us(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
 
 
 def _tracking(run: RunData) -> dict[str, Any]:
-    errors, times_s = run.true_errors_rad(), run.times_s(topics.PLANT_TRUTH)
+    errors, times_s = run.true_errors_rad, run.times_s(topics.PLANT_TRUTH)
     judged = errors[times_s >= run.setup.scenario.metrics.from_s]
     return {
         "joint_names": list(run.setup.robot.joint_names),

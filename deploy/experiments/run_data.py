@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from bus_schema import topics
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.cdr_layout import Record
 from bus_schema.errors import InvalidMessageError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.topics import Role, Topic
@@ -54,6 +54,7 @@ class RunData:
         """Stamps of a topic's messages, shape (messages,)."""
         return stamps_s(self.tables[topic.name])
 
+    @cached_property
     def true_errors_rad(self) -> Matrix:
         """True joint errors at every tick, shape (ticks, joints)."""
         truth = self.tables[topics.PLANT_TRUTH.name]
@@ -92,19 +93,11 @@ def tabulate(
     payloads: Mapping[str, Sequence[bytes]], joint_names: tuple[str, ...]
 ) -> tuple[dict[str, Table], list[RunEvent]]:
     """Tables of all fixed-size topics, and the events; unusable messages are left out."""
-    tables = {}
-    for topic in topics.TOPICS:
-        if topic is topics.RUN_EVENTS:
-            continue
-        layout = topics.layout(topic, joint_names)
-        record, rows = Record(layout), []
-        for payload in payloads.get(topic.name, ()):
-            try:
-                layout.decode(payload, record)
-            except InvalidMessageError:
-                continue
-            rows.append(record.payload())
-        tables[topic.name] = np.frombuffer(b"".join(rows), layout.dtype)
+    tables = {
+        topic.name: topics.layout(topic, joint_names).tabulate(payloads.get(topic.name, ()))
+        for topic in topics.TOPICS
+        if topic is not topics.RUN_EVENTS
+    }
     events = []
     for payload in payloads.get(topics.RUN_EVENTS.name, ()):
         try:

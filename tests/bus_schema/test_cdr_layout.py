@@ -250,3 +250,32 @@ def test_as_many_names_as_fit_are_rejected_in_bounded_memory():
 def test_run_events_have_no_fixed_layout():
     with pytest.raises(ValueError, match="run_events"):
         layout(RUN_EVENTS, THREE)
+
+
+def bad_stamp():
+    record = filled(STATE, 1)
+    record.fields["header.stamp.nanosec"][0] = 1_000_000_000
+    return record.payload()
+
+
+OURS = [filled(STATE, seed).payload() for seed in range(4)]
+FOREIGN = joint_state(names=THREE[::-1], velocity=(4.0, 5.0, 6.0), effort=(7.0, 8.0, 9.0))
+OTHER_NAMES = OURS[0].replace(b"yaw", b"way")
+
+
+@pytest.mark.parametrize(
+    "payloads",
+    [[], OURS, [*OURS, FOREIGN], [OURS[0], OTHER_NAMES], [OURS[0], bad_stamp()], [b"", OURS[0]]],
+    ids=["none", "ours", "foreign", "other names", "no time", "too short"],
+)
+def test_table_holds_what_can_be_decoded_one_by_one(payloads):
+    rows = []
+    for payload in payloads:
+        record = Record(STATE)
+        try:
+            STATE.decode(payload, record)
+        except InvalidMessageError:
+            continue
+        rows.append(record.payload())
+    table = STATE.tabulate(payloads)
+    assert (table.dtype, table.tobytes()) == (STATE.dtype, b"".join(rows))

@@ -86,7 +86,7 @@ def test_bounds_are_kept_and_quantisation_is_all_that_differs(
     over_can = summarise(run.data)
     assert over_can["completed"]
     assert over_can["bounds"]["kept"]
-    errors = run.data.true_errors_rad()[250:], in_process.data().true_errors_rad()[250:]
+    errors = run.data.true_errors_rad[250:], in_process.data().true_errors_rad[250:]
     ours, reference = (np.sqrt((each**2).mean(axis=0)) for each in errors)
     assert (ours <= 1.5 * reference).all()
 

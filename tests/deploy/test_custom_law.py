@@ -66,7 +66,7 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
     assert setup.gains == {"stiffness": 400.0}
     simulation = simulate(setup)
     assert simulation.failure is None
-    errors = simulation.data().true_errors_rad()
+    errors = simulation.data().true_errors_rad
     assert np.abs(errors[-1]).max() < 0.05 < np.abs(errors[0]).max()
     file = folder / "effective.yaml"
     file.write_text(effective_scenario(setup))
@@ -136,4 +136,4 @@ def test_law_in_the_readme_runs_as_shown(folder):
     (folder / "law_of_the_readme.py").write_text(readme.partition("```python\n")[2].split("```")[0])
     custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
     simulation = simulate(setup_of("law_of_the_readme:ComputedTorque", custom, duration_s=2))
-    assert np.abs(simulation.data().true_errors_rad()[-1]).max() < 0.05
+    assert np.abs(simulation.data().true_errors_rad[-1]).max() < 0.05

@@ -99,14 +99,14 @@ def test_failing_physics_stops_the_arm():
     setup = load_setup("paper_arm", ["duration_s=0.5"])
 
     def sabotage(plant):
-        step = plant._arm.step
+        advance = plant._arm.advance
 
-        def fail(time_s):
-            if time_s > 0.1:
+        def fail(first, end):
+            if setup.grid.substep_ns(end) > 100_000_000:
                 raise OSError("the bench is on fire")
-            step(time_s)
+            advance(first, end)
 
-        plant._arm.step = fail
+        plant._arm.advance = fail
 
     run = simulate(setup, sabotage).data()
     expected = [Mode.READY, Mode.TRACKING, Mode.STOPPING, Mode.FAULT]
