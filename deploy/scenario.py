@@ -280,7 +280,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         from deploy.can_check import check_can_link  # imports what only CAN needs
 
         check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
-    ArmPlant.check(scenario.plant, robot, start, grid, scenario.limits)
+    ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
     return setup
 
 

@@ -16,6 +16,7 @@ from bus_schema.modes import Cue, Mode, follow
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.arm_faults import ArmFaults
 from plant_emulator.bullet_arm import BulletArm
+from plant_emulator.bullet_server import require_loadable
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.fault_configuration import Fault
 from plant_emulator.joint_hardware import Encoders
@@ -53,23 +54,13 @@ class ArmPlant:
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
     ) -> None:
-        disturbance_seed, encoder_seed, fault_seed = np.random.SeedSequence(seed).spawn(3)
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
-        self._stop_damping = expand(
-            configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s"
+        randoms = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)]
+        self._stop_damping, self.torques, self._encoders = _joint_hardware(
+            configuration, robot, grid, limits, *randoms[:2]
         )
-        self.torques = JointTorques(
-            configuration, robot, grid.substep_s, np.random.default_rng(disturbance_seed), limits
-        )
-        self._encoders = Encoders(
-            configuration.encoder, robot.joints, np.random.default_rng(encoder_seed)
-        )
-        self._faults = (
-            ArmFaults(faults, robot.joint_names, np.random.default_rng(fault_seed))
-            if faults
-            else None
-        )
+        self._faults = ArmFaults(faults, robot.joint_names, randoms[2]) if faults else None
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
@@ -87,7 +78,6 @@ class ArmPlant:
     def check(
         configuration: PlantConfiguration,
         robot: RobotDescription,
-        start_position_rad: Vector,
         grid: TickGrid,
         limits: LimitsConfiguration,
     ) -> None:
@@ -99,8 +89,8 @@ class ArmPlant:
         """
         if configuration.gui and not os.environ.get("DISPLAY"):
             raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
-        without_window = configuration.model_copy(update={"gui": False})
-        ArmPlant(without_window, robot, start_position_rad, grid, 0, limits).close()
+        _joint_hardware(configuration, robot, grid, limits, *[np.random.default_rng()] * 2)
+        require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg))
 
     def read_encoders(self, into: Matrix, now_ns: int = 0) -> None:
         """Write what a controller gets to see of the motion at `now_ns`."""
@@ -182,3 +172,17 @@ class ArmPlant:
         if not engaged and self.torques.held.any():
             self._arm.hold(self.torques.held.tolist())
         self._is_braked = engaged
+
+
+def _joint_hardware(
+    configuration: PlantConfiguration,
+    robot: RobotDescription,
+    grid: TickGrid,
+    limits: LimitsConfiguration,
+    disturbance_random: np.random.Generator,
+    encoder_random: np.random.Generator,
+) -> tuple[Vector, JointTorques, Encoders]:
+    """Damping of a safe stop (N m s, shape (joints,)), torques and encoders."""
+    damping = expand(configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
+    torques = JointTorques(configuration, robot, grid.substep_s, disturbance_random, limits)
+    return damping, torques, Encoders(configuration.encoder, robot.joints, encoder_random)

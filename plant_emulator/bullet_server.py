@@ -12,6 +12,7 @@ import ctypes
 import importlib.util
 import tempfile
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -156,7 +157,11 @@ class BulletServer:
         # One body that never touches anything: looking for contacts would be a tenth of a step.
         _set_reset_flags(reset, _USE_SIMPLE_BROADPHASE)
         self._submit(reset)
-        self.body = self._load(robot, payload_kg)
+        try:
+            self.body = _load(self.handle, robot.path, robot.resolved_urdf(payload_kg))
+        except RobotDescriptionError:
+            self.close()
+            raise
         names = self._link_names()
         self.joints = [names[name][0] for name in robot.joint_names]
         self._payload_links = [
@@ -198,20 +203,6 @@ class BulletServer:
         status: int = _submit(self.handle, command)
         return status
 
-    def _load(self, robot: RobotDescription, payload_kg: float) -> int:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / robot.path.name
-            file.write_text(robot.resolved_urdf(payload_kg))
-            with quiet():
-                load = _load_urdf(self.handle, bytes(file))
-                _set_fixed_base(load, 1)
-                _set_load_flags(load, _USE_INERTIA_FROM_FILE)
-                body: int = _loaded_body(self._submit(load))
-        if body < 0:
-            self.close()
-            raise RobotDescriptionError(f"{robot.path}: pybullet cannot load it")
-        return body
-
     def _link_names(self) -> dict[str, tuple[Joint, str]]:
         """Joint and link by name of the joint."""
         by_name = {}
@@ -233,3 +224,35 @@ class BulletServer:
             _set_angular_damping(change, self.body, 0.0)
             _set_joint_damping(change, self.body, link, 0.0)
             self._submit(change)
+
+
+@lru_cache(maxsize=16)
+def require_loadable(path: Path, urdf: str) -> None:
+    """Check that Bullet can load an arm; what it could load before, it need not load again.
+
+    Args:
+        path: the arm's file.
+        urdf: `RobotDescription.resolved_urdf`.
+
+    Raises:
+        RobotDescriptionError: it cannot.
+    """
+    server = _connect()
+    try:
+        _load(server, path, urdf)
+    finally:
+        _disconnect(server)
+
+
+def _load(server: int, path: Path, urdf: str) -> int:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / path.name
+        file.write_text(urdf)
+        with quiet():
+            load = _load_urdf(server, bytes(file))
+            _set_fixed_base(load, 1)
+            _set_load_flags(load, _USE_INERTIA_FROM_FILE)
+            body: int = _loaded_body(_submit(server, load))
+    if body < 0:
+        raise RobotDescriptionError(f"{path}: pybullet cannot load it")
+    return body

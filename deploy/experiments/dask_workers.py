@@ -9,6 +9,7 @@ import queue
 from collections import deque
 from types import TracebackType
 
+import dask
 from distributed import Client, Future, LocalCluster, rpc
 from distributed.scheduler import KilledWorker
 
@@ -19,6 +20,8 @@ from deploy.yaml_files import ScenarioError
 _ANSWER_S = 3.0
 _WORKERS_S = 5.0
 _FIRST_TASK_S = 30.0
+_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Dask's own profiler and its watch over its event loop interrupt a run hundreds of times."""
 
 
 class ClusterLostError(Exception):
@@ -50,16 +53,17 @@ class DaskWorkers:
         if scheduler is not None:
             self._client = _connect(scheduler)
             return
-        self._cluster = LocalCluster(
-            n_workers=workers or len(os.sched_getaffinity(0)),
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=0,
-            dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
-            silence_logs=logging.CRITICAL,
-            preload=["deploy.experiments.dask_worker_setup"],
-        )
+        with dask.config.set(_UNWATCHED):
+            self._cluster = LocalCluster(
+                n_workers=workers or len(os.sched_getaffinity(0)),
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,
+                dashboard_address=None,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
+                silence_logs=logging.CRITICAL,
+                preload=["deploy.experiments.dask_worker_setup"],
+            )
         self._client = Client(self._cluster)
 
     def __enter__(self) -> DaskWorkers:
