@@ -11,7 +11,8 @@ from __future__ import annotations
 import ctypes
 import importlib.util
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -244,15 +245,27 @@ def require_loadable(path: Path, urdf: str) -> None:
         _disconnect(server)
 
 
-def _load(server: int, path: Path, urdf: str) -> int:
+@contextmanager
+def loadable_file(path: Path, urdf: str) -> Iterator[Path]:
+    """The URDF as a file for Bullet to load, without a word on the terminal.
+
+    Args:
+        path: the arm's file, whose name it bears.
+        urdf: `RobotDescription.resolved_urdf`.
+    """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / path.name
         file.write_text(urdf)
         with quiet():
-            load = _load_urdf(server, bytes(file))
-            _set_fixed_base(load, 1)
-            _set_load_flags(load, _USE_INERTIA_FROM_FILE)
-            body: int = _loaded_body(_submit(server, load))
+            yield file
+
+
+def _load(server: int, path: Path, urdf: str) -> int:
+    with loadable_file(path, urdf) as file:
+        load = _load_urdf(server, bytes(file))
+        _set_fixed_base(load, 1)
+        _set_load_flags(load, _USE_INERTIA_FROM_FILE)
+        body: int = _loaded_body(_submit(server, load))
     if body < 0:
         raise RobotDescriptionError(f"{path}: pybullet cannot load it")
     return body

@@ -133,12 +133,13 @@ class PlantLoop:
         # What acts in a substep is known when it begins: the physics need not wait for the tick,
         # at which nothing is left to do but to measure.
         for stage in self._stages:
-            last_substep = (tick - 1) * self._grid.substeps + stage[-1]
-            self._exchange_until(self._grid.substep_ns(last_substep))
+            first = (tick - 1) * self._grid.substeps + stage.start
+            end = first + len(stage)
+            self._exchange_until(self._grid.substep_ns(end - 1))
             self._journal.begin_physics()
             if self.tick < tick - 1:
                 self._skip_to(tick - 1)
-            self._advance(stage)
+            self._advance(first, end)
             self._journal.end_physics()
         self._exchange_until(self._grid.tick_ns(tick))
         self._journal.begin_cycle(self._lateness_ns)
@@ -215,14 +216,13 @@ class PlantLoop:
     def _skip_to(self, tick: int) -> None:
         """Let the physics go through the ticks before this one, at which nothing is measured."""
         while self.tick < tick:
-            self._advance(range(self._grid.substeps))
+            first = self.tick * self._grid.substeps
+            self._advance(first, first + self._grid.substeps)
             self._complete_tick(was_skipped=True)
 
-    def _advance(self, stage: range) -> None:
-        """Let the physics go through a stage of this tick."""
+    def _advance(self, first: int, end: int) -> None:
+        """Let the physics go through substeps of this tick, by their numbers in the run."""
         downlink, watchdog, grid = self._commands.downlink, self._watchdog, self._grid
-        first = self.tick * grid.substeps + stage.start
-        end = first + len(stage)
         last_ns = grid.substep_ns(end - 1)
         while first < end:
             now_ns = grid.substep_ns(first)

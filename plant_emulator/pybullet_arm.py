@@ -5,9 +5,7 @@ In a run the arm is a `BulletArm`, which gives the same bits at less cost.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
-from plant_emulator.bullet_server import GRAVITY_M_S2
+from plant_emulator.bullet_server import GRAVITY_M_S2, loadable_file
 from plant_emulator.quiet import quiet
 
 with quiet():
@@ -173,17 +171,14 @@ class PybulletArm:
         self.position[:], self.velocity[:] = ([state[row] for state in states] for row in range(2))
 
     def _load(self, robot: RobotDescription, payload_kg: float) -> int:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / robot.path.name
-            file.write_text(robot.resolved_urdf(payload_kg))
-            try:
-                with quiet():
-                    body: int = pybullet.loadURDF(
-                        str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                        physicsClientId=self._client,
-                    )  # fmt: skip
-            except pybullet.error as error:
-                raise RobotDescriptionError(f"{robot.path}: pybullet: {error}") from error
+        try:
+            with loadable_file(robot.path, robot.resolved_urdf(payload_kg)) as file:
+                body: int = pybullet.loadURDF(
+                    str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                    physicsClientId=self._client,
+                )  # fmt: skip
+        except pybullet.error as error:
+            raise RobotDescriptionError(f"{robot.path}: pybullet: {error}") from error
         return body
 
     def _find_joints(self, names: tuple[str, ...]) -> list[int]:

@@ -11,6 +11,7 @@ from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
 from deploy.robot_files import find_urdf
 from plant_emulator.bullet_arm import BulletArm
+from plant_emulator.bullet_server import require_loadable
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.joint_torques import JointTorques, act
 from plant_emulator.pybullet_arm import PybulletArm
@@ -97,3 +98,11 @@ def test_urdf_that_bullet_cannot_load_is_named(tmp_path):
     object.__setattr__(robot, "resolved_urdf", lambda _: "<robot/>")
     with pytest.raises(RobotDescriptionError, match=r"arm\.urdf: pybullet cannot load it"):
         BulletArm(robot, GRID, torques_of(robot))
+
+
+def test_what_bullet_could_not_load_is_refused_every_time(tmp_path):
+    robot, path = load_robot(find_urdf("paper_arm", Path())), tmp_path / "arm.urdf"
+    require_loadable(path, robot.resolved_urdf())
+    for _ in range(2):
+        with pytest.raises(RobotDescriptionError, match="pybullet cannot load it"):
+            require_loadable(path, "<robot/>")
