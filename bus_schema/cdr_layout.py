@@ -16,6 +16,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -133,9 +134,9 @@ class MessageLayout:
         self.size = len(self.template)
         self.dtype = self._numpy_type()
         self.scalars_offset, self.scalars = self._scalars_after_header()
-        self._mask = np.frombuffer(self._mask_of_fixed_bytes(), np.uint8)
-        self._fixed_mask = int.from_bytes(self._mask.tobytes(), "little")
-        self._fixed_bits = int.from_bytes(self.template, "little") & self._fixed_mask
+        self._is_fixed = self._fixed_bytes()
+        self._fixed_parts = _parts(self._is_fixed)
+        self._expected_parts = self._fixed_parts.unpack(self.template)
 
     def decode(self, payload: bytes, into: Record) -> None:
         """Load `payload` into `into`, whoever encoded it.
@@ -156,7 +157,7 @@ class MessageLayout:
             joined = b"".join(payloads)
             block = np.frombuffer(joined, np.uint8).reshape(-1, self.size)
             table = np.frombuffer(joined, self.dtype)
-            fixed = np.flatnonzero(self._mask)
+            fixed = np.flatnonzero(self._is_fixed)
             template = np.frombuffer(self.template, np.uint8)
             is_ours = (block[:, fixed] == template[fixed]).all()
             if is_ours and (table[_HEADER[1]] < _NANOSECONDS).all():
@@ -176,8 +177,7 @@ class MessageLayout:
     def _is_ours(self, payload: bytes) -> bool:
         """Whether all that is fixed in this layout stands in `payload` as it should."""
         return (
-            len(payload) == self.size
-            and int.from_bytes(payload, "little") & self._fixed_mask == self._fixed_bits
+            len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
         )
 
     def _decode_foreign(self, payload: bytes, into: Record) -> None:
@@ -247,12 +247,13 @@ class MessageLayout:
             position = offset + kind.itemsize
         return start, struct.Struct(code)
 
-    def _mask_of_fixed_bytes(self) -> bytes:
-        mask = bytearray(b"\xff" * self.size)
+    def _fixed_bytes(self) -> NDArray[np.bool_]:
+        """Which bytes belong to no field, shape (size,)."""
+        is_fixed = np.ones(self.size, dtype=np.bool_)
         fields: Mapping[str, Any] = self.dtype.fields or {}
         for kind, offset, *_ in fields.values():
-            mask[offset : offset + kind.itemsize] = bytes(kind.itemsize)
-        return bytes(mask)
+            is_fixed[offset : offset + kind.itemsize] = False
+        return is_fixed
 
 
 def parse(payload: bytes, type_name: str) -> Any:
@@ -269,6 +270,12 @@ def parse(payload: bytes, type_name: str) -> Any:
         return TYPESTORE.deserialize_cdr(payload, type_name)
     except Exception as error:  # rosbags raises whatever its parsing of garbage trips over
         raise InvalidMessageError("malformed", f"not a {type_name}: {error}") from error
+
+
+def _parts(is_wanted: NDArray[np.bool_]) -> struct.Struct:
+    """Takes the wanted runs of bytes out of as many bytes."""
+    runs = [(wanted, len(list(run))) for wanted, run in groupby(is_wanted.tolist())]
+    return struct.Struct("".join(f"{size}{'s' if wanted else 'x'}" for wanted, size in runs))
 
 
 def _attribute(message: Any, dotted: str) -> Any:

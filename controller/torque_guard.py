@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import bind
+from bus_schema.compiled import bind, compiled
 from bus_schema.finite import all_finite
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
 
-_FLOAT64 = np.dtype(np.float64)  # to compare with this is ten times as fast as with the type
+_NOT_FINITE = -1
 
 
 class ControllerError(Exception):
@@ -48,7 +50,6 @@ class TorqueGuard:
         joints = limits.torque_nm.size
         self._table = limits.table()
         self._wanted: Vector = np.zeros(joints)
-        self._is_finite = bind(all_finite, self._wanted)
         self.hits = 0
         self.counts = LimitCounts()
         self.attach(np.zeros((2, joints)), np.zeros(joints))
@@ -60,8 +61,9 @@ class TorqueGuard:
             motion: positions and velocities as rows, shape (2, joints).
             out: shape (joints,); read again as the torques before.
         """
-        self._out = out
-        self._limit = bind(limit_torques, self._wanted, motion, self._table, out, free=["float64"])
+        self._motion, self._out = motion, out
+        self._limit = self._limit_of_law = self._limiting(self._wanted)
+        self._of_law = self._wanted  # until it shows one
 
     def reset(self) -> None:
         """Forget the torque before."""
@@ -74,15 +76,41 @@ class TorqueGuard:
         Raises:
             InvalidTorqueError: the shape is wrong or an entry is not finite.
         """
+        if torque is self._of_law:
+            hits = self._limit_of_law(step_s)
+        else:
+            self._require_vector(torque, tick)
+            self._wanted[:] = torque
+            hits = self._limit(step_s)
+            self._expect(torque)
+        if hits == _NOT_FINITE:
+            raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
+        self.hits = hits
+        return self._out
+
+    def _require_vector(self, torque: Vector, tick: int) -> None:
         if not isinstance(torque, np.ndarray) or torque.shape != self._out.shape:
             shape = getattr(torque, "shape", type(torque).__name__)
             raise InvalidTorqueError(
                 self._law, tick, f"{shape} where shape {self._out.shape} is expected"
             )
-        if torque.dtype != _FLOAT64:
+        if torque.dtype != np.float64:
             raise InvalidTorqueError(self._law, tick, f"{torque.dtype} where float64 is expected")
-        self._wanted[:] = torque
-        if not self._is_finite():
-            raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
-        self.hits = self._limit(step_s)
-        return self._out
+
+    def _expect(self, torque: Vector) -> None:
+        """Spare the law that returns one array over and over the checks and the copy."""
+        if self._of_law is self._wanted:
+            self._of_law = torque
+            self._limit_of_law = self._limiting(torque)
+
+    def _limiting(self, wanted: Vector) -> Callable[[float], int]:
+        return bind(_limit_finite, wanted, self._motion, self._table, self._out, free=["float64"])
+
+
+@compiled
+def _limit_finite(
+    wanted: Vector, motion: Matrix, table: Matrix, previous_and_out: Vector, step_s: float
+) -> int:
+    if not all_finite(wanted):
+        return _NOT_FINITE
+    return limit_torques(wanted, motion, table, previous_and_out, step_s)

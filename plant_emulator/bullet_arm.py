@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,25 @@ from plant_emulator.joint_torques import JointTorques, Tables, act
 _BRAKE_TO_EFFORT = 10.0
 _BRAKE_TORQUE_NM = 10_000.0
 _DOUBLE_BYTES = 8
+
+
+class Handles(NamedTuple):
+    """How compiled code gets at an arm.
+
+    Attributes:
+        server: its physics server.
+        body: the arm there.
+        has_window: whether the server is a thread of its own, with a window.
+        indices: places of its positions and of its velocities in Bullet's lists, as rows, shape
+            (2, joints).
+        pointers: room for the addresses of these lists, shape (2,).
+    """
+
+    server: int
+    body: int
+    has_window: bool
+    indices: NDArray[np.int64]
+    pointers: NDArray[np.uintp]
 
 
 class BulletArm:
@@ -66,11 +86,12 @@ class BulletArm:
         ]
         positions = [joint.position_index for joint in server.joints]
         velocities = [joint.velocity_index for joint in server.joints]
-        indices, pointers = np.array([positions, velocities]), np.zeros(2, np.uintp)
         self.motion: Matrix = np.zeros((2, robot.joints))
         self.position: Vector = self.motion[0]
         self.velocity: Vector = self.motion[1]
-        arm = (server.handle, server.body, indices, pointers, self.motion)
+        indices = np.array([positions, velocities])
+        handles = Handles(server.handle, server.body, gui, indices, np.zeros(2, np.uintp))
+        arm = (handles, self.motion)
         self._read = bind(_read, *arm)
         self._coast = bind(_coast, *arm, free=["int64"])
         self._advance = bind(
@@ -128,9 +149,10 @@ class BulletArm:
 
 @compiled
 def _advance(
-    server: int, body: int, indices: NDArray[np.int64], pointers: NDArray[np.uintp],
-    motion: Matrix, period_ns: int, substeps: int, tables: Tables, first: int, end: int,
+    handles: Handles, motion: Matrix, period_ns: int, substeps: int, tables: Tables,
+    first: int, end: int,
 ) -> tuple[bool, bool, int]:  # fmt: skip
+    server, body, has_window = handles.server, handles.body, handles.has_window
     saturated, hits = False, 0
     for number in range(first, end):
         time_s = (number * period_ns // substeps) * 1e-9
@@ -139,38 +161,34 @@ def _advance(
         if not can_submit(server):
             return False, saturated, hits
         motors = control(server, body, CONTROL_TORQUE)
-        for i in range(indices.shape[1]):
-            set_torque(motors, indices[1, i], tables.torques[3, i])
-        submit(server, motors)
-        submit(server, step_simulation(server))
-        if not _read(server, body, indices, pointers, motion):
+        for i in range(motion.shape[1]):
+            set_torque(motors, handles.indices[1, i], tables.torques[3, i])
+        submit(server, motors, has_window)
+        submit(server, step_simulation(server), has_window)
+        if not _read(handles, motion):
             return False, saturated, hits
     return True, saturated, hits
 
 
 @compiled
-def _coast(
-    server: int, body: int, indices: NDArray[np.int64], pointers: NDArray[np.uintp],
-    motion: Matrix, substeps: int,
-) -> bool:  # fmt: skip
+def _coast(handles: Handles, motion: Matrix, substeps: int) -> bool:
     for _ in range(substeps):
-        if not can_submit(server):
+        if not can_submit(handles.server):
             return False
-        submit(server, step_simulation(server))
-    return _read(server, body, indices, pointers, motion)
+        submit(handles.server, step_simulation(handles.server), handles.has_window)
+    return _read(handles, motion)
 
 
 @compiled
-def _read(
-    server: int, body: int, indices: NDArray[np.int64], pointers: NDArray[np.uintp], motion: Matrix
-) -> bool:
+def _read(handles: Handles, motion: Matrix) -> bool:
     """Read positions and velocities; whether the server answered."""
-    status = submit(server, request_state(server, body))
+    server, indices, pointers = handles.server, handles.indices, handles.pointers
+    status = submit(server, request_state(server, handles.body), handles.has_window)
     first = pointers.ctypes.data
     if status == 0 or not get_state(status, 0, 0, 0, 0, first, first + _DOUBLE_BYTES, 0):
         return False
     for row in range(2):
-        for i in range(indices.shape[1]):
+        for i in range(motion.shape[1]):
             source = pointers[row] + _DOUBLE_BYTES * indices[row, i]
             copy_memory(motion[row, i:].ctypes.data, source, _DOUBLE_BYTES)
     return True

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from bus_schema.arrays import Matrix
+from bus_schema.compiled import copying
 from bus_schema.configuration import expand
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import ActuatorConfiguration, EncoderConfiguration
@@ -28,15 +29,20 @@ class Encoders:
         self._quantises = bool(self._is_coarse.any())
         self._is_noisy = bool((self._noise > 0.0).any())
         self._random = random
+        self._motion: Matrix | None = None
+        self._into: Matrix | None = None
 
     def read(self, motion: Matrix, into: Matrix) -> None:
         """Write what the encoders show of the true motion.
 
         Args:
             motion: positions and velocities as rows, shape (2, joints).
-            into: the same, as shown.
+            into: the same, as shown; best the same two arrays each time.
         """
-        into[:] = motion
+        if motion is not self._motion or into is not self._into:
+            self._motion, self._into = motion, into
+            self._copy = copying(motion, into)
+        self._copy()
         if self._quantises:
             counts = np.round(motion[0, self._is_coarse] / self._resolution[self._is_coarse])
             into[0, self._is_coarse] = counts * self._resolution[self._is_coarse]

@@ -9,6 +9,7 @@ import time
 
 from bus_schema import topics
 from bus_schema.cdr_layout import Record
+from bus_schema.compiled import copying
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.link import PlantLink
 from bus_schema.topics import Role
@@ -27,11 +28,14 @@ class PlantJournal:
         deadline_misses: ticks at which the command in force was too old.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], deadline_ns: int) -> None:
+    def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
         self._deadline_ns = deadline_ns
         self._truth = Record(topics.layout(topics.PLANT_TRUTH, joint_names))
-        self._motion = self._truth.matrix("position", "velocity")
-        self._torques = self._truth.matrix("torque", "disturbance")
+        self._arm = arm
+        self._note_motion = copying(arm.motion, self._truth.matrix("position", "velocity"))
+        self._note_torques = copying(
+            arm.torques.acting, self._truth.matrix("torque", "disturbance")
+        )
         self._entries: list[tuple[topics.Topic, bytes]] = []
         self._cycle_started_ns = 0
         self._period_ns = 0
@@ -67,7 +71,6 @@ class PlantJournal:
         self,
         stamp_ns: int,
         tick: int,
-        arm: ArmPlant,
         command_sequence: int,
         command_age_ns: int,
         *,
@@ -78,7 +81,6 @@ class PlantJournal:
         Args:
             stamp_ns: instant of the tick.
             tick: its number.
-            arm: the arm.
             command_sequence: number of the command in force, 0 before the first.
             command_age_ns: age of the state it answers, -1 before the first.
             was_skipped: the loop came too late to measure at this tick.
@@ -93,10 +95,10 @@ class PlantJournal:
             tick, self._period_ns, _NO_CYCLE_NS if was_skipped else self._lateness_ns,
             self._step_ns, self.skipped,
             command_sequence, command_age_ns, self.round_trip_ns, self.state_age_ns,
-            arm.mode, is_in_time, arm.torques.saturated,
+            self._arm.mode, is_in_time, self._arm.torques.saturated,
         )  # fmt: skip
-        self._motion[:] = arm.motion
-        self._torques[:] = arm.torques.acting
+        self._note_motion()
+        self._note_torques()
         self._entries.append((topics.PLANT_TRUTH, truth.payload()))
         self.round_trip_ns = self.state_age_ns = -1
 

@@ -16,6 +16,7 @@ from collections import Counter
 from bus_schema import topics
 from bus_schema.cdr_layout import Record
 from bus_schema.clock import Clock
+from bus_schema.compiled import copying
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.limits import LimitCounts, name_of
@@ -61,14 +62,14 @@ class PlantLoop:
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
         self._journal = PlantJournal(
-            names, task.link.deadline_ns(self._grid.period_ns, round_trip_ns)
+            names, arm, task.link.deadline_ns(self._grid.period_ns, round_trip_ns)
         )
         self._commands = CommandSide(
             self._gate, downlink, self._watchdog, arm, self._journal, self._announce
         )
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
         self._motion = self._state.matrix("position", "velocity")
-        self._effort = self._state.fields["effort"]
+        self._show_effort = copying(arm.torques.actuator, self._state.fields["effort"])
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._controller_is_lost = False
         self._end_tick = task.ticks
@@ -270,7 +271,7 @@ class PlantLoop:
         state.stamp_ns = stamp_ns
         status.share_stamp(state)
         self._arm.read_encoders(self._motion, stamp_ns)
-        self._effort[:] = self._arm.torques.actuator
+        self._show_effort()
         commands = self._commands
         status.put_scalars(
             *_START, self._arm.mode, commands.sequence, commands.age_ns(stamp_ns), commands.delay_ns
@@ -283,7 +284,7 @@ class PlantLoop:
             self._heed_limits()
         now_ns, commands = self._grid.tick_ns(self.tick), self._commands
         self._journal.note_truth(
-            now_ns, self.tick, self._arm, commands.sequence, commands.age_ns(now_ns),
+            now_ns, self.tick, commands.sequence, commands.age_ns(now_ns),
             was_skipped=was_skipped,
         )  # fmt: skip
 
