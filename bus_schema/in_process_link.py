@@ -84,7 +84,9 @@ class InProcessPlantLink:
         return self._bus.on_state is None
 
     def take_commands(self) -> list[CommandArrival]:
-        taken, self._bus.commands = self._bus.commands, []
+        taken = self._bus.commands
+        if taken:
+            self._bus.commands = []
         return taken
 
     def overflow(self) -> int:

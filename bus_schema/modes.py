@@ -19,7 +19,7 @@ class Mode(IntEnum):
     FAULT = 4
 
 
-COMMANDABLE = (Mode.READY, Mode.TRACKING)
+COMMANDABLE = (Mode.TRACKING, Mode.READY)
 """Modes in which a torque is given, or waited for."""
 
 

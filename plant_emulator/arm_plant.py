@@ -63,6 +63,7 @@ class ArmPlant:
         self._faults = ArmFaults(faults, robot.joint_names, randoms[2]) if faults else None
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
+        self._commanded_memory = self._commanded.data  # written to in a third of the array's time
         self._grid = grid
         self._arm = BulletArm(
             robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
@@ -108,7 +109,7 @@ class ArmPlant:
             self._set_brakes(engaged=False)
             self.mode = follow(self.mode, Cue.COMMAND)
         if self.mode is Mode.TRACKING:
-            self._commanded[:] = torque_nm
+            self._commanded_memory[:] = torque_nm.data
 
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
@@ -139,8 +140,8 @@ class ArmPlant:
             end: number of the first one that is not to come yet.
         """
         is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
-        if self._faults is None and not is_damped:
-            self._go(first, end)
+        if self._faults is None and not is_damped and not self._is_braked:
+            self._arm.advance(first, end)
             return
         for number in range(first, end):
             if is_damped:

@@ -104,7 +104,8 @@ class BulletArm:
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
         self._server.place(position)
-        self._require(self._read())
+        if not self._read():
+            raise _no_answer()
 
     def set_brakes(self, *, engaged: bool) -> None:
         """Engage or release brakes that hold every joint against ten times its largest torque."""
@@ -131,7 +132,8 @@ class BulletArm:
         """
         is_done, self._torques.saturated, hits = self._advance(first, end)
         self._torques.hits |= hits
-        self._require(is_done)
+        if not is_done:
+            raise _no_answer()
 
     def coast(self, substeps: int) -> None:
         """Go through substeps under no torque but that of the brakes which are engaged.
@@ -139,12 +141,12 @@ class BulletArm:
         Raises:
             ConnectionError: Bullet's physics server is gone.
         """
-        self._require(self._coast(substeps))
+        if not self._coast(substeps):
+            raise _no_answer()
 
-    @staticmethod
-    def _require(is_done: bool) -> None:
-        if not is_done:
-            raise ConnectionError("Bullet's physics server does not answer")
+
+def _no_answer() -> ConnectionError:
+    return ConnectionError("Bullet's physics server does not answer")
 
 
 @compiled

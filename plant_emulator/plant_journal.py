@@ -26,6 +26,7 @@ class PlantJournal:
         state_age_ns: age of the newest state delivered since the last tick, -1 without one.
         skipped: ticks at which nothing was measured, because the loop came too late.
         deadline_misses: ticks at which the command in force was too old.
+        physics_ns: what the physics have taken since the last cycle ended.
     """
 
     def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
@@ -40,20 +41,12 @@ class PlantJournal:
         self._cycle_started_ns = 0
         self._period_ns = 0
         self._lateness_ns = 0
-        self._physics_ns = 0
         self._step_ns = 0
         self.round_trip_ns = -1
         self.state_age_ns = -1
         self.skipped = 0
         self.deadline_misses = 0
-
-    def begin_physics(self) -> None:
-        """A stage of the physics of a tick begins."""
-        self._physics_ns -= time.perf_counter_ns()
-
-    def end_physics(self) -> None:
-        """The stage is done."""
-        self._physics_ns += time.perf_counter_ns()
+        self.physics_ns = 0
 
     def begin_cycle(self, lateness_ns: int) -> None:
         """A cycle begins, so late after the instant it was to begin at."""
@@ -64,8 +57,8 @@ class PlantJournal:
 
     def end_cycle(self) -> None:
         """The work of the cycle is done."""
-        self._step_ns = self._physics_ns + time.perf_counter_ns() - self._cycle_started_ns
-        self._physics_ns = 0
+        self._step_ns = self.physics_ns + time.perf_counter_ns() - self._cycle_started_ns
+        self.physics_ns = 0
 
     def note_truth(
         self,

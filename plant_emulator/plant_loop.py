@@ -77,6 +77,7 @@ class PlantLoop:
         self._stop_requested = False
         self._lateness_ns = 0
         self.tick = 0
+        self._tick_ns = 0
 
     @property
     def deadline_misses(self) -> int:
@@ -118,7 +119,7 @@ class PlantLoop:
         self._measure()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
-        self._exchange_until(self._grid.tick_ns(self.tick))
+        self._exchange_until(self._tick_ns)
 
     def _break_off(self, error: Exception) -> None:
         """Stop the arm because the loop cannot go on."""
@@ -137,11 +138,11 @@ class PlantLoop:
             first = (tick - 1) * self._grid.substeps + stage.start
             end = first + len(stage)
             self._exchange_until(self._grid.substep_ns(end - 1))
-            self._journal.begin_physics()
+            started_ns = time.perf_counter_ns()
             if self.tick < tick - 1:
                 self._skip_to(tick - 1)
             self._advance(first, end)
-            self._journal.end_physics()
+            self._journal.physics_ns += time.perf_counter_ns() - started_ns
         self._exchange_until(self._grid.tick_ns(tick))
         self._journal.begin_cycle(self._lateness_ns)
         self._complete_tick(was_skipped=False)
@@ -239,7 +240,8 @@ class PlantLoop:
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1
-        if self._commands.downlink.next_due_ns <= (now_ns := self._grid.tick_ns(self.tick)):
+        self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
+        if self._commands.downlink.next_due_ns <= now_ns:
             self._commands.put_into_force(now_ns)
         self._note_truth(was_skipped=was_skipped)
 
@@ -267,8 +269,7 @@ class PlantLoop:
     def _measure(self) -> None:
         """Measure the joints and send the state on its way."""
         state, status = self._state, self._status
-        stamp_ns = self._grid.tick_ns(self.tick)
-        state.stamp_ns = stamp_ns
+        stamp_ns = state.stamp_ns = self._tick_ns
         status.share_stamp(state)
         self._arm.read_encoders(self._motion, stamp_ns)
         self._show_effort()
@@ -282,7 +283,7 @@ class PlantLoop:
     def _note_truth(self, *, was_skipped: bool) -> None:
         if self._arm.torques.hits:
             self._heed_limits()
-        now_ns, commands = self._grid.tick_ns(self.tick), self._commands
+        now_ns, commands = self._tick_ns, self._commands
         self._journal.note_truth(
             now_ns, self.tick, commands.sequence, commands.age_ns(now_ns),
             was_skipped=was_skipped,
@@ -297,7 +298,7 @@ class PlantLoop:
         self._announce(EventKind.MODE, mode_event(self._arm.mode, why))
 
     def _announce(self, kind: EventKind, detail: str) -> None:
-        self._journal.note_event(self._grid.tick_ns(self.tick), kind, detail)
+        self._journal.note_event(self._tick_ns, kind, detail)
 
     def _say_goodbye(self) -> None:
         outcome = self._outcome
