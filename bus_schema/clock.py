@@ -98,17 +98,15 @@ class TickGrid:
     def tick_ns(self, tick: int) -> int:
         return tick * self.period_ns
 
-    def stages(self, *, paced: bool) -> tuple[range, ...]:
-        """How the substeps of a tick are gone through: each stage once its last one has begun.
+    def stages(self) -> tuple[range, ...]:
+        """How substeps are gone through in real time: each stage once its last one has begun.
 
-        Args:
-            paced: in real time, where a stage of all substeps would leave too little time for
-                them before the tick; in virtual time, each further stage costs and gains nothing.
+        One stage of all of them would leave too little time for them before the tick.
 
         Returns:
             the numbers of the substeps within the tick, stage by stage.
         """
-        if paced and self.substeps > 1:
+        if self.substeps > 1:
             return range(self.substeps - 1), range(self.substeps - 1, self.substeps)
         return (range(self.substeps),)
 

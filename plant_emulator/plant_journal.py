@@ -102,6 +102,8 @@ class PlantJournal:
 
     def send(self, link: PlantLink) -> None:
         """Send what was noted."""
+        if not self._entries:
+            return
         for topic, payload in self._entries:
             link.publish(topic, payload)
         self._entries.clear()

@@ -48,7 +48,7 @@ class PlantLoop:
         names = task.robot.joint_names
         self._task, self._arm, self._link, self._clock = task, arm, link, clock
         self._grid = task.grid
-        self._stages = task.grid.stages(paced=not task.lockstep)
+        self._stages = task.grid.stages()
         self._uplink: Channel[Measurement] = open_uplink(task.link, task.seed, task.faults)
         downlink = open_downlink(task.link, task.seed, task.faults)
         self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
@@ -131,24 +131,35 @@ class PlantLoop:
             self._fail(reason)
 
     def _cycle(self) -> None:
-        tick = self._next_tick()
-        # What acts in a substep is known when it begins: the physics need not wait for the tick,
-        # at which nothing is left to do but to measure.
-        for stage in self._stages:
-            first = (tick - 1) * self._grid.substeps + stage.start
-            end = first + len(stage)
-            self._exchange_until(self._grid.substep_ns(end - 1))
-            started_ns = time.perf_counter_ns()
-            if self.tick < tick - 1:
-                self._skip_to(tick - 1)
-            self._advance(first, end)
-            self._journal.physics_ns += time.perf_counter_ns() - started_ns
-        self._exchange_until(self._grid.tick_ns(tick))
+        if self._task.lockstep:
+            # Nothing is ever late, so the physics can wait until all that acts in them is there.
+            self._exchange_until(self._grid.tick_ns(self.tick + 1))
+            self._go_through(self.tick + 1, 0, self._grid.substeps)
+        else:
+            self._keep_pace(self._next_tick())
         self._journal.begin_cycle(self._lateness_ns)
         self._complete_tick(was_skipped=False)
-        if tick < self._end_tick:
+        if self.tick < self._end_tick:
             self._measure()
         self._journal.end_cycle()
+
+    def _keep_pace(self, tick: int) -> None:
+        """Reach a tick in real time, with nothing left to do there but to measure."""
+        for stage in self._stages:
+            # What acts in a substep is known when it begins: the physics need not wait any longer.
+            last = (tick - 1) * self._grid.substeps + stage.stop - 1
+            self._exchange_until(self._grid.substep_ns(last))
+            self._go_through(tick, stage.start, stage.stop)
+        self._exchange_until(self._grid.tick_ns(tick))
+
+    def _go_through(self, tick: int, start: int, stop: int) -> None:
+        """Let the physics go through substeps that lead to a tick, by their numbers within it."""
+        started_ns = time.perf_counter_ns()
+        if self.tick < tick - 1:
+            self._skip_to(tick - 1)
+        before = (tick - 1) * self._grid.substeps
+        self._advance(before + start, before + stop)
+        self._journal.physics_ns += time.perf_counter_ns() - started_ns
 
     def _next_tick(self) -> int:
         """The next tick of the grid, or the one that the clock has reached if that is later."""

@@ -37,13 +37,11 @@ def test_substeps_partition_a_tick(rate_hz, substeps, tick):
 
 
 @pytest.mark.parametrize("substeps", SUBSTEPS)
-@pytest.mark.parametrize("paced", [False, True])
-def test_stages_hold_each_substep_once_and_in_order(substeps, paced):
+def test_stages_hold_each_substep_once_and_in_order(substeps):
     grid = TickGrid(1000.0, substeps)
-    stages = grid.stages(paced=paced)
+    stages = grid.stages()
     assert [substep for stage in stages for substep in stage] == list(range(substeps))
-    # In real time only the last substep is left to the end of the tick.
-    assert len(stages[-1]) == (1 if paced else substeps)
+    assert len(stages[-1]) == 1  # only the last one is left to the end of the tick
 
 
 def test_physics_time_of_a_tick_is_its_period():
