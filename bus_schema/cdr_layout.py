@@ -144,7 +144,10 @@ class MessageLayout:
         Raises:
             InvalidMessageError: it is no message of this type with these names and lengths.
         """
-        if self._is_ours(payload):
+        is_ours = (
+            len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
+        )
+        if is_ours:
             into.load(payload)
         else:
             self._decode_foreign(payload, into)
@@ -173,12 +176,6 @@ class MessageLayout:
             except InvalidMessageError:
                 continue
             yield record.payload()
-
-    def _is_ours(self, payload: bytes) -> bool:
-        """Whether all that is fixed in this layout stands in `payload` as it should."""
-        return (
-            len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
-        )
 
     def _decode_foreign(self, payload: bytes, into: Record) -> None:
         message = parse(payload, self.type_name)

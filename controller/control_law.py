@@ -29,6 +29,7 @@ class Tracking:
         error: position minus reference, rad; error_rate: its rate, rad/s.
         bounds: shape (6, joints): the funnel −lower < error < upper with first and second
             derivatives, rows `UPPER` to `DD_LOWER`.
+        upper_bound: rad; lower_bound: rad; the ends of the funnel, the lower one negative.
     """
 
     def __init__(self, joints: int) -> None:
@@ -42,6 +43,8 @@ class Tracking:
         self.error: Vector = np.zeros(joints)
         self.error_rate: Vector = np.zeros(joints)
         self.bounds: Matrix = np.zeros((6, joints))
+        self.upper_bound: Vector = np.zeros(joints)
+        self.lower_bound: Vector = np.zeros(joints)
         self._reference: Reference | None = None
         self._funnel: Funnel | None = None
 
@@ -71,6 +74,8 @@ class Tracking:
             self.error,
             self.error_rate,
             self.bounds,
+            self.upper_bound,
+            self.lower_bound,
             free=["float64"],
         )
 
@@ -80,7 +85,8 @@ def _errors_and_bounds(
     position: Vector, velocity: Vector,
     reference_position: Vector, reference_velocity: Vector,
     initial_upper: Vector, initial_lower: Vector, final: Vector, rate: float,
-    error: Vector, error_rate: Vector, bounds: Matrix, time_s: float,
+    error: Vector, error_rate: Vector, bounds: Matrix,
+    upper_bound: Vector, lower_bound: Vector, time_s: float,
 ) -> None:  # fmt: skip
     for i in range(position.size):
         error[i] = position[i] - reference_position[i]
@@ -91,13 +97,7 @@ def _errors_and_bounds(
         bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i] = performance_function(
             time_s, initial_lower[i], final[i], rate
         )
-
-
-@compiled
-def report_bounds(bounds: Matrix, upper: Vector, lower: Vector) -> None:
-    """Write the funnel's ends as errors: the upper one positive, the lower one negative."""
-    for i in range(upper.size):
-        upper[i], lower[i] = bounds[UPPER, i], -bounds[LOWER, i]
+        upper_bound[i], lower_bound[i] = bounds[UPPER, i], -bounds[LOWER, i]
 
 
 class Diagnostics:

@@ -27,7 +27,7 @@ from bus_schema.rejections import Rejections
 from bus_schema.robot_description import RobotDescription
 from bus_schema.topics import Role
 from controller.command_timeline import Echo
-from controller.control_law import ControlLaw, Tracking, report_bounds
+from controller.control_law import ControlLaw, Tracking
 from controller.delay_compensation import DelayCompensation
 from controller.prescribed_performance import Funnel
 from controller.reference import Reference
@@ -75,10 +75,6 @@ class ControlLoop:
         self._is_finite = bind(all_finite, motion)
         self._effort = self._command.fields["effort"]
         self.tracking = self._tracking_in_status()
-        self._report_bounds = bind(
-            report_bounds, self.tracking.bounds,
-            self._status.fields["upper_bound"], self._status.fields["lower_bound"],
-        )  # fmt: skip
         self._start_ns: int | None = None
         self._echo: Echo | None = None
         self._horizon_ns = 0
@@ -118,7 +114,8 @@ class ControlLoop:
         try:
             if self._read(state, plant_status):
                 self._update()
-                sequence = self._write()
+                self._command.share_stamp(self._state)
+                sequence = self._send()
                 self._report(sequence, started_ns)
         except Exception as error:
             self.stop(reason_of(error))
@@ -186,10 +183,6 @@ class ControlLoop:
         torque = self._task.law.torque(situation)
         self._task.guard.admit(torque, self.cycles, self.tracking.step_s)  # into the command
 
-    def _write(self) -> int:
-        self._command.share_stamp(self._state)
-        return self._send()
-
     def _send(self) -> int:
         """Send the command as it stands; its number."""
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
@@ -204,7 +197,6 @@ class ControlLoop:
         status = self._status
         status.share_stamp(self._state)
         status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence, self._horizon_ns)
-        self._report_bounds()
         self._link.publish(topics.CONTROL_STATUS, status.payload())
         self._cycle_started_ns = started_ns
         self.cycles += 1
@@ -257,7 +249,10 @@ class ControlLoop:
         tracking, diagnostics = Tracking(self._task.robot.joints), self._task.law.diagnostics
         tracking.position = self._state.fields["position"]
         tracking.velocity = self._state.fields["velocity"]
-        for name in ("reference_position", "reference_velocity", "error", "error_rate"):
+        for name in (
+            "reference_position", "reference_velocity", "error", "error_rate",
+            "upper_bound", "lower_bound",
+        ):  # fmt: skip
             setattr(tracking, name, self._status.fields[name])
         for name, values in vars(diagnostics).items():
             self._status.fields[name][:] = values

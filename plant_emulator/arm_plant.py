@@ -72,6 +72,7 @@ class ArmPlant:
         self.position: Vector = self._arm.position
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
+        self.attach_encoders(np.zeros_like(self.motion))
         self._set_brakes(engaged=True)
         self.mode = Mode.IDLE
 
@@ -93,11 +94,15 @@ class ArmPlant:
         _joint_hardware(configuration, robot, grid, limits, *[np.random.default_rng()] * 2)
         require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg))
 
-    def read_encoders(self, into: Matrix, now_ns: int = 0) -> None:
-        """Write what a controller gets to see of the motion at `now_ns`."""
-        self._encoders.read(self.motion, into)
+    def attach_encoders(self, seen: Matrix) -> None:
+        """Have what a controller gets to see of the motion written here, shape (2, joints)."""
+        self._seen, self._show = seen, self._encoders.onto(self.motion, seen)
+
+    def read_encoders(self, now_ns: int = 0) -> None:
+        """Write what is to be seen at `now_ns`."""
+        self._show()
         if self._faults is not None:
-            self._faults.sense(into, now_ns)
+            self._faults.sense(self._seen, now_ns)
 
     def begin(self) -> None:
         """Take part in a run: the brakes hold until the first torque."""

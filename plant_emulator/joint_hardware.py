@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -29,20 +31,21 @@ class Encoders:
         self._quantises = bool(self._is_coarse.any())
         self._is_noisy = bool((self._noise > 0.0).any())
         self._random = random
-        self._motion: Matrix | None = None
-        self._into: Matrix | None = None
 
-    def read(self, motion: Matrix, into: Matrix) -> None:
-        """Write what the encoders show of the true motion.
+    def onto(self, motion: Matrix, into: Matrix) -> Callable[[], None]:
+        """A function that writes what the encoders show of the true motion.
 
         Args:
             motion: positions and velocities as rows, shape (2, joints).
-            into: the same, as shown; best the same two arrays each time.
+            into: the same, as shown.
         """
-        if motion is not self._motion or into is not self._into:
-            self._motion, self._into = motion, into
-            self._copy = copying(motion, into)
-        self._copy()
+        copy = copying(motion, into)
+        return (
+            partial(self._show, copy, motion, into) if self._quantises or self._is_noisy else copy
+        )
+
+    def _show(self, copy: Callable[[], None], motion: Matrix, into: Matrix) -> None:
+        copy()
         if self._quantises:
             counts = np.round(motion[0, self._is_coarse] / self._resolution[self._is_coarse])
             into[0, self._is_coarse] = counts * self._resolution[self._is_coarse]

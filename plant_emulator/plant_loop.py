@@ -68,7 +68,7 @@ class PlantLoop:
             self._gate, downlink, self._watchdog, arm, self._journal, self._announce
         )
         self._state = Record(topics.layout(topics.JOINT_STATES, names))
-        self._motion = self._state.matrix("position", "velocity")
+        arm.attach_encoders(self._state.matrix("position", "velocity"))
         self._show_effort = copying(arm.torques.actuator, self._state.fields["effort"])
         self._status = Record(topics.layout(topics.PLANT_STATUS, names))
         self._controller_is_lost = False
@@ -282,7 +282,7 @@ class PlantLoop:
         state, status = self._state, self._status
         stamp_ns = state.stamp_ns = self._tick_ns
         status.share_stamp(state)
-        self._arm.read_encoders(self._motion, stamp_ns)
+        self._arm.read_encoders(stamp_ns)
         self._show_effort()
         commands = self._commands
         status.put_scalars(

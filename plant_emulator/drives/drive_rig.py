@@ -64,6 +64,7 @@ class DriveRig:
         self._clock, self._grid, self._plan = clock, grid, plan
         self._on_frame, self._on_event = on_frame, on_event
         self._motion = np.zeros_like(arm.motion)
+        arm.attach_encoders(self._motion)
         self._told: list[str] = []
         self._stop_requested = False
         self.counts = RigCounts()
@@ -109,7 +110,7 @@ class DriveRig:
             self.counts.ticks += 1
 
     def _measure(self) -> None:
-        self._arm.read_encoders(self._motion)
+        self._arm.read_encoders()
         position, velocity = self._motion
         self._bank.measure(position, velocity, self._arm.torques.actuator)
 

@@ -196,11 +196,12 @@ def test_brake_ends_everything(bench, kind):
 def test_encoders_show_the_joints(bench):
     seen = bench(encoder={"resolution_rad": 1e-3})
     position, velocity = shown = np.empty((2, 3))
-    seen.arm.read_encoders(shown)
+    seen.arm.attach_encoders(shown)
+    seen.arm.read_encoders()
     np.testing.assert_allclose(position, START, atol=1e-12)  # whole milliradians
     seen.arm.command(PUSH)
     seen.run(0.1)
-    seen.arm.read_encoders(shown)
+    seen.arm.read_encoders()
     np.testing.assert_allclose(position, seen.arm.position, atol=0.5e-3 + 1e-12)
     assert (position != seen.arm.position).all()
     assert velocity.tolist() == seen.arm.velocity.tolist()
@@ -216,7 +217,8 @@ def test_same_seed_same_bits_other_seed_other_noise(bench):
         shaken.arm.command(np.zeros(3))
         positions, _ = shaken.run(0.1)
         seen = np.empty((2, 3))
-        shaken.arm.read_encoders(seen)
+        shaken.arm.attach_encoders(seen)
+        shaken.arm.read_encoders()
         runs.append((positions.tobytes(), seen[1].tobytes()))
     assert runs[0] == runs[1]
     assert runs[0][0] != runs[2][0]

@@ -22,7 +22,7 @@ SUBSTEP_S = 2.5e-4
 
 def read(encoders, position, velocity):
     seen = np.empty((2, 3))
-    encoders.read(np.array([position, velocity]), seen)
+    encoders.onto(np.array([position, velocity], dtype=float), seen)()
     return seen
 
 
@@ -70,7 +70,9 @@ def test_velocity_noise_is_white_gaussian_and_unbiased():
     deviation = np.array([0.1, 0.0, 0.02])
     encoders = encoders_of(velocity_noise_rad_s=deviation)
     count = 20_000
-    noise = np.array([read(encoders, np.ones(3), np.full(3, 5.0))[1] for _ in range(count)]) - 5.0
+    seen = np.empty((2, 3))
+    show = encoders.onto(np.array([np.ones(3), np.full(3, 5.0)]), seen)
+    noise = np.array([show() or seen[1].copy() for _ in range(count)]) - 5.0
     assert (noise[:, 1] == 0.0).all()
     for joint in (0, 2):
         share = noise[:, joint] / deviation[joint]
@@ -93,7 +95,7 @@ def test_noise_is_the_same_for_the_same_seed():
 
 def test_noise_leaves_positions_and_the_truth_alone():
     motion, seen = np.ones((2, 3)), np.empty((2, 3))
-    encoders_of(velocity_noise_rad_s=0.1).read(motion, seen)
+    encoders_of(velocity_noise_rad_s=0.1).onto(motion, seen)()
     assert seen[0].tolist() == [1.0, 1.0, 1.0]
     assert (seen[1] != 1.0).all()
     assert (motion == 1.0).all()
