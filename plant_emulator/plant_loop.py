@@ -134,7 +134,8 @@ class PlantLoop:
         if self._task.lockstep:
             # Nothing is ever late, so the physics can wait until all that acts in them is there.
             self._exchange_until(self._grid.tick_ns(self.tick + 1))
-            self._go_through(self.tick + 1, 0, self._grid.substeps)
+            first = self.tick * self._grid.substeps
+            self._advance(first, first + self._grid.substeps)
         else:
             self._keep_pace(self._next_tick())
         self._journal.begin_cycle(self._lateness_ns)
@@ -145,21 +146,14 @@ class PlantLoop:
 
     def _keep_pace(self, tick: int) -> None:
         """Reach a tick in real time, with nothing left to do there but to measure."""
+        before = (tick - 1) * self._grid.substeps
         for stage in self._stages:
             # What acts in a substep is known when it begins: the physics need not wait any longer.
-            last = (tick - 1) * self._grid.substeps + stage.stop - 1
-            self._exchange_until(self._grid.substep_ns(last))
-            self._go_through(tick, stage.start, stage.stop)
-        self._exchange_until(self._grid.tick_ns(tick))
-
-    def _go_through(self, tick: int, start: int, stop: int) -> None:
-        """Let the physics go through substeps that lead to a tick, by their numbers within it."""
-        started_ns = time.perf_counter_ns()
-        if self.tick < tick - 1:
+            end = before + stage.stop
+            self._exchange_until(self._grid.substep_ns(end - 1))
             self._skip_to(tick - 1)
-        before = (tick - 1) * self._grid.substeps
-        self._advance(before + start, before + stop)
-        self._journal.physics_ns += time.perf_counter_ns() - started_ns
+            self._advance(before + stage.start, end)
+        self._exchange_until(self._grid.tick_ns(tick))
 
     def _next_tick(self) -> int:
         """The next tick of the grid, or the one that the clock has reached if that is later."""
@@ -185,7 +179,8 @@ class PlantLoop:
 
     def _deliver(self, measurement: Measurement) -> None:
         commands = self._commands
-        commands.newest_sent_ns = max(commands.newest_sent_ns, measurement.stamp_ns)
+        if measurement.stamp_ns > commands.newest_sent_ns:
+            commands.newest_sent_ns = measurement.stamp_ns
         self._journal.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
         self._journal.send(self._link)
@@ -235,6 +230,7 @@ class PlantLoop:
 
     def _advance(self, first: int, end: int) -> None:
         """Let the physics go through substeps of this tick, by their numbers in the run."""
+        started_ns = time.perf_counter_ns()
         downlink, watchdog, grid = self._commands.downlink, self._watchdog, self._grid
         last_ns = grid.substep_ns(end - 1)
         while first < end:
@@ -248,6 +244,7 @@ class PlantLoop:
             then = end if stays_so else first + 1
             self._arm.advance(first, then)
             first = then
+        self._journal.physics_ns += time.perf_counter_ns() - started_ns
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1
@@ -286,8 +283,9 @@ class PlantLoop:
         self._show_effort()
         commands = self._commands
         status.put_scalars(
-            *_START, self._arm.mode, commands.sequence, commands.age_ns(stamp_ns), commands.delay_ns
-        )
+            _START_S, _START_NS, self._arm.mode,
+            commands.sequence, commands.age_ns(stamp_ns), commands.delay_ns,
+        )  # fmt: skip
         measurement = Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
 
@@ -327,6 +325,6 @@ class PlantLoop:
         self._journal.send(self._link)
 
 
-_START = (0, 0)
-"""Seconds and nanoseconds at which a run starts on its own clock."""
+_START_S, _START_NS = 0, 0
+"""When a run starts on its own clock."""
 _PATIENCE_S = 0.1
