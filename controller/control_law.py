@@ -67,9 +67,7 @@ class Tracking:
             self.velocity,
             self.reference_position,
             self.reference_velocity,
-            funnel.initial_upper_rad,
-            funnel.initial_lower_rad,
-            funnel.final_rad,
+            np.array([funnel.initial_upper_rad, funnel.initial_lower_rad, funnel.final_rad]),
             float(funnel.rate_per_s),
             self.error,
             self.error_rate,
@@ -84,7 +82,7 @@ class Tracking:
 def _errors_and_bounds(
     position: Vector, velocity: Vector,
     reference_position: Vector, reference_velocity: Vector,
-    initial_upper: Vector, initial_lower: Vector, final: Vector, rate: float,
+    funnel: Matrix, rate: float,
     error: Vector, error_rate: Vector, bounds: Matrix,
     upper_bound: Vector, lower_bound: Vector, time_s: float,
 ) -> None:  # fmt: skip
@@ -92,10 +90,10 @@ def _errors_and_bounds(
         error[i] = position[i] - reference_position[i]
         error_rate[i] = velocity[i] - reference_velocity[i]
         bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i] = performance_function(
-            time_s, initial_upper[i], final[i], rate
+            time_s, funnel[0, i], funnel[2, i], rate
         )
         bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i] = performance_function(
-            time_s, initial_lower[i], final[i], rate
+            time_s, funnel[1, i], funnel[2, i], rate
         )
         upper_bound[i], lower_bound[i] = bounds[UPPER, i], -bounds[LOWER, i]
 
