@@ -150,13 +150,12 @@ class ControlLoop:
     def _read(self, state: bytes, plant_status: bytes | None) -> bool:
         """Take in a state; whether it calls for a new torque."""
         try:
-            self._state_layout.decode(state, self._state)
+            stamp_ns = self._state_layout.decode(state, self._state)
             if not self._is_finite():
                 raise InvalidMessageError("not_finite", "a position or velocity is not finite")
         except InvalidMessageError as error:
             self.rejections.note(error)
             return False
-        stamp_ns = self._state.stamp_ns
         if self._start_ns is None or self._compensation is not None:
             start_ns = self._heed(plant_status, stamp_ns)
             self._start_ns = start_ns if self._start_ns is None else self._start_ns

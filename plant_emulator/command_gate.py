@@ -83,8 +83,7 @@ class CommandGate:
         return self.commander is not None and self._has_left(self.commander)
 
     def _admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command:
-        self._layout.decode(arrival.payload, self._record)
-        stamp_ns = self._record.stamp_ns
+        stamp_ns = self._layout.decode(arrival.payload, self._record)
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
         if stamp_ns > newest_state_ns:
