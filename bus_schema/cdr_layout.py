@@ -47,6 +47,7 @@ class Record:
         put_scalars: sets all scalars between the header and the first array, in wire order.
         payload: gives the message as wire bytes.
         seconds, nanoseconds: the stamp of the header, each as a view of one element.
+        stamp: both as one word, likewise; for messages that bear the same stamp.
     """
 
     def __init__(self, layout: MessageLayout) -> None:
@@ -64,9 +65,9 @@ class Record:
         }
         self.put_scalars = partial(layout.scalars.pack_into, self._memory, layout.scalars_offset)
         self.payload = self._memory.tobytes
-        # Through memory views, which take half the time of arrays; the stamp also as one word.
+        # Through memory views, which take half the time of arrays.
         stamp = storage.data[_STAMP_IN_STORAGE]
-        self._stamp, self.seconds = stamp.cast("Q"), stamp[:4].cast("i")
+        self.stamp, self.seconds = stamp.cast("Q"), stamp[:4].cast("i")
         self.nanoseconds = stamp[4:].cast("I")
 
     @property
@@ -77,10 +78,6 @@ class Record:
     @stamp_ns.setter
     def stamp_ns(self, stamp_ns: int) -> None:
         self.seconds[0], self.nanoseconds[0] = divmod(stamp_ns, _NANOSECONDS)
-
-    def share_stamp(self, other: Record) -> None:
-        """Bear the same stamp as another message."""
-        self._stamp[0] = other._stamp[0]
 
     def matrix(self, first: str, last: str) -> NDArray[np.float64]:
         """Consecutive arrays of doubles as the rows of one writable view, shape (arrays, length).

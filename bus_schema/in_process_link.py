@@ -64,14 +64,15 @@ class InProcessPlantLink:
             raise PeerSilentError("controller", timeout_s, "handler of joint states")
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        self.publish(PLANT_STATUS, status)
-        self.publish(JOINT_STATES, state)
-        if self._bus.on_state is None:
+        bus = self._bus
+        bus.topics += PLANT_STATUS, JOINT_STATES
+        bus.payloads += status, state
+        if bus.on_state is None:
             return
         try:
-            self._bus.on_state(state, status)
+            bus.on_state(state, status)
         except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
-            self._bus.on_state, self._bus.failure = None, error
+            bus.on_state, bus.failure = None, error
 
     def await_command(self, timeout_s: float) -> bool:  # noqa: ARG002 (the interface)
         return bool(self._bus.commands)

@@ -114,7 +114,7 @@ class ControlLoop:
         try:
             if self._read(state, plant_status):
                 self._update()
-                self._command.share_stamp(self._state)
+                self._command.stamp[0] = self._state.stamp[0]
                 sequence = self._send()
                 self._report(sequence, started_ns)
         except Exception as error:
@@ -194,7 +194,7 @@ class ControlLoop:
         step_ns = time.perf_counter_ns() - started_ns
         period_ns = started_ns - self._cycle_started_ns if self.cycles else 0
         status = self._status
-        status.share_stamp(self._state)
+        status.stamp[0] = self._state.stamp[0]
         status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence, self._horizon_ns)
         self._link.publish(topics.CONTROL_STATUS, status.payload())
         self._cycle_started_ns = started_ns

@@ -78,6 +78,7 @@ class PlantLoop:
         self._lateness_ns = 0
         self.tick = 0
         self._tick_ns = 0
+        self._command_age_ns = -1
 
     @property
     def deadline_misses(self) -> int:
@@ -278,13 +279,12 @@ class PlantLoop:
         """Measure the joints and send the state on its way."""
         state, status = self._state, self._status
         stamp_ns = state.stamp_ns = self._tick_ns
-        status.share_stamp(state)
+        status.stamp[0] = state.stamp[0]
         self._arm.read_encoders(stamp_ns)
         self._show_effort()
-        commands = self._commands
         status.put_scalars(
             _START_S, _START_NS, self._arm.mode,
-            commands.sequence, commands.age_ns(stamp_ns), commands.delay_ns,
+            self._commands.sequence, self._command_age_ns, self._commands.delay_ns,
         )  # fmt: skip
         measurement = Measurement(stamp_ns, state.payload(), status.payload())
         self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
@@ -292,9 +292,9 @@ class PlantLoop:
     def _note_truth(self, *, was_skipped: bool) -> None:
         if self._arm.torques.hits:
             self._heed_limits()
-        now_ns, commands = self._tick_ns, self._commands
+        self._command_age_ns = self._commands.age_ns(self._tick_ns)
         self._journal.note_truth(
-            now_ns, self.tick, commands.sequence, commands.age_ns(now_ns),
+            self._tick_ns, self.tick, self._commands.sequence, self._command_age_ns,
             was_skipped=was_skipped,
         )  # fmt: skip
 
