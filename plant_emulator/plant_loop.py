@@ -13,10 +13,7 @@ import logging
 import time
 from collections import Counter
 
-from bus_schema import topics
-from bus_schema.cdr_layout import Record
 from bus_schema.clock import Clock
-from bus_schema.compiled import copying
 from bus_schema.errors import PeerSilentError
 from bus_schema.events import EventKind, RunEvent
 from bus_schema.limits import LimitCounts, name_of
@@ -30,8 +27,9 @@ from plant_emulator.command_gate import CommandGate
 from plant_emulator.command_side import CommandSide
 from plant_emulator.faulty_link import FaultyLink
 from plant_emulator.impairment import open_downlink, open_uplink
+from plant_emulator.instruments import Instruments, Measurement
 from plant_emulator.plant_journal import PlantJournal
-from plant_emulator.plant_task import Measurement, PlantOutcome, PlantTask
+from plant_emulator.plant_task import PlantOutcome, PlantTask
 from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)
@@ -67,10 +65,7 @@ class PlantLoop:
         self._commands = CommandSide(
             self._gate, downlink, self._watchdog, arm, self._journal, self._announce
         )
-        self._state = Record(topics.layout(topics.JOINT_STATES, names))
-        arm.attach_encoders(self._state.matrix("position", "velocity"))
-        self._show_effort = copying(arm.torques.actuator, self._state.fields["effort"])
-        self._status = Record(topics.layout(topics.PLANT_STATUS, names))
+        self._instruments = Instruments(names, arm, self._commands)
         self._controller_is_lost = False
         self._end_tick = task.ticks
         self._outcome = PlantOutcome()
@@ -277,17 +272,9 @@ class PlantLoop:
 
     def _measure(self) -> None:
         """Measure the joints and send the state on its way."""
-        state, status = self._state, self._status
-        stamp_ns = state.stamp_ns = self._tick_ns
-        status.stamp[0] = state.stamp[0]
-        self._arm.read_encoders(stamp_ns)
-        self._show_effort()
-        status.put_scalars(
-            _START_S, _START_NS, self._arm.mode,
-            self._commands.sequence, self._command_age_ns, self._commands.delay_ns,
-        )  # fmt: skip
-        measurement = Measurement(stamp_ns, state.payload(), status.payload())
-        self._uplink.send(measurement, stamp_ns, len(measurement.state) + len(measurement.status))
+        measurement = self._instruments.measure(self._tick_ns, self._command_age_ns)
+        size_bytes = len(measurement.state) + len(measurement.status)
+        self._uplink.send(measurement, self._tick_ns, size_bytes)
 
     def _note_truth(self, *, was_skipped: bool) -> None:
         if self._arm.torques.hits:
@@ -325,6 +312,4 @@ class PlantLoop:
         self._journal.send(self._link)
 
 
-_START_S, _START_NS = 0, 0
-"""When a run starts on its own clock."""
 _PATIENCE_S = 0.1

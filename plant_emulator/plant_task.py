@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from bus_schema.clock import TickGrid
 from bus_schema.link_configuration import LinkConfiguration
@@ -34,14 +33,6 @@ class PlantTask:
     seed: int
     faults: tuple[Fault, ...] = ()
     strikes: tuple[Strike, ...] = ()
-
-
-class Measurement(NamedTuple):
-    """A joint state with the plant status that belongs to it, on its way to the controller."""
-
-    stamp_ns: int
-    state: bytes
-    status: bytes
 
 
 @dataclass
