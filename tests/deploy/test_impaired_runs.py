@@ -40,6 +40,18 @@ def harsh():
     return run_of(*HARSH)
 
 
+@pytest.mark.parametrize("substeps", [1, 2, 4])
+def test_without_delay_the_answer_to_a_state_acts_until_the_next_tick(substeps):
+    run = run_of(f"plant.substeps={substeps}")
+    torque = truth_of(run)["torque"]
+    commands = run.tables[topics.JOINT_COMMANDS.name]["effort"]
+    # Saturation and lag are off, so that the actuators give what the newest command asks for:
+    # at tick k the one that answers the state of tick k - 1.
+    ticks = min(len(torque) - 1, len(commands))
+    assert ticks > 500
+    np.testing.assert_array_equal(torque[1 : ticks + 1], commands[:ticks])
+
+
 @pytest.mark.parametrize(
     "zero",
     [
