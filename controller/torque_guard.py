@@ -99,7 +99,7 @@ class TorqueGuard:
 
     def _expect(self, torque: Vector) -> None:
         """Spare the law that returns one array over and over the checks and the copy."""
-        if self._of_law is self._wanted:
+        if self._of_law is self._wanted and type(torque) is np.ndarray:
             self._of_law = torque
             self._limit_of_law = self._limiting(torque)
 

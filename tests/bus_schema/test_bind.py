@@ -3,7 +3,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from bus_schema.compiled import bind, c_function, compiled
+from bus_schema.compiled import bind, c_function, compiled, copying
 
 c_hypot = c_function(ctypes.CDLL("libm.so.6"), "hypot", "float64", "float64", "float64")
 
@@ -49,3 +49,16 @@ def test_compiled_code_calls_c():
 def test_function_that_a_library_has_not_is_named():
     with pytest.raises(AttributeError, match="no_such_function"):
         c_function(ctypes.CDLL("libm.so.6"), "no_such_function", "intc")
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 3)])
+def test_copy_goes_to_the_same_place_each_time_and_only_there(shape):
+    # As in a message, where rows do not follow one another at once.
+    memory = np.full((*shape[:-1], 5), 9.0)
+    source, target = np.zeros(shape), memory[..., :3]
+    copy = copying(source, target)
+    for value in (1.0, np.nan, -0.0):
+        source[:] = value
+        copy()
+        assert target.tobytes() == source.tobytes()
+    assert (memory[..., 3:] == 9.0).all()

@@ -114,7 +114,7 @@ def test_foreign_joint_state_is_decoded_in_our_joint_order(order, frame):
         frame=frame,
     )
     record = Record(STATE)
-    STATE.decode(payload, record)
+    assert STATE.decode(payload, record) == 12_000_000_034
     assert record.stamp_ns == 12_000_000_034
     assert record.fields["position"].tolist() == [10.0, 11.0, 12.0]
     assert record.fields["velocity"].tolist() == [20.0, 21.0, 22.0]

@@ -76,3 +76,39 @@ def test_refused_torque_leaves_the_rate_limit_where_it_was():
     with pytest.raises(InvalidTorqueError):
         guard.admit(np.array([0.0, 0.0, np.nan]), 1, 1.0)
     assert guard.admit(np.zeros(3), 2, 1.0).tolist() == [40.0, 40.0, 40.0]
+
+
+class Subclass(np.ndarray):
+    """An array that compiled code does not take."""
+
+
+@pytest.mark.parametrize(
+    "own",
+    [np.zeros(3), np.zeros(6)[::2], np.zeros((3, 2), order="F")[:, 0], np.zeros(3).view(Subclass)],
+    ids=["plain", "strided", "column", "subclass"],
+)
+def test_law_that_returns_one_array_over_and_over_is_limited_and_checked_each_time(own):
+    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, np.full(3, 100.0)))
+    told = []
+    for torque in (0.0, 50.0, 1000.0):
+        own[:] = torque
+        told.append(guard.admit(own, 0, 1.0).tolist())
+        assert own.tolist() == [torque] * 3  # what the law keeps there stays its own
+    assert told == [[0.0] * 3, [50.0] * 3, [150.0] * 3]
+    own[1] = np.nan
+    with pytest.raises(InvalidTorqueError, match=r"nan.* at tick 7"):
+        guard.admit(own, 7, 1.0)
+    own[1] = 0.0
+    # Another array of the law's may come at any time, right or wrong.
+    assert guard.admit(np.full(3, 200.0), 8, 1.0).tolist() == [200.0, 200.0, 200.0]
+    with pytest.raises(InvalidTorqueError, match=r"returned \(2,\)"):
+        guard.admit(own[:2], 9, 1.0)
+    own[:] = 300.0
+    assert guard.admit(own, 10, 1.0).tolist() == [300.0, 300.0, 300.0]
+
+
+def test_law_whose_array_cannot_be_written_to_is_heard():
+    torque = np.full(3, 5.0)
+    torque.setflags(write=False)
+    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
+    assert [guard.admit(torque, tick, 1.0).tolist() for tick in range(2)] == [[5.0] * 3] * 2
