@@ -110,6 +110,18 @@ def request_precedence(nice: int = -10) -> Grant:
     return _ask(PRECEDENCE, lambda: _precede(nice))
 
 
+def forgo_preemption() -> None:
+    """Let others finish what they are doing when something arrives for the calling process.
+
+    For lockstep, where one side waits for the other: a sender that is put aside in the middle of
+    sending holds everybody up (Linux, sched(7), SCHED_BATCH; it takes no permission). Call it in
+    the main thread before other threads exist. Where there is no such thing, nothing happens.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
 @contextlib.contextmanager
 def light_sleep() -> Iterator[Grant]:
     """Keep all CPUs from idle states that take time to leave, for as long as the context lasts.

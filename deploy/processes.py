@@ -19,7 +19,7 @@ from rich.console import Console
 
 from bus_schema.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
 from bus_schema.errors import BusError
-from bus_schema.realtime import Grant, go_realtime, request_precedence
+from bus_schema.realtime import Grant, forgo_preemption, go_realtime, request_precedence
 from bus_schema.topics import Role
 from bus_schema.zenoh_link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
@@ -100,7 +100,7 @@ def run_plant(
     lockstep = setup.scenario.clock == "lockstep"
     clock = _plant_clock(setup)
     arm = setup.arm()
-    _go_realtime(setup, voice, Role.PLANT)
+    _set_up_scheduling(setup, voice, Role.PLANT)
     link = None
     try:
         link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
@@ -138,7 +138,7 @@ def _plant_clock(setup: Setup) -> Clock:
 def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
-    _go_realtime(setup, voice, Role.CONTROLLER)
+    _set_up_scheduling(setup, voice, Role.CONTROLLER)
     try:
         link = open_controller_link(setup)
     except BusError as error:
@@ -182,6 +182,8 @@ def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> i
     """Be the recorder for one run; the exit code."""
     if setup.scenario.clock == "realtime":
         _tell([request_precedence()], voice)
+    else:
+        forgo_preemption()
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
@@ -205,10 +207,12 @@ def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> i
     return code
 
 
-def _go_realtime(setup: Setup, voice: Voice, role: Role) -> None:
-    if setup.scenario.clock != "realtime":
-        return
-    _tell(go_realtime(cpu=_own_cpu(setup, role)), voice)
+def _set_up_scheduling(setup: Setup, voice: Voice, role: Role) -> None:
+    """For a loop; before other threads exist."""
+    if setup.scenario.clock == "realtime":
+        _tell(go_realtime(cpu=_own_cpu(setup, role)), voice)
+    else:
+        forgo_preemption()
 
 
 def _tell(grants: list[Grant], voice: Voice) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from bus_schema import topics
 from bus_schema.clock import MonotonicClock
-from bus_schema.realtime import go_realtime
+from bus_schema.realtime import forgo_preemption, go_realtime
 
 TIMEOUT_S = 10.0
 """For anything that should come at once."""
@@ -68,11 +68,11 @@ class EchoPair:
     Args:
         transport: name of a module in `deploy.benchmarks.transports`.
         joint_names: joints of the arm whose messages are sent.
-        realtime: give both processes the real-time setup of a run.
+        realtime: set both processes up as those of a run in real time, or else in lockstep.
     """
 
     def __init__(self, transport: str, joint_names: tuple[str, ...], *, realtime: bool) -> None:
-        words = [transport, "realtime" if realtime else "ordinary", *joint_names]
+        words = [transport, "realtime" if realtime else "lockstep", *joint_names]
         self._near = subprocess.Popen(
             [sys.executable, "-m", "deploy.benchmarks.echo", "near", *words],
             stdin=subprocess.PIPE,
@@ -151,10 +151,12 @@ def _end_with_standard_input() -> None:
 
 
 def main() -> None:
-    """Be one of the two ends: ``near|far TRANSPORT realtime|ordinary JOINT… [ADDRESS]``."""
+    """Be one of the two ends: ``near|far TRANSPORT realtime|lockstep JOINT… [ADDRESS]``."""
     role, name, scheduling, *rest = sys.argv[1:]
     if scheduling == "realtime":
         go_realtime()
+    else:
+        forgo_preemption()
     transport = importlib.import_module(f"deploy.benchmarks.transports.{name}")
     if role == "near":
         _ask(transport, sys.argv[2:], joint_messages(tuple(rest)))

@@ -99,6 +99,18 @@ def test_a_thread_started_later_runs_under_the_same_scheduler() -> None:
     assert result["thread"] == result["scheduler"]
 
 
+def test_who_forgoes_preemption_does_so_in_all_threads_to_come() -> None:
+    result = in_child("""
+        realtime.forgo_preemption()
+        seen = []
+        thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+        report([], thread=seen[0])
+    """)
+    assert result["scheduler"] == result["thread"] == os.SCHED_BATCH
+
+
 @pytest.mark.parametrize("memlock_bytes", [64 << 10, 1 << 30])
 def test_an_unprivileged_process_is_told_what_was_refused_and_why(memlock_bytes: int) -> None:
     result = in_child(f"""
