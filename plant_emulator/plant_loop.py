@@ -198,6 +198,8 @@ class PlantLoop:
             if self._link.await_command(_PATIENCE_S):
                 self._collect_commands()
             elif self._link.controller_has_left():
+                if self._link.await_command(0.0):
+                    continue  # it was sent before the controller left
                 self._controller_is_lost = True
                 if self._arm.mode in COMMANDABLE and self._link.fault() is None:
                     self._fail("the controller has left the bus")
