@@ -143,10 +143,9 @@ class MessageLayout:
             into.load(payload)
         else:
             self._decode_foreign(payload, into)
-        nanoseconds = into.nanoseconds[0]
-        if nanoseconds >= _NANOSECONDS:
+        if into.nanoseconds[0] >= _NANOSECONDS:
             raise InvalidMessageError("malformed", "its stamp is no time")
-        return into.seconds[0] * _NANOSECONDS + nanoseconds
+        return into.stamp_ns
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
         """Messages as rows of one table, shape (messages,); what `decode` refuses is left out."""

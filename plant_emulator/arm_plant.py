@@ -145,8 +145,8 @@ class ArmPlant:
             end: number of the first one that is not to come yet.
         """
         is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
-        if self._faults is None and not is_damped and not self._is_braked:
-            self._arm.advance(first, end)
+        if self._faults is None and not is_damped:
+            self._go(first, end)
             return
         for number in range(first, end):
             if is_damped:

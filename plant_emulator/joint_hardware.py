@@ -40,9 +40,9 @@ class Encoders:
             into: the same, as shown.
         """
         copy = copying(motion, into)
-        return (
-            partial(self._show, copy, motion, into) if self._quantises or self._is_noisy else copy
-        )
+        if not self._quantises and not self._is_noisy:
+            return copy
+        return partial(self._show, copy, motion, into)
 
     def _show(self, copy: Callable[[], None], motion: Matrix, into: Matrix) -> None:
         copy()

@@ -136,3 +136,33 @@ def test_command_that_was_overtaken_changes_nothing(run):
     )  # due at 9 ms and at 7 ms
     assert first_under(steps, 4.0) == 7 * MS
     assert 3.0 not in {torque for _, torque in steps}
+
+
+class LeavingController(Station):
+    """Its one answer arrives, and it leaves, just when the plant has waited in vain."""
+
+    waits = 0
+
+    def take_commands(self):
+        return super().take_commands() if self.waits > 1 else []
+
+    def await_command(self, timeout_s):
+        self.waits += 1
+        return self.waits > 1 and bool(self.to_come)
+
+    def controller_has_left(self):
+        return True
+
+
+def test_answer_that_came_just_before_the_controller_left_is_taken():
+    setup = load_setup("paper_arm", ["duration_s=0.02"])
+    clock, arm = VirtualClock(), setup.arm()
+    station = LeavingController(setup.robot.joint_names, clock)
+    station.expect(0, 0)
+    taken = []
+    command = arm.command
+    arm.command = lambda torque_nm: taken.append(clock.now_ns()) or command(torque_nm)
+    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, station, clock).run()
+    arm.close()
+    assert len(taken) == 1
+    assert outcome.faults == ["the controller has left the bus"]
