@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import compiled
 from bus_schema.configuration import (
     PerJointNonNegative,
     PerJointPositive,
@@ -19,6 +18,7 @@ from bus_schema.configuration import (
     expand,
 )
 from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.compiled import compiled
 
 Reaction = Literal["count", "cut", "stop"]
 

@@ -21,20 +21,20 @@ from bus_schema.configuration import (
     expand_fields,
 )
 from bus_schema.robot_description import RobotDescription
+from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw
-from controller.delay_compensation import DelayCompensation
+from controller.funnel import Funnel
 from controller.laws import LAWS
 from controller.laws.custom import build_custom, is_custom
 from controller.laws.fixed_time_model_based import FixedTimeModelBasedGains
 from controller.laws.fixed_time_neural import FixedTimeNeuralGains
 from controller.laws.ftsmc import FtsmcGains
 from controller.laws.pid import PidGains
+from controller.laws.settling import LargestInertia
 from controller.laws.smc import SmcGains
 from controller.laws.tsmc import TsmcGains
 from controller.manipulator_model import ManipulatorModel
-from controller.prescribed_performance import Funnel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference
-from controller.settling import LargestInertia
 
 
 class FunnelConfiguration(StrictModel):

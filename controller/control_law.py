@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import bind, compiled
-from controller.prescribed_performance import Funnel, performance_function
+from bus_schema.runtime.compiled import bind, compiled
+from controller.funnel import Funnel, performance_function
 from controller.reference import Reference
 
 UPPER, D_UPPER, DD_UPPER, LOWER, D_LOWER, DD_LOWER = 0, 1, 2, 3, 4, 5

@@ -14,22 +14,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bus_schema import topics
-from bus_schema.cdr_layout import Record
-from bus_schema.compiled import bind
 from bus_schema.errors import InvalidMessageError
-from bus_schema.events import EventKind, RunEvent
-from bus_schema.finite import all_finite
 from bus_schema.limits import name_of
-from bus_schema.link import ControllerLink
-from bus_schema.modes import COMMANDABLE, Cue, Mode, follow, mode_event
-from bus_schema.rejections import Rejections
+from bus_schema.link.interface import ControllerLink
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.rejections import Rejections
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
-from bus_schema.topics import Role
-from controller.command_timeline import Echo
+from bus_schema.runtime.compiled import bind
+from bus_schema.runtime.finite import all_finite
+from bus_schema.runtime.modes import COMMANDABLE, Cue, Mode, follow, mode_event
+from controller.compensation.command_timeline import Echo
+from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
-from controller.delay_compensation import DelayCompensation
-from controller.prescribed_performance import Funnel
+from controller.funnel import Funnel
 from controller.reference import Reference
 from controller.torque_guard import ControllerError, TorqueGuard
 
@@ -52,7 +52,7 @@ class ControlLoop:
     """One cycle per joint state: read, update, write.
 
     Attributes:
-        mode: what the controller does; changes as `bus_schema.modes.TRANSITIONS` has it.
+        mode: what the controller does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
         cycles: states answered with a torque of their own.
         late: states older than the newest seen, answered with the torque in force.
         rejections: unusable states, which are not answered.

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import bind, compiled
+from bus_schema.runtime.compiled import bind, compiled
 
 
 class Reference:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import bind, compiled
-from bus_schema.finite import all_finite
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
+from bus_schema.runtime.compiled import bind, compiled
+from bus_schema.runtime.finite import all_finite
 
 _NOT_FINITE = -1
 

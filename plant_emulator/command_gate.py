@@ -6,14 +6,14 @@ import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bus_schema import topics
 from bus_schema.arrays import Vector
-from bus_schema.cdr_layout import Record
-from bus_schema.compiled import bind
 from bus_schema.errors import InvalidMessageError
-from bus_schema.finite import all_finite
-from bus_schema.link import CommandArrival
-from bus_schema.rejections import Rejections
+from bus_schema.link.interface import CommandArrival
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.rejections import Rejections
+from bus_schema.runtime.compiled import bind
+from bus_schema.runtime.finite import all_finite
 
 logger = logging.getLogger(__name__)
 

@@ -13,23 +13,23 @@ import logging
 import time
 from collections import Counter
 
-from bus_schema.clock import Clock
 from bus_schema.errors import PeerSilentError
-from bus_schema.events import EventKind, RunEvent
 from bus_schema.limits import LimitCounts, name_of
-from bus_schema.link import PlantLink
-from bus_schema.modes import COMMANDABLE, Mode, mode_event
-from bus_schema.realtime import stolen_ms
-from bus_schema.topics import Role
-from plant_emulator.arm_plant import ArmPlant
-from plant_emulator.channel import Channel
+from bus_schema.link.interface import PlantLink
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.clock import Clock
+from bus_schema.runtime.modes import COMMANDABLE, Mode, mode_event
+from bus_schema.runtime.realtime import stolen_ms
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.channel.channel import Channel
+from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_side import CommandSide
-from plant_emulator.faulty_link import FaultyLink
-from plant_emulator.impairment import open_downlink, open_uplink
-from plant_emulator.instruments import Instruments, Measurement
-from plant_emulator.plant_journal import PlantJournal
+from plant_emulator.command_path import CommandSide
+from plant_emulator.faults.faulty_link import FaultyLink
+from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
+from plant_emulator.telemetry import PlantJournal
 from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)

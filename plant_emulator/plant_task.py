@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from bus_schema.clock import TickGrid
-from bus_schema.link_configuration import LinkConfiguration
+from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import TickGrid
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.fault_configuration import Fault
-from plant_emulator.faulty_link import Strike
+from plant_emulator.faults.faulty_link import Strike
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from controller.laws.fixed_time_model_based import FixedTimeModelBased, FixedTim
 from controller.laws.fixed_time_neural import FixedTimeNeural, FixedTimeNeuralGains
 from controller.laws.ftsmc import Ftsmc, FtsmcGains
 from controller.laws.pid import Pid, PidGains
+from controller.laws.settling import LargestInertia, settling_bound_s
 from controller.laws.smc import Smc, SmcGains
 from controller.laws.tsmc import Tsmc, TsmcGains
-from controller.settling import LargestInertia, settling_bound_s
 
 _Build = Callable[[Any, Dynamics, Vector], ControlLaw]
 

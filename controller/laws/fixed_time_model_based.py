@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import compiled
 from bus_schema.configuration import PerJointNonNegative, Positive, PowerAboveOne, PowerBelowOne
+from bus_schema.runtime.compiled import compiled
 from controller.control_law import (
     D_LOWER,
     D_UPPER,
@@ -27,13 +27,13 @@ from controller.control_law import (
     Dynamics,
     Tracking,
 )
-from controller.prescribed_performance import (
+from controller.funnel import (
     transform,
     transformation_accelerations,
     transformation_rates,
 )
-from controller.reopening import WorkingFunnel, reopen
-from controller.sliding_surface import sig, surface_pull, surface_pull_slope
+from controller.laws.reopening import WorkingFunnel, reopen
+from controller.laws.sliding_surface import sig, surface_pull, surface_pull_slope
 
 
 class FixedTimeModelBasedGains(NamedTuple):

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.compiled import bind, compiled
 from bus_schema.configuration import (
     NonNegative,
     PerJointNonNegative,
@@ -25,13 +24,14 @@ from bus_schema.configuration import (
     PowerAboveOne,
     PowerBelowOne,
 )
-from controller.anti_windup import may_accumulate
+from bus_schema.runtime.compiled import bind, compiled
 from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
-from controller.packed_gains import pack
-from controller.prescribed_performance import transform, transformation_rates
-from controller.rbf_network import NODES, activate, adapt, node_axis
-from controller.reopening import WorkingFunnel, reopen
-from controller.sliding_surface import sig, surface_pull
+from controller.funnel import transform, transformation_rates
+from controller.laws.anti_windup import may_accumulate
+from controller.laws.packed_gains import pack
+from controller.laws.rbf_network import NODES, activate, adapt, node_axis
+from controller.laws.reopening import WorkingFunnel, reopen
+from controller.laws.sliding_surface import sig, surface_pull
 
 
 class FixedTimeNeuralGains(NamedTuple):

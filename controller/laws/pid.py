@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.compiled import compiled
 from bus_schema.configuration import PerJointNonNegative, PerJointPositive
-from controller.anti_windup import may_accumulate
+from bus_schema.runtime.compiled import compiled
 from controller.control_law import Diagnostics, Tracking
+from controller.laws.anti_windup import may_accumulate
 
 
 class PidGains(NamedTuple):

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.compiled import compiled
+from bus_schema.runtime.compiled import compiled
 from controller.control_law import Diagnostics, Dynamics, Tracking
-from controller.sliding_surface import surface_pull, surface_pull_slope, switch
+from controller.laws.sliding_surface import surface_pull, surface_pull_slope, switch
 
 
 class Surface(NamedTuple):

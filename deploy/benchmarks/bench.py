@@ -23,7 +23,7 @@ from deploy.benchmarks.measure import Costs, Section
 from deploy.benchmarks.recorder_throughput import measure_recorder
 from deploy.benchmarks.round_trip import measure_round_trips
 from deploy.benchmarks.sweep_costs import measure_sweep
-from deploy.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError
 
 FAILED = "could not be measured:"
 _SCENARIO = "paper_arm"

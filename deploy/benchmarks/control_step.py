@@ -11,8 +11,8 @@ import numpy as np
 from controller.control_law import Tracking
 from deploy.benchmarks.long_arm import write_long_arm
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.scenario import Setup, load_setup
-from plant_emulator.pybullet_arm import PybulletArm
+from deploy.scenario.scenario import Setup, load_setup
+from plant_emulator.arm.pybullet_arm import PybulletArm
 
 _LAW = "fixed_time_neural"
 _LONG_JOINTS = 14

@@ -19,9 +19,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from bus_schema import topics
-from bus_schema.clock import MonotonicClock
-from bus_schema.realtime import forgo_preemption, go_realtime
+from bus_schema.messages import topics
+from bus_schema.runtime.clock import MonotonicClock
+from bus_schema.runtime.realtime import forgo_preemption, go_realtime
 
 TIMEOUT_S = 10.0
 """For anything that should come at once."""

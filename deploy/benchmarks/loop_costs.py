@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from bus_schema.events import EventKind
-from bus_schema.topics import Role
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.experiments.run_data import RunData
-from deploy.experiments.simulate import simulate
-from deploy.launcher import Launcher, with_free_endpoints
-from deploy.run_folder import RunFolder, load_run
-from deploy.scenario import Setup, load_setup
-from plant_emulator.pybullet_arm import PybulletArm
+from deploy.processes.launcher import Launcher, with_free_endpoints
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import RunFolder, load_run
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import Setup, load_setup
+from plant_emulator.arm.pybullet_arm import PybulletArm
 
 BARE_PHYSICS = "bare pybullet calls of a tick"
 SIMULATE = "tick of simulate"

@@ -8,11 +8,11 @@ from tempfile import TemporaryDirectory
 
 from mcap.writer import CompressionType, Writer
 
-from bus_schema.mcap_log import McapLog
-from bus_schema.topics import Topic
+from bus_schema.messages.topics import Topic
+from bus_schema.recording.mcap_log import McapLog
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.experiments.simulate import simulate
-from deploy.scenario import load_setup
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
 
 RECORDING, BARE = "recorded message", "message of the bare MCAP writer"
 _BYTES_PER_S = 4e6

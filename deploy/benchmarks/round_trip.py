@@ -12,9 +12,9 @@ from deploy.benchmarks import cyclictest
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.loop_costs import recorded_run
 from deploy.benchmarks.measure import Section, interleave, ratio
-from deploy.experiments.metrics import summarise
-from deploy.launcher import with_free_endpoints
-from deploy.scenario import Setup, load_setup
+from deploy.processes.launcher import with_free_endpoints
+from deploy.runs.metrics import summarise
+from deploy.scenario.scenario import Setup, load_setup
 
 LOOP = "round trip of the real loop"
 WAKE_UP_P50, WAKE_UP_P99 = (

@@ -8,8 +8,8 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from bus_schema import mcap_log
-from bus_schema.record_file import RecordFile
+from bus_schema.recording import mcap_log
+from bus_schema.recording.record_file import RecordFile
 from deploy import cli
 
 _BYTES_PER_S = 2e6

@@ -21,12 +21,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bus_schema import topics
-from bus_schema.whole_files import partial_path
-from deploy.experiments.metrics import summarise
-from deploy.experiments.run_data import RunData
-from deploy.launcher import with_free_endpoints
-from deploy.run_folder import load_run
+from bus_schema.messages import topics
+from bus_schema.recording.atomic_files import partial_path
+from deploy.processes.launcher import with_free_endpoints
+from deploy.runs.metrics import summarise
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import load_run
 
 _SAMPLE_S = 1.0
 _WARM_UP_SHARE, _SHORTEST_WARM_UP_S = 0.2, 45.0

@@ -8,13 +8,13 @@ import time
 from pathlib import Path
 
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.experiments.dask_workers import DaskWorkers
-from deploy.experiments.run_rows import Row
-from deploy.experiments.simulate import simulate
-from deploy.experiments.study import carry_out
-from deploy.experiments.study_folder import StudyFolder
-from deploy.experiments.sweep import Sweep, SweepDefinition
-from deploy.scenario import load_setup
+from deploy.runs.run_rows import Row
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.study.dask_workers import DaskWorkers
+from deploy.study.study import carry_out
+from deploy.study.study_folder import StudyFolder
+from deploy.study.sweep import Sweep, SweepDefinition
 
 BARE = "run of simulate"
 ONE = "run of a sweep on 1 worker"

@@ -1,1 +1,1 @@
-"""Simulation, metrics, replay and reports."""
+"""Experiments with their own command: `python -m deploy.experiments.<name>`."""

@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bus_schema import topics
-from bus_schema.modes import Mode
-from bus_schema.topics import Role
-from deploy.experiments.metrics import summarise
-from deploy.experiments.run_data import RunData
-from deploy.experiments.simulate import simulate
-from deploy.fault_schedule import process_faults
-from deploy.run_folder import load_run
-from deploy.scenario import SHIPPED, Setup, load_setup
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.modes import Mode
+from deploy.runs.metrics import summarise
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import load_run
+from deploy.runs.simulate import simulate
+from deploy.scenario.faults import process_faults
+from deploy.scenario.scenario import SHIPPED, Setup, load_setup
 
 BEGIN = "<!-- fault table: python -m deploy.experiments.fault_table -->\n"
 END = "<!-- end of fault table -->\n"

@@ -19,11 +19,11 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from controller.laws import LAWS
-from deploy.experiments.metrics import summarise
-from deploy.experiments.simulate import simulate
 from deploy.experiments.tuning import cost, tuning_setup, varied, with_gains
-from deploy.scenario import Setup, load_setup
-from deploy.yaml_files import read_yaml
+from deploy.runs.metrics import summarise
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.yaml_files import read_yaml
 
 PROPOSED = "fixed_time_neural"
 RIVALS = ("pid", "smc", "tsmc", "ftsmc")

@@ -32,10 +32,10 @@ import numpy as np
 import yaml
 
 from bus_schema.arrays import Vector
-from deploy.experiments.metrics import summarise
-from deploy.experiments.simulate import simulate
-from deploy.scenario import Setup, load_setup
-from deploy.scenario_text import plain
+from deploy.runs.metrics import summarise
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario_text import plain
 
 BUDGET_S = 480.0
 DURATION_S = 8.0

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
-from bus_schema.can_frame import BUS_OFF, BUS_RESTARTED, CanFrame
+from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
 from bus_schema.errors import InvalidMessageError
-from bus_schema.rejections import Rejections
+from bus_schema.messages.rejections import Rejections
 from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Send
 
 logger = logging.getLogger(__name__)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bus_schema.can_configuration import CanConfiguration
-from bus_schema.can_units import rated_torque_nm
+from bus_schema.can.units import rated_torque_nm
 from bus_schema.configuration import expand
+from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple, Protocol
 
-from bus_schema.can_frame import CanFrame
+from bus_schema.can.frame import CanFrame
 
 Send = Callable[[CanFrame], None]
 """Takes the frames that a drive sends."""

@@ -13,8 +13,8 @@ from deploy.benchmarks.control_step import measure_control_steps
 from deploy.benchmarks.long_arm import write_long_arm
 from deploy.benchmarks.measure import Section, Spread, cost_us, interleave, ratio
 from deploy.benchmarks.recorder_throughput import measure_recorder
-from deploy.scenario import load_setup
-from deploy.yaml_files import ScenarioError
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
 
 
 class FakeClock:

@@ -7,8 +7,8 @@ import pytest
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from deploy.robot_files import find_urdf
-from plant_emulator.pybullet_arm import PybulletArm
+from deploy.scenario.robot_files import find_urdf
+from plant_emulator.arm.pybullet_arm import PybulletArm
 
 ARMS = (
     "paper_arm",

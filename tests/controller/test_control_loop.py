@@ -5,21 +5,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus_schema import topics
-from bus_schema.cdr_layout import Record
-from bus_schema.clock import VirtualClock
-from bus_schema.events import EventKind, RunEvent
-from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.limits import JointLimits
-from bus_schema.message_types import JOINT_STATE, PLANT_STATUS, TYPESTORE
-from bus_schema.modes import Mode, mode_in
+from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import RUN_EVENTS
+from bus_schema.messages.types import JOINT_STATE, PLANT_STATUS, TYPESTORE
 from bus_schema.robot_description import load_robot
-from bus_schema.topics import RUN_EVENTS
+from bus_schema.runtime.clock import VirtualClock
+from bus_schema.runtime.modes import Mode, mode_in
 from controller.configuration import ControllerConfiguration, FunnelConfiguration
 from controller.control_loop import ControlLoop, ControlTask
 from controller.reference import CartesianPath, JointSinusoids
 from controller.torque_guard import InvalidTorqueError, TorqueGuard
-from deploy.robot_files import find_urdf
+from deploy.scenario.robot_files import find_urdf
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 NAMES = ROBOT.joint_names

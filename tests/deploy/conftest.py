@@ -4,7 +4,10 @@ import sys
 
 import pytest
 
-from deploy import cli, cli_processes, cli_run, cli_simulate
+from deploy import cli
+from deploy.cli import processes as cli_processes
+from deploy.cli import run as cli_run
+from deploy.cli import simulate as cli_simulate
 
 
 @pytest.fixture

@@ -20,12 +20,12 @@ import numpy as np
 import yaml
 from numpy.lib.recfunctions import repack_fields
 
-from bus_schema import topics
-from bus_schema.mcap_log import LogContents, read_log
-from bus_schema.zenoh_session import Delivery, ZenohSession
-from deploy.experiments.run_data import RunData
-from deploy.recorder import stamp_of
-from deploy.run_folder import load_run
+from bus_schema.messages import topics
+from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.zenoh.session import Delivery, ZenohSession
+from deploy.processes.recorder import stamp_of
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import load_run
 
 ROOT = Path(__file__).resolve().parents[2]
 HANG_S = 120.0

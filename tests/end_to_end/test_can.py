@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from running import Watcher, funnel_hil, processes_of, settings, started
 
-from bus_schema.topics import PLANT_TRUTH
-from deploy.experiments.simulate import simulate
-from deploy.scenario import load_setup
+from bus_schema.messages.topics import PLANT_TRUTH
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
 
 SLOW_DOWN_S = 0.3
 PATIENT = settings(link__reply_timeout_s=20, link__connect_timeout_s=60)

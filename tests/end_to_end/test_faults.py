@@ -24,8 +24,8 @@ from running import (
     started,
 )
 
-from bus_schema.modes import Mode
-from bus_schema.topics import PLANT_TRUTH
+from bus_schema.messages.topics import PLANT_TRUTH
+from bus_schema.runtime.modes import Mode
 
 STRUCK_AT_S = 1.0
 PERIOD_S = 0.001

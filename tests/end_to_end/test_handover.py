@@ -21,7 +21,7 @@ from running import (
     started,
 )
 
-from bus_schema.events import EventKind
+from bus_schema.messages.run_event import EventKind
 
 LONG = settings(clock="lockstep", duration_s=40, link__connect_timeout_s=60)
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from running import Finished, Watcher, bits, settings, started
 
-from bus_schema.cdr_layout import Record
-from bus_schema.clock import VirtualClock
-from bus_schema.in_process_link import InProcessBus, InProcessControllerLink, InProcessPlantLink
-from bus_schema.link import CommandArrival
-from bus_schema.mcap_log import read_log
-from bus_schema.message_types import JOINT_STATE, TYPESTORE
-from bus_schema.rmw_wire import Attachment
-from bus_schema.topics import JOINT_COMMANDS, layout
+from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
+from bus_schema.link.interface import CommandArrival
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import JOINT_COMMANDS, layout
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE
+from bus_schema.recording.mcap_log import read_log
+from bus_schema.runtime.clock import VirtualClock
+from bus_schema.zenoh.ros_graph import Attachment
 from controller.control_loop import ControlLoop
-from deploy.experiments.simulate import simulate
-from deploy.scenario import load_setup
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
 from plant_emulator.plant_loop import PlantLoop
 
 JOINTS = ("base_yaw", "shoulder", "elbow")

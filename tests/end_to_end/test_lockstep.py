@@ -12,11 +12,11 @@ from mcap_ros2.decoder import DecoderFactory
 from running import Finished, bits, funnel_hil, settings
 
 from deploy.cli import main
-from deploy.experiments.metrics import summarise
-from deploy.experiments.replay import replay
-from deploy.experiments.run_data import RunData
-from deploy.experiments.simulate import simulate
-from deploy.scenario import SHIPPED, load_setup
+from deploy.runs.metrics import summarise
+from deploy.runs.replay import replay
+from deploy.runs.run_data import RunData
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import SHIPPED, load_setup
 
 DURATION_S, TICKS = 2.5, 2500
 SHORT = settings(duration_s=DURATION_S)

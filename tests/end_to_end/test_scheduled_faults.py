@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from running import Finished, funnel_hil, processes_of, settings
 
-from bus_schema.events import EventKind
-from bus_schema.mcap_log import read_log
-from bus_schema.modes import Mode
-from bus_schema.topics import PLANT_TRUTH
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import PLANT_TRUTH
+from bus_schema.recording.mcap_log import read_log
+from bus_schema.runtime.modes import Mode
 from deploy.experiments.fault_table import to_safe_state_ms
-from deploy.experiments.simulate import simulate
-from deploy.scenario import load_setup
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
 
 
 def run(tmp_path: Path, name: str, **values: object) -> Finished:

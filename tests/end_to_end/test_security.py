@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from running import Finished, await_true, funnel_hil, settings, started
 
-from bus_schema import topics
-from bus_schema.key_files import KeyFolder
-from bus_schema.topics import Role
-from bus_schema.zenoh_access import secure_settings
-from bus_schema.zenoh_session import ZenohSession
-from deploy.keys import create_authority, issue
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Role
+from bus_schema.zenoh.access import secure_settings
+from bus_schema.zenoh.session import ZenohSession
+from deploy.processes.keys import create_authority, issue
 
 DURATION_S = 3
 WORDS = ["paper_arm", *settings(clock="lockstep", duration_s=DURATION_S)]

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from running import HANG_S, ROOT, Finished, funnel_hil, settings
 
-from bus_schema.key_files import KeyFolder
-from bus_schema.topics import Role
-from deploy.keys import create_authority, issue
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages.topics import Role
+from deploy.processes.keys import create_authority, issue
 
 PLANT_HOST, CONTROLLER_HOST = "192.0.2.10", "192.0.2.11"
 RUN = ["paper_arm", *settings(clock="lockstep", duration_s=1)]

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from mutation import Mutator
 
-from bus_schema.can_frame import CanFrame
-from deploy.experiments.simulate import simulate
-from deploy.scenario import load_setup
+from bus_schema.can.frame import CanFrame
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
 from plant_emulator.drives.cia402.cia402_drive import Cia402Drive

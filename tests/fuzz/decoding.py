@@ -11,22 +11,22 @@ from pathlib import Path
 import numpy as np
 from mutation import Mutator
 
-from bus_schema import topics
-from bus_schema.cdr_layout import Record
-from bus_schema.clock import VirtualClock
 from bus_schema.errors import InvalidMessageError
-from bus_schema.events import EventKind, RunEvent
-from bus_schema.in_process_link import InProcessBus, InProcessControllerLink
-from bus_schema.mcap_log import McapLog
-from bus_schema.message_types import JOINT_STATE, TYPESTORE
-from bus_schema.modes import Mode
-from bus_schema.rmw_wire import Attachment, Entity, EntityKind, endpoint_token
-from bus_schema.topics import Role
-from bus_schema.zenoh_link import arrival_of
+from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE
+from bus_schema.recording.mcap_log import McapLog
+from bus_schema.runtime.clock import VirtualClock
+from bus_schema.runtime.modes import Mode
+from bus_schema.zenoh.link import arrival_of
+from bus_schema.zenoh.ros_graph import Attachment, Entity, EntityKind, endpoint_token
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
-from deploy.recorder import stamp_of
-from deploy.scenario import load_setup
+from deploy.processes.recorder import stamp_of
+from deploy.scenario.scenario import load_setup
 from plant_emulator.command_gate import Command, CommandGate
 
 NEWEST_NS = 10**15

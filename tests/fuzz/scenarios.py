@@ -8,10 +8,10 @@ from pathlib import Path
 import yaml
 from mutation import Mutator
 
-from deploy.experiments.simulate import simulate
-from deploy.links import check_link
-from deploy.scenario import SHIPPED, load_setup
-from deploy.yaml_files import ScenarioError
+from deploy.processes.links import check_link
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import SHIPPED, load_setup
+from deploy.scenario.yaml_files import ScenarioError
 
 _TICKS = 3
 

@@ -9,7 +9,7 @@ from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
 from scenarios import try_scenarios
 
-from bus_schema.mcap_log import read_log
+from bus_schema.recording.mcap_log import read_log
 
 MUTATIONS = 20_000
 FRAMES = 5_000

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus_schema.cdr_layout import Record
-from bus_schema.link import CommandArrival
-from bus_schema.message_types import JOINT_STATE, TYPESTORE
-from bus_schema.topics import JOINT_COMMANDS, layout
+from bus_schema.link.interface import CommandArrival
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import JOINT_COMMANDS, layout
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 from plant_emulator.command_gate import CommandGate
 
 NAMES = ("yaw", "shoulder", "elbow")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from bus_schema import topics
-from bus_schema.cdr_layout import Record
-from bus_schema.clock import VirtualClock
-from bus_schema.link import CommandArrival
-from deploy.scenario import load_setup
+from bus_schema.link.interface import CommandArrival
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.runtime.clock import VirtualClock
+from deploy.scenario.scenario import load_setup
 from plant_emulator.plant_loop import PlantLoop
 
 MS = 1_000_000

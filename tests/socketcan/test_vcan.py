@@ -17,15 +17,15 @@ from pathlib import Path
 import cantools
 import pytest
 
-from bus_schema.can_cia402_master import MASTER_NODE
-from bus_schema.can_configuration import CanConfiguration
-from bus_schema.can_files import CANSIMPLE_DBC, CIA402_EDS
-from bus_schema.can_frame import CanFrame
-from bus_schema.can_session import check_can_bus, open_can_bus
-from bus_schema.candump import candump_line
+from bus_schema.can.candump import candump_line
+from bus_schema.can.cia402_master import MASTER_NODE
+from bus_schema.can.frame import CanFrame
+from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
-from deploy.experiments.simulate import simulate
-from deploy.scenario import load_setup
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.link.can_files import CANSIMPLE_DBC, CIA402_EDS
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
 from tests.eds_decoding import EdsDecoder
 
 ROOT = Path(__file__).resolve().parents[2]

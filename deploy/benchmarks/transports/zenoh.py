@@ -8,9 +8,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from bus_schema import topics
-from bus_schema.rmw_wire import Attachment
-from bus_schema.zenoh_session import Delivery, ZenohSession
+from bus_schema.messages import topics
+from bus_schema.zenoh.ros_graph import Attachment
+from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.benchmarks.echo import TIMEOUT_S, Messages
 from deploy.benchmarks.transports.udp import free_port
 

@@ -6,12 +6,12 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from bus_schema.key_files import KeyFolder
-from bus_schema.topics import Role
-from bus_schema.zenoh_access import secure_settings
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages.topics import Role
+from bus_schema.zenoh.access import secure_settings
 from deploy.benchmarks.echo import Messages
 from deploy.benchmarks.transports import zenoh
-from deploy.keys import create_authority, issue
+from deploy.processes.keys import create_authority, issue
 
 _DOMAIN = 0
 _DAYS = 1.0

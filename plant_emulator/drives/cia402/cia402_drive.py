@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus_schema.can_frame import CanFrame
+from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cia402.describe import describe
 from plant_emulator.drives.cia402.errors import SENTENCES, ErrorCode, ErrorLog

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bus_schema.can_frame import CanFrame
+from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cia402.errors import ErrorCode
 from plant_emulator.drives.cia402.network_state import HEARTBEAT, NmtCommand, NmtState
 from plant_emulator.drives.cia402.node import DriveNode

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 from canopen.sdo.exceptions import SdoAbortedError
 
-from bus_schema.can_frame import CanFrame
+from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.node import DriveNode
 from plant_emulator.drives.drive import Send

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from canopen.sdo.exceptions import SdoAbortedError
 
-from bus_schema.can_frame import CanFrame
+from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog, check_identifier

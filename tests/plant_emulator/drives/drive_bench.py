@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from bus_schema.can_frame import CanFrame
+from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
 from plant_emulator.drives.drive import DriveSettings, JointReading
 

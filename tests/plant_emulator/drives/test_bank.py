@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus_schema.can_frame import BUS_OFF, BUS_RESTARTED, CanFrame
+from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
 from plant_emulator.drives.cia402.cia402_drive import Cia402Drive

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from bus_schema.can_configuration import CanConfiguration
-from bus_schema.can_files import CIA402_EDS
-from bus_schema.can_session import open_can_bus
-from bus_schema.can_units import PEAK_TO_RATED
-from bus_schema.clock import MonotonicClock, TickGrid
+from bus_schema.can.session import open_can_bus
+from bus_schema.can.units import PEAK_TO_RATED
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.link.can_files import CIA402_EDS
 from bus_schema.robot_description import load_robot
+from bus_schema.runtime.clock import MonotonicClock, TickGrid
 from controller.manipulator_model import ManipulatorModel
-from deploy.robot_files import find_urdf
-from plant_emulator.arm_plant import ArmPlant
+from deploy.scenario.robot_files import find_urdf
+from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig

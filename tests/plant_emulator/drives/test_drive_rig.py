@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus_schema.can_configuration import CanConfiguration
-from bus_schema.can_frame import CanFrame
-from bus_schema.clock import MonotonicClock, TickGrid, VirtualClock
+from bus_schema.can.frame import CanFrame
+from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import load_robot
-from deploy.robot_files import find_urdf
-from plant_emulator.arm_plant import ArmPlant
+from bus_schema.runtime.clock import MonotonicClock, TickGrid, VirtualClock
+from deploy.scenario.robot_files import find_urdf
+from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig

@@ -1,0 +1,41 @@
+"""Logs of CAN frames in the format of ``candump -L``, which every CAN tool reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bus_schema.can.frame import CanFrame
+
+_ERROR_FLAG = 0x2000_0000
+_BIT_RATE_SWITCH = 1
+
+
+def candump_line(time_ns: int, channel: str, frame: CanFrame) -> str:
+    """A frame as ``candump -L`` writes it: ``(seconds.microseconds) channel identifier#data``."""
+    seconds, rest_ns = divmod(time_ns, 1_000_000_000)
+    identifier = frame.identifier | (_ERROR_FLAG if frame.is_error else 0)
+    digits = 8 if frame.is_extended or frame.is_error else 3
+    content = "R" if frame.is_remote else frame.data.hex().upper()
+    mark = f"##{_BIT_RATE_SWITCH}" if frame.is_fd else "#"
+    return f"({seconds}.{rest_ns // 1000:06d}) {channel} {identifier:0{digits}X}{mark}{content}"
+
+
+class CandumpLog:
+    """A file of frames.
+
+    Args:
+        path: the file; overwritten.
+        channel: name of the bus.
+    """
+
+    def __init__(self, path: Path, channel: str) -> None:
+        self._file = path.open("w")
+        self._channel = channel
+
+    def write(self, time_ns: int, frame: CanFrame) -> None:
+        """Append a frame."""
+        self._file.write(candump_line(time_ns, self._channel, frame) + "\n")
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()

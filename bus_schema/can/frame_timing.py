@@ -1,0 +1,158 @@
+"""How long a CAN frame is on the wire: the frame formats of ISO 11898-1, stuff bits counted.
+
+What a frame occupies reaches from its start-of-frame bit to the end of the interframe space (three
+bits), so that frames sent back to back add up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.can.frame import CanFrame
+from bus_schema.runtime.compiled import compiled
+
+_CRC15 = 0x4599
+_CRC15_BITS = 15
+_STUFFED_RUN = 5
+_FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+_LONGEST_CLASSICAL_BYTES = 8
+_LARGEST_CRC17_BYTES = 16
+# CRC delimiter, ACK slot and delimiter, end of frame (7), interframe space (3)
+_CLASSICAL_TAIL_BITS = 13
+_FD_TAIL_BITS = 12
+# Stuff count (4 bits) and CRC; a fixed stuff bit before them and after every fourth; the delimiter.
+_CRC17_FIELD_BITS = 4 + 17 + 6 + 1
+_CRC21_FIELD_BITS = 4 + 21 + 7 + 1
+
+
+class WireBits(NamedTuple):
+    """Bits that a frame occupies.
+
+    Attributes:
+        nominal: bits at the nominal rate.
+        fast: bits at the data rate, of FD frames.
+    """
+
+    nominal: int
+    fast: int
+
+    def duration_ns(self, bitrate: int, data_bitrate: int) -> int:
+        """How long the frame occupies the bus."""
+        return round(1e9 * (self.nominal / bitrate + self.fast / data_bitrate))
+
+
+def wire_bits(frame: CanFrame) -> WireBits:
+    """Bits that `frame` occupies, including the stuff bits that its content makes necessary.
+
+    What no controller could send, a virtual bus may carry all the same; bits and bytes beyond the
+    format are not counted.
+    """
+    if frame.is_fd:
+        return _fd_bits(frame._replace(data=frame.data[: _FD_LENGTHS[-1]]))
+    head, head_bits = _arbitration(frame, remote_bit=int(frame.is_remote))
+    length = 0 if frame.is_remote else min(len(frame.data), _LONGEST_CLASSICAL_BYTES)
+    # IDE and r0, or r1 and r0 of an extended frame, and the DLC
+    bits = _unpacked(head << 6 | length, head_bits + 6, frame.data[:length])
+    stuffed = int(_stuffed_classical_bits(bits))
+    return WireBits(stuffed + _CLASSICAL_TAIL_BITS, 0)
+
+
+def longest_classical_bits(data_bytes: int) -> int:
+    """Bits of a classical frame with a standard identifier and the most stuff bits possible."""
+    stuffable = 34 + 8 * data_bytes
+    return stuffable + (stuffable - 1) // 4 + _CLASSICAL_TAIL_BITS
+
+
+def arbitration_key(frame: CanFrame) -> tuple[int, int]:
+    """Sorts frames as arbitration does: the frame that sorts first wins the bus.
+
+    The key is the arbitration field with the bits up to IDE filled up to the extended format's
+    length, so that a standard frame wins over an extended one with the same base identifier.
+    """
+    if frame.is_extended:
+        base, rest = frame.identifier >> 18, frame.identifier & 0x3FFFF
+        return (base << 2 | 0b11, rest << 1 | int(frame.is_remote))
+    return (frame.identifier << 2 | int(frame.is_remote) << 1, 0)
+
+
+def _arbitration(frame: CanFrame, *, remote_bit: int) -> tuple[int, int]:
+    """Start of frame to the remote bit, and how many bits these are."""
+    if frame.is_extended:
+        base, rest = frame.identifier >> 18 & 0x7FF, frame.identifier & 0x3FFFF
+        return (base << 2 | 0b11) << 19 | rest << 1 | remote_bit, 1 + 11 + 2 + 18 + 1
+    return (frame.identifier & 0x7FF) << 1 | remote_bit, 1 + 11 + 1
+
+
+def _fd_bits(frame: CanFrame) -> WireBits:
+    dlc = next(dlc for dlc, length in enumerate(_FD_LENGTHS) if length >= len(frame.data))
+    padded = frame.data.ljust(_FD_LENGTHS[dlc], b"\0")
+    head, head_bits = _arbitration(frame, remote_bit=0)
+    if not frame.is_extended:
+        head, head_bits = head << 1, head_bits + 1  # IDE
+    # FDF, res, BRS: the last bit of the arbitration phase
+    head, head_bits = head << 3 | 0b101, head_bits + 3
+    nominal_bits = head_bits
+    # ESI and DLC
+    head, head_bits = head << 5 | dlc, head_bits + 5
+    bits = _unpacked(head, head_bits, padded)
+    early, late = _stuff_bits(bits, nominal_bits)
+    crc_field = _CRC17_FIELD_BITS if len(padded) <= _LARGEST_CRC17_BYTES else _CRC21_FIELD_BITS
+    return WireBits(
+        nominal_bits + int(early) + _FD_TAIL_BITS,
+        bits.size - nominal_bits + int(late) + crc_field,
+    )
+
+
+def _unpacked(head: int, head_bits: int, data: bytes) -> NDArray[np.uint8]:
+    """The bits of `head`, then those of `data`, most significant first."""
+    value = head << 8 * len(data) | int.from_bytes(data, "big")
+    bits = head_bits + 8 * len(data)
+    padding = -bits % 8
+    packed = (value << padding).to_bytes((bits + padding) // 8, "big")
+    return np.unpackbits(np.frombuffer(packed, np.uint8))[:bits]
+
+
+@compiled
+def _stuffed_classical_bits(bits: NDArray[np.uint8]) -> int:
+    """Bits from start of frame to the end of the CRC sequence, stuff bits included."""
+    crc = 0
+    for bit in bits:
+        flips = bit ^ (crc >> (_CRC15_BITS - 1))
+        crc = (crc << 1) & 0x7FFF
+        if flips:
+            crc ^= _CRC15
+    total, run, last = 0, 0, 2
+    for index in range(bits.size + _CRC15_BITS):
+        if index < bits.size:
+            bit = int(bits[index])
+        else:
+            bit = (crc >> (bits.size + _CRC15_BITS - 1 - index)) & 1
+        run = run + 1 if bit == last else 1
+        last = bit
+        total += 1
+        if run == _STUFFED_RUN:
+            total, run, last = total + 1, 1, 1 - bit
+    return total
+
+
+@compiled
+def _stuff_bits(bits: NDArray[np.uint8], boundary: int) -> tuple[int, int]:
+    """Stuff bits of an FD frame up to its data field, before and after a boundary.
+
+    There is none after the last bit: the CRC field begins with a fixed one.
+    """
+    early, late, run, last = 0, 0, 0, 2
+    for index in range(bits.size - 1):
+        bit = int(bits[index])
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == _STUFFED_RUN:
+            run, last = 1, 1 - bit
+            if index < boundary:
+                early += 1
+            else:
+                late += 1
+    return early, late

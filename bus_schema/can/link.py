@@ -1,0 +1,177 @@
+"""The controller's side of the link over CAN: a master that runs the control cycle.
+
+SYNC (or its like) is the clock: each one is a tick, and the stamp of a state is the number of ticks
+since the start of the run times the period. In lockstep the next tick comes when the cycle is done;
+in real time, on an absolute grid, and a tick that is missed is skipped whole.
+
+Whatever happens, drives that were enabled are brought to rest before the link is done with them.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+import numpy as np
+
+from bus_schema.can.can_run import CanRun
+from bus_schema.can.frame import CanBus
+from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.link.interface import StateHandler
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import Topic
+from bus_schema.runtime.clock import Clock
+from bus_schema.zenoh.telemetry import Telemetry
+
+logger = logging.getLogger(__name__)
+
+_POLL_S = 0.05
+_LONGEST_STOP_S = 1.0
+_REALTIME_PATIENCE = 0.8
+"""Share of the period within which states must be there; a torque needs the rest."""
+
+
+class CanControllerLink:
+    """The controller's side.
+
+    Args:
+        run: the run.
+        master: master of the drives.
+        bus: the bus it is on, which the link closes.
+        clock: time of the run.
+        telemetry: where all that is no state or torque goes.
+
+    Attributes:
+        incomplete: ticks at which a drive did not answer in time.
+        skipped: ticks that were missed.
+    """
+
+    def __init__(
+        self, run: CanRun, master: CanMaster, bus: CanBus, clock: Clock, telemetry: Telemetry
+    ) -> None:
+        self._run, self._master, self._bus = run, master, bus
+        self._clock, self._telemetry = clock, telemetry
+        self._state = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
+        self._command_layout = topics.layout(topics.JOINT_COMMANDS, run.joint_names)
+        self._command = Record(self._command_layout)
+        self._torque = np.zeros(len(run.joint_names))
+        self._commands = 0
+        self._on_state: StateHandler | None = None
+        self._is_answered = False
+        self.incomplete = 0
+        self.skipped = 0
+
+    def publish(self, topic: Topic, payload: bytes) -> int:
+        """Send torques to the drives, and everything else to whoever listens."""
+        if topic is not topics.JOINT_COMMANDS:
+            return self._telemetry.publish(topic, payload)
+        self._command_layout.decode(payload, self._command)
+        self._torque[:] = self._command.fields["effort"]
+        self._is_answered = True
+        self._commands += 1
+        return self._commands
+
+    def serve(self, on_state: StateHandler) -> None:
+        self._on_state = on_state
+
+    def take_command(self, *, await_recorder: bool, is_stop_requested: Callable[[], bool]) -> None:
+        """Wait for the recorder, if there is to be one.
+
+        Raises:
+            PeerSilentError: it did not come.
+        """
+        if await_recorder:
+            self._telemetry.await_recorder(self._run.link.connect_timeout_s, is_stop_requested)
+
+    def join(self, *, is_stop_requested: Callable[[], bool]) -> None:
+        """Enable the drives, run all cycles, and bring the drives to rest.
+
+        Raises:
+            DriveError: a drive did not come, failed, or fell silent.
+            BusError: the bus itself was lost.
+            Exception: whatever the handler of states raised.
+        """
+        tick = 0
+        try:
+            if not self._master.enable(self._run.link.connect_timeout_s, is_stop_requested):
+                return
+            self._clock.start()
+            while tick < self._run.ticks and not is_stop_requested():
+                self._cycle(tick, is_stop_requested)
+                tick = self._next(tick)
+        finally:
+            self._bring_to_rest(tick)
+
+    def await_recorded(self) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        self._telemetry.await_recorded()
+
+    def close(self) -> None:
+        """Leave the buses."""
+        self._bus.close()
+        self._telemetry.close()
+
+    def _cycle(self, tick: int, is_stop_requested: Callable[[], bool]) -> None:
+        self._master.sample(self._run.grid.tick_ns(tick))
+        if not self._await_state(tick, is_stop_requested):
+            return
+        self._state.stamp_ns = self._run.grid.tick_ns(tick)
+        self._state.fields["effort"][:] = self._torque
+        self._is_answered = False
+        if self._on_state is not None:
+            self._on_state(self._state.payload(), None)
+        if self._is_answered:
+            self._master.command(self._torque)
+
+    def _await_state(self, tick: int, is_stop_requested: Callable[[], bool]) -> bool:
+        """Read what all drives answer; false if this tick has to do without."""
+        position, velocity = self._state.fields["position"], self._state.fields["velocity"]
+        if not self._run.lockstep:
+            due_ns = self._run.grid.tick_ns(tick) + int(
+                _REALTIME_PATIENCE * self._run.grid.period_ns
+            )
+            patience_s = max(0.0, (due_ns - self._clock.now_ns()) * 1e-9)
+            is_complete = self._master.read(patience_s, position, velocity)
+            self.incomplete += not is_complete
+            return is_complete
+        waited_s = 0.0
+        while not self._master.read(_POLL_S, position, velocity):
+            waited_s += _POLL_S
+            if is_stop_requested():
+                return False
+            if waited_s >= self._run.link.can.answer_timeout_s:
+                nodes = self._master.missing()
+                raise DriveError(f"no answer from drive {nodes} within {waited_s:g} s")
+        return True
+
+    def _next(self, tick: int) -> int:
+        following = tick + 1
+        if self._run.lockstep:
+            self._clock.wait_until(self._run.grid.tick_ns(following))
+            return following
+        reached = self._run.grid.tick_at_or_before(self._clock.now_ns())
+        if reached > following:
+            self.skipped += reached - following
+            following = reached
+        self._clock.wait_until(self._run.grid.tick_ns(following))
+        return following
+
+    def _bring_to_rest(self, tick: int) -> None:
+        """Keep the cycle going until the drives have stopped: in lockstep it is what time is."""
+        try:
+            self._master.begin_stop()
+            self._torque[:] = 0.0
+            last = tick + max(1, int(_LONGEST_STOP_S * 1e9 / self._run.grid.period_ns))
+            while not self._master.is_stopped() and tick < last:
+                self._master.command(self._torque)
+                tick = self._next(tick)
+                self._master.sample(self._run.grid.tick_ns(tick))
+                self._read_while_stopping()
+            self._master.leave()
+        except Exception as error:  # noqa: BLE001 (what led here matters more)
+            logger.error("the drives may not have been told to stop: %s", error)
+
+    def _read_while_stopping(self) -> None:
+        fields = self._state.fields
+        self._master.read(_POLL_S, fields["position"], fields["velocity"])

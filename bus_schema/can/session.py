@@ -1,0 +1,211 @@
+"""The CAN session: the only file that imports can."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import socket
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import can
+
+from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import BusError
+from bus_schema.link.can_configuration import CanConfiguration
+
+_SEND_TIMEOUT_S = 1.0
+_IFF_UP = 1
+
+# What the interfaces have to say reaches the user in the exceptions they raise.
+logging.getLogger("can").setLevel(logging.CRITICAL)
+
+
+class CanSessionError(BusError, ConnectionError):
+    """The bus was lost during a run; the message says on which channel."""
+
+
+class PythonCanBus:
+    """A node's access to a bus by way of python-can.
+
+    Args:
+        bus: python-can's bus.
+        channel: what it is called, for error messages.
+        hears_itself: what it sends comes back to it, as a multicast group does.
+    """
+
+    def __init__(self, bus: can.BusABC, channel: str, *, hears_itself: bool) -> None:
+        self._bus = bus
+        self._channel = channel
+        self._hears_itself = hears_itself
+        self._echoes: Counter[CanFrame] = Counter()
+
+    def send(self, frame: CanFrame) -> None:
+        """Send a frame.
+
+        Raises:
+            CanSessionError: the interface is down, or its queue stays full for a second.
+        """
+        if self._hears_itself:
+            self._echoes[frame] += 1
+        message = can.Message(
+            arbitration_id=frame.identifier,
+            data=frame.data,
+            is_extended_id=frame.is_extended,
+            is_remote_frame=frame.is_remote,
+            is_error_frame=frame.is_error,
+            is_fd=frame.is_fd,
+            bitrate_switch=frame.is_fd,
+        )
+        try:
+            self._bus.send(message, timeout=_SEND_TIMEOUT_S)
+        except (can.CanError, OSError) as error:
+            raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """The next frame that another node sent; None if none came within `timeout_s`.
+
+        Raises:
+            CanSessionError: the interface is down.
+        """
+        frame = self._receive(timeout_s)
+        if not self._hears_itself:
+            return frame
+        give_up_s = time.monotonic() + timeout_s
+        while frame is not None and self._is_echo(frame):
+            frame = self._receive(max(0.0, give_up_s - time.monotonic()))
+        return frame
+
+    def close(self) -> None:
+        """Leave the bus."""
+        with contextlib.suppress(can.CanError, OSError):
+            self._bus.shutdown()
+
+    def _receive(self, timeout_s: float) -> CanFrame | None:
+        try:
+            message = self._bus.recv(timeout_s)
+        except (can.CanError, OSError) as error:
+            if self._hears_itself and not isinstance(error.__cause__, OSError):
+                return None  # a datagram on the multicast group that is no CAN frame
+            raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
+        if message is None:
+            return None
+        return CanFrame(
+            message.arbitration_id,
+            bytes(message.data),
+            message.is_extended_id,
+            message.is_remote_frame,
+            message.is_error_frame,
+            message.is_fd,
+        )
+
+    def _is_echo(self, frame: CanFrame) -> bool:
+        outstanding = self._echoes[frame]
+        if outstanding <= 1:
+            del self._echoes[frame]
+        else:
+            self._echoes[frame] = outstanding - 1
+        return outstanding > 0
+
+
+def open_can_bus(configuration: CanConfiguration) -> CanBus:
+    """Join the bus that section ``link.can`` describes.
+
+    Raises:
+        ConfigurationError: there is no such interface or channel, or no right to use it.
+    """
+    interface, channel = configuration.interface, configuration.resolved_channel
+    if interface not in can.VALID_INTERFACES:
+        raise ConfigurationError(
+            "link.can.interface", interface,
+            f"must be one that python-can knows: {', '.join(sorted(can.VALID_INTERFACES))}",
+        )  # fmt: skip
+    try:
+        bus = can.Bus(interface=interface, channel=channel, **_arguments(configuration))
+    except Exception as error:
+        raise _explained(error, interface, channel) from error
+    return PythonCanBus(bus, channel, hears_itself=interface == "udp_multicast")
+
+
+def check_can_bus(configuration: CanConfiguration) -> None:
+    """Join the bus and leave it again, so that what is wrong is known before a run.
+
+    Raises:
+        ConfigurationError: as `open_can_bus`; also where nothing could be sent.
+    """
+    open_can_bus(configuration).close()
+    interface, channel = configuration.interface, configuration.resolved_channel
+    try:
+        if interface == "udp_multicast":
+            _require_route(channel, configuration.port)
+        elif interface == "socketcan":
+            _require_up(channel)
+    except OSError as error:
+        raise _explained(error, interface, channel) from error
+
+
+def _require_route(group: str, port: int) -> None:
+    family = socket.AF_INET6 if ":" in group else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as sender:
+        sender.connect((group, port))
+
+
+def _require_up(channel: str) -> None:
+    flags = int(Path(f"/sys/class/net/{channel}/flags").read_text(), 16)
+    if not flags & _IFF_UP:
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+
+def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
+    """What this interface wants to know; the bit rate of socketcan is a matter of ``ip link``."""
+    match configuration.interface:
+        case "virtual":
+            return {"protocol": can.CanProtocol.CAN_FD}
+        case "udp_multicast":
+            return {"port": configuration.port, "fd": configuration.fd}
+        case "socketcan":
+            return {"fd": configuration.fd}
+        case _:
+            rates: dict[str, Any] = {"bitrate": configuration.bitrate}
+            if configuration.fd:
+                rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
+            return rates
+
+
+def _explained(error: Exception, interface: str, channel: str) -> ConfigurationError:
+    """What is wrong with a bus that cannot be joined, and what to do about it."""
+    cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
+    match getattr(cause, "errno", None):
+        case errno.EAFNOSUPPORT:
+            key, given = "link.can.interface", interface
+            advice = (
+                "this kernel has no SocketCAN; run the command through scripts/with-vcan, which"
+                " brings one along, or take udp_multicast (virtual for simulate)"
+            )
+        case errno.ENODEV if interface == "socketcan":
+            key, given = "link.can.channel", channel
+            advice = (
+                f"there is no such CAN interface; as root, `ip link add dev {channel} type vcan`"
+                f" and `ip link set {channel} up` make a virtual one; `ip link show type can` shows"
+                " hardware; scripts/with-vcan runs a command where vcan0 is up"
+            )
+        case errno.ENETDOWN:
+            key, given = "link.can.channel", channel
+            advice = f"is down; as root: ip link set {channel} up (with `type can bitrate …` first)"
+        case errno.EPERM | errno.EACCES:
+            key, given = "link.can.channel", channel
+            advice = "may not be opened by this user; ask for its group, or run as root"
+        case _ if interface == "udp_multicast":
+            key, given = "link.can.channel", channel
+            advice = (
+                "must be a multicast address that this host has a route to, such as 239.74.163.2"
+                f" ({cause})"
+            )
+        case _:
+            key, given = "link.can.interface", interface
+            advice = f"cannot be opened on channel {channel!r}, is its driver installed? ({error})"
+    return ConfigurationError(key, given, advice)

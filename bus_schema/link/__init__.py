@@ -1,0 +1,1 @@
+"""What a loop may ask of a bus, and the scenario's section about it."""

@@ -1,0 +1,112 @@
+"""Section ``link`` of a scenario: which bus, where, and what it does to the messages."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+
+from bus_schema.configuration import NonNegative, Positive, StrictModel
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.messages.topics import Role
+
+
+def _check_endpoint(text: str) -> str:
+    if not re.fullmatch(r"(tcp|udp|tls|quic|ws)/\S+:\d{1,5}|unixsock-stream/\S+", text):
+        raise ValueError("a Zenoh endpoint such as tcp/127.0.0.1:7451")
+    return text
+
+
+Endpoint = Annotated[str, AfterValidator(_check_endpoint)]
+
+
+def _check_folder(text: str) -> str:
+    if not text.startswith(("/", "~")):
+        raise ValueError("an absolute path, or one that begins with ~")
+    return text
+
+
+class SecurityConfiguration(StrictModel):
+    """Mutual TLS, and access to topics by role.
+
+    Attributes:
+        enabled: speak only to peers with a certificate of our authority, and only in their role.
+        folder: where keys and certificates lie (`funnel-hil keys`); absolute, or from ``~``.
+    """
+
+    enabled: bool = False
+    folder: Annotated[str, AfterValidator(_check_folder)] = DEFAULT_FOLDER
+
+    @property
+    def keys(self) -> KeyFolder:
+        return KeyFolder.at(self.folder)
+
+
+class LinkConfiguration(StrictModel, validate_default=True):
+    """The link between controller and plant.
+
+    Attributes:
+        kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh).
+        domain: ROS domain, the first part of every key.
+        security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
+        plant_endpoint: where the plant listens.
+        controller_endpoint: where the controller listens, for recorders.
+        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
+        uplink: plant to controller.
+        downlink: controller to plant.
+        playout_ms: a command comes into force no earlier than this after the stamp of the state it
+            answers, on the plant's clock; 0 for at once.
+        deadline_ms: largest age of the state that the command in force answers; by default one
+            period beyond the link's own mean delay, or beyond the play-out where that is longer.
+        connect_timeout_s: how long a process waits for its peers at the start, wall time.
+        reply_timeout_s: how long a silent peer is waited for during a run, wall time.
+        can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
+    """
+
+    kind: Literal["zenoh", "in_process", "can"] = "zenoh"
+    domain: Annotated[int, Field(ge=0, le=232)] = 0
+    security: SecurityConfiguration = SecurityConfiguration()
+    plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
+    controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
+    router_endpoint: Endpoint | None = None
+    uplink: ChannelConfiguration = ChannelConfiguration()
+    downlink: ChannelConfiguration = ChannelConfiguration()
+    playout_ms: NonNegative = 0.0
+    deadline_ms: Positive | None = None
+    connect_timeout_s: Positive = 20.0
+    reply_timeout_s: Positive = 5.0
+    can: CanConfiguration = CanConfiguration()
+
+    @field_validator("plant_endpoint", "controller_endpoint", "router_endpoint")
+    @classmethod
+    def _secure(cls, endpoint: str | None, info: ValidationInfo) -> str | None:
+        """Endpoints follow the switch, so that there is one switch and not four."""
+        security = info.data.get("security")
+        if endpoint is None or security is None:
+            return endpoint
+        protocol, address = endpoint.split("/", maxsplit=1)
+        if security.enabled:
+            if protocol not in ("tcp", "tls"):
+                raise ValueError("a tls/ or tcp/ endpoint where link.security.enabled is true")
+            return f"tls/{address}"
+        if protocol in ("tls", "quic"):
+            raise ValueError("of another protocol, or link.security.enabled true")
+        return endpoint
+
+    def listen_endpoint(self, role: Role) -> str:
+        """Where plant or controller listen; recorders connect to both, and do not listen."""
+        return self.plant_endpoint if role is Role.PLANT else self.controller_endpoint
+
+    @property
+    def playout_ns(self) -> int:
+        return round(self.playout_ms * 1e6)
+
+    def deadline_ns(self, period_ns: int, mean_round_trip_ns: int) -> int:
+        """The deadline for this tick period and what a round trip takes on average."""
+        if self.deadline_ms is not None:
+            return round(self.deadline_ms * 1e6)
+        return period_ns + mean_round_trip_ns

@@ -1,0 +1,102 @@
+"""What a loop may ask of a bus: one small interface with two sides.
+
+Messages cross it as CDR payloads, so that what a loop sends is what a recorder writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+from bus_schema.messages.topics import Topic
+
+
+class CommandArrival(NamedTuple):
+    """A command as it came off the bus, not yet looked at.
+
+    Attributes:
+        payload: CDR bytes of a JointState, or whatever was sent in its place.
+        sequence: number its sender gave it, from 1; 0 where the sender gave none.
+        sender: identifier of the sending session.
+        arrival_ns: arrival on the plant's clock.
+    """
+
+    payload: bytes
+    sequence: int
+    sender: bytes
+    arrival_ns: int
+
+
+def never() -> bool:
+    """No stop is ever requested."""
+    return False
+
+
+class Publisher(Protocol):
+    """What both sides have in common."""
+
+    def publish(self, topic: Topic, payload: bytes) -> int:
+        """Send a message; for a command, its number, from 1."""
+        ...
+
+    def close(self) -> None:
+        """Leave the bus."""
+        ...
+
+
+class PlantLink(Publisher, Protocol):
+    """The plant's side."""
+
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait until somebody is there to answer, or until asked to stop.
+
+        Raises:
+            PeerSilentError: nobody came.
+        """
+        ...
+
+    def send_state(self, state: bytes, status: bytes) -> None:
+        """Send a joint state with the plant status that belongs to it."""
+        ...
+
+    def await_command(self, timeout_s: float) -> bool:
+        """Wait for a command that was not yet taken; whether there is one."""
+        ...
+
+    def controller_has_left(self) -> bool:
+        """Whether the controller was on the bus and is there no longer."""
+        ...
+
+    def sender_has_left(self, sender: bytes) -> bool:
+        """Whether the session that sends commands as `sender` was on the bus and is gone."""
+        ...
+
+    def take_commands(self) -> list[CommandArrival]:
+        """All commands that arrived since the last call, in order of arrival."""
+        ...
+
+    def overflow(self) -> int:
+        """How many commands were left out, because too many waited to be taken."""
+        ...
+
+    def fault(self) -> str | None:
+        """Why the arm must stop now, as what hangs on the bus tells; None if all is well."""
+        ...
+
+    def report(self) -> dict[str, Any]:
+        """What the link has to add to the transport's counts."""
+        ...
+
+
+StateHandler = Callable[[bytes, bytes | None], None]
+"""Called with a joint state and, where its sender gave one, the plant status that belongs to it."""
+
+
+class ControllerLink(Publisher, Protocol):
+    """The controller's side."""
+
+    def serve(self, on_state: StateHandler) -> None:
+        """Have `on_state` called for each joint state that arrives, one at a time."""
+        ...

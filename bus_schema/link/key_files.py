@@ -1,0 +1,48 @@
+"""Where keys and certificates lie: one folder, flat, the same names on every host.
+
+A host needs ``authority.crt`` and the two files of each role it plays. The authority's own key is
+needed to issue certificates, and belongs on no host that takes part in a run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from bus_schema.messages.topics import Role
+
+DEFAULT_FOLDER = "~/.config/funnel-hil/keys"
+
+
+@dataclass(frozen=True)
+class KeyFolder:
+    """The files in a folder of keys.
+
+    Attributes:
+        path: the folder.
+    """
+
+    path: Path
+
+    @staticmethod
+    def at(folder: str | Path) -> KeyFolder:
+        """The folder of this name; ``~`` is the home of the user."""
+        return KeyFolder(Path(folder).expanduser())
+
+    @property
+    def authority(self) -> Path:
+        """Certificate of the authority that all peers trust."""
+        return self.path / "authority.crt"
+
+    @property
+    def authority_key(self) -> Path:
+        """Private key of the authority."""
+        return self.path / "authority.key"
+
+    def certificate(self, role: Role) -> Path:
+        """Certificate of a role."""
+        return self.path / f"{role}.crt"
+
+    def key(self, role: Role) -> Path:
+        """Private key of a role."""
+        return self.path / f"{role}.key"

@@ -1,0 +1,96 @@
+"""The one table of topics: what is sent, by whom, how often, and under which key."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from bus_schema.messages import types as message_types
+from bus_schema.messages.layout import MessageLayout
+
+
+class Role(StrEnum):
+    """The parts of the system that speak on the bus."""
+
+    CONTROLLER = "controller"
+    PLANT = "plant"
+    RECORDER = "recorder"
+
+
+class Rate(StrEnum):
+    """When a topic is sent."""
+
+    TICK = "every tick"
+    EVENT = "when something happens"
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row of the table.
+
+    Attributes:
+        name: ROS 2 topic name without slashes.
+        type_name: ROS 2 interface name.
+        sender: the only role that may send it; None where controller and plant both may.
+        rate: when it is sent.
+        urgent: whether the loop waits for it; what only recorders want may be sent in batches.
+        qos: QoS as rmw_zenoh writes it into liveliness tokens (the ROS 2 default profile:
+            reliable, volatile, keep last 10).
+    """
+
+    name: str
+    type_name: str
+    sender: Role | None
+    rate: Rate
+    urgent: bool = False
+    qos: str = "::,10:,:,:,,"
+
+    @property
+    def dds_type(self) -> str:
+        package, _, name = self.type_name.split("/")
+        return f"{package}::msg::dds_::{name}_"
+
+    def key_expression(self, domain: int) -> str:
+        """Zenoh key of this topic in a ROS domain, as rmw_zenoh forms it."""
+        return f"{domain}/{self.name}/{self.dds_type}/{message_types.type_hash(self.type_name)}"
+
+
+JOINT_STATES = Topic("joint_states", message_types.JOINT_STATE, Role.PLANT, Rate.TICK, urgent=True)
+JOINT_COMMANDS = Topic(
+    "joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
+)
+PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK, urgent=True)
+PLANT_TRUTH = Topic("plant_truth", message_types.PLANT_TRUTH, Role.PLANT, Rate.TICK)
+CONTROL_STATUS = Topic("control_status", message_types.CONTROL_STATUS, Role.CONTROLLER, Rate.TICK)
+RUN_EVENTS = Topic("run_events", message_types.RUN_EVENT, None, Rate.EVENT)
+
+TOPICS = (
+    JOINT_STATES,
+    JOINT_COMMANDS,
+    PLANT_STATUS,
+    PLANT_TRUTH,
+    CONTROL_STATUS,
+    RUN_EVENTS,
+)
+
+
+def topics_of(role: Role) -> list[Topic]:
+    """What a role may send; a recorder listens, and sends nothing."""
+    if role is Role.RECORDER:
+        return []
+    return [topic for topic in TOPICS if topic.sender in (role, None)]
+
+
+def layout(topic: Topic, joint_names: tuple[str, ...]) -> MessageLayout:
+    """Wire layout of a fixed-size topic for a robot with these joints.
+
+    A command carries torques alone; its positions and velocities are empty.
+    """
+    if topic.type_name == message_types.RUN_EVENT:
+        raise ValueError(f"{topic.name} has no fixed layout")
+    return MessageLayout(
+        topic.type_name,
+        len(joint_names),
+        lengths={"position": 0, "velocity": 0} if topic is JOINT_COMMANDS else None,
+        strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
+    )

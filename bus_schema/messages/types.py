@@ -1,0 +1,42 @@
+"""The ROS 2 message types we speak: the standard ones and our own from ``msg/*.msg``."""
+
+from __future__ import annotations
+
+from importlib import resources
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+PACKAGE = "funnel_hil_msgs"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+PLANT_STATUS = f"{PACKAGE}/msg/PlantStatus"
+PLANT_TRUTH = f"{PACKAGE}/msg/PlantTruth"
+CONTROL_STATUS = f"{PACKAGE}/msg/ControlStatus"
+RUN_EVENT = f"{PACKAGE}/msg/RunEvent"
+
+
+def _load_typestore() -> Typestore:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    own: dict[str, Any] = {}
+    for file in sorted(
+        resources.files("bus_schema.messages").joinpath("msg").iterdir(), key=lambda f: f.name
+    ):
+        if file.name.endswith(".msg"):
+            name = f"{PACKAGE}/msg/{file.name.removesuffix('.msg')}"
+            own.update(get_types_from_msg(file.read_text(), name))
+    store.register(own)
+    return store
+
+
+TYPESTORE = _load_typestore()
+
+
+def type_hash(type_name: str) -> str:
+    """RIHS01 hash of a type (REP-2016), as it stands in rmw_zenoh key expressions."""
+    return TYPESTORE.hash_rihs01(type_name)
+
+
+def schema_text(type_name: str) -> str:
+    """The type with all it depends on, in MCAP's ``ros2msg`` encoding."""
+    return TYPESTORE.generate_msgdef(type_name, ros_version=2)[0]

@@ -1,0 +1,195 @@
+"""Recordings: MCAP files with profile ``ros2``, schemas in ``ros2msg`` and payloads in ``cdr``.
+
+What is written is what was on the wire. What a kill left behind can be read up to the last chunk
+that reached the disk.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, cast
+
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Footer, Message, Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from zstandard import ZstdError
+
+from bus_schema.messages.topics import Topic
+from bus_schema.messages.types import schema_text
+from bus_schema.recording.atomic_files import complete, partial_path
+from bus_schema.recording.record_file import RecordFile
+
+logger = logging.getLogger(__name__)
+
+_LARGEST_CHUNK_BYTES = 256 * 1024
+_RESERVE_BYTES = 64 * 1024
+_TORN = (McapError, EOFError, ValueError, LookupError, struct.error, ZstdError)
+"""What reading a torn file ends in, depending on where it was torn."""
+
+
+class McapLog:
+    """A recording being written, under its own name only once it is complete (`whole_files`).
+
+    A disk that fails ends the recording, and nothing else: what was written stays readable, and
+    what comes later is counted.
+
+    Args:
+        path: the file; an existing one is replaced.
+        bytes_per_s: expected rate of the payloads: a chunk is closed about every quarter second,
+            so that a kill costs no more than that.
+
+    Attributes:
+        messages: messages that are in the recording, or in the chunk that is still open.
+        lost: messages that could not be written, by topic.
+        failure: what ended the recording before its time, if anything did.
+
+    Raises:
+        OSError: the file cannot be created, or there is hardly any space for it.
+    """
+
+    def __init__(self, path: Path, bytes_per_s: float) -> None:
+        self._path = path
+        path.unlink(missing_ok=True)
+        # Kept free for what has to be said when the disk is full: how much is missing.
+        self._reserve = TemporaryFile(dir=path.parent)  # noqa: SIM115
+        os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE_BYTES)
+        self._file = RecordFile(partial_path(path))
+        chunk_size = int(min(max(bytes_per_s / 4, 1024), _LARGEST_CHUNK_BYTES))
+        self._writer = Writer(
+            cast("IO[bytes]", self._file), chunk_size=chunk_size, compression=CompressionType.ZSTD
+        )
+        self._writer.start(profile="ros2", library="funnel-hil")
+        self._channels: dict[str, int] = {}
+        self._in_open_chunk: Counter[str] = Counter()
+        self.messages = 0
+        self.lost: Counter[str] = Counter()
+        self.failure: OSError | None = None
+
+    def write(
+        self, topic: Topic, sequence: int, stamp_ns: int, source_time_ns: int, payload: bytes
+    ) -> None:
+        """Write one message.
+
+        Args:
+            topic: its topic.
+            sequence: number its sender gave it.
+            stamp_ns: its stamp on the run's clock, which becomes the log time.
+            source_time_ns: when it was sent, Unix time; becomes the publish time.
+            payload: its CDR bytes.
+        """
+        if topic.name not in self._channels and self.failure is None:
+            self._attempt(lambda: self._register(topic), closes_chunk=True)
+        if self.failure is not None:
+            self.lost[topic.name] += 1
+            return
+        self.messages += 1
+        self._in_open_chunk[topic.name] += 1
+        self._attempt(
+            lambda: self._writer.add_message(
+                self._channels[topic.name],
+                stamp_ns,
+                payload,
+                publish_time=source_time_ns,
+                sequence=sequence & 0xFFFFFFFF,
+            ),
+            closes_chunk=True,
+        )
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file."""
+        self._attempt(lambda: self._writer.add_attachment(0, 0, name, media_type, data))
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Add a table of metadata."""
+        self._attempt(lambda: self._writer.add_metadata(name, values))
+
+    def finish_messages(self) -> None:
+        """Write all messages that are not yet in the file; after this, the counts are final."""
+        if self.failure is None:
+            self._attempt(self._writer.flush, closes_chunk=True)
+        self._reserve.close()
+
+    def close(self) -> None:
+        """Finish the file; one that could not be finished keeps the name of a partial one."""
+        self.finish_messages()
+        if self.failure is None:
+            self._attempt(self._writer.finish)
+        self._file.close()
+        if self.failure is None:
+            self._attempt(lambda: complete(self._path))
+
+    def _attempt(self, action: Callable[[], None], *, closes_chunk: bool = False) -> None:
+        """Write to the disk, which takes all of a chunk or nothing; its failure is noted."""
+        before, failure = self._file.size, None
+        try:
+            action()
+        except OSError as error:
+            failure = error
+        if closes_chunk and self._file.size != before:
+            self._in_open_chunk.clear()
+        if failure is not None and self.failure is None:
+            self.failure = failure
+            self.lost.update(self._in_open_chunk)
+            self.messages -= self._in_open_chunk.total()
+            logger.error("%s: %s: the recording ends here", self._path, failure.strerror)
+
+    def _register(self, topic: Topic) -> None:
+        schema = self._writer.register_schema(
+            topic.type_name, "ros2msg", schema_text(topic.type_name).encode()
+        )
+        self._channels[topic.name] = self._writer.register_channel(f"/{topic.name}", "cdr", schema)
+
+
+@dataclass
+class LogContents:
+    """A recording as read back.
+
+    Attributes:
+        payloads: payloads by topic name (without the slash), in the order of the file.
+        sequences: their sequence numbers.
+        attachments: attached files by name.
+        metadata: metadata tables by name.
+        complete: the file was finished; otherwise its end is missing.
+    """
+
+    payloads: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
+    sequences: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    complete: bool = False
+
+
+def read_log(path: Path) -> LogContents:
+    """Read a recording, or what there is of it.
+
+    Raises:
+        OSError: the file cannot be opened.
+    """
+    contents = LogContents()
+    topics: dict[int, str] = {}
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                match record:
+                    case Channel():
+                        topics[record.id] = record.topic.strip("/")
+                    case Message():
+                        contents.payloads[topics[record.channel_id]].append(record.data)
+                        contents.sequences[topics[record.channel_id]].append(record.sequence)
+                    case Attachment():
+                        contents.attachments[record.name] = record.data
+                    case Metadata():
+                        contents.metadata[record.name] = record.metadata
+                    case Footer():
+                        contents.complete = True
+        except _TORN:
+            contents.complete = False
+    return contents

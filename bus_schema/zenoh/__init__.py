@@ -1,0 +1,1 @@
+"""The link over Zenoh, in the wire format of rmw_zenoh."""

@@ -1,0 +1,86 @@
+"""Zenoh settings for mutual TLS, and who may say what: the table of topics as access rules.
+
+A peer is what the common name of its certificate says. Every process applies the rules to what it
+receives and to what it sends, so a peer can neither speak nor listen out of turn even where the
+other side was set up carelessly. What no rule allows is dropped, and nobody is told.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages.topics import Role, topics_of
+from bus_schema.zenoh.ros_graph import graph_key_expression, node_tokens
+
+
+def recorded_key_expression(domain: int, gid: str = "*") -> str:
+    """Liveliness token by which a recorder says that it has all of one publisher's messages."""
+    return f"funnel_hil/{domain}/recorded/{gid}"
+
+
+def secure_settings(role: Role, domain: int, keys: KeyFolder) -> dict[str, Any]:
+    """Settings of a session that speaks to holders of our authority's certificates alone.
+
+    Args:
+        role: what this process is.
+        domain: ROS domain.
+        keys: where its certificate and key lie.
+    """
+    certificate, key = str(keys.certificate(role)), str(keys.key(role))
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls": {
+            "root_ca_certificate": str(keys.authority),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "listen_certificate": certificate,
+            "listen_private_key": key,
+            "connect_certificate": certificate,
+            "connect_private_key": key,
+        },
+        "access_control": access_control(role, domain),
+    }
+
+
+def access_control(role: Role, domain: int) -> dict[str, Any]:
+    """Zenoh's section ``access_control`` for one process: by default, everything is denied."""
+    rules, policies = [], []
+    for peer in Role:
+        own = [*_rules(f"{role} hears {peer}", "ingress", peer, domain),
+               *_rules(f"{role} tells {peer}", "egress", role, domain)]  # fmt: skip
+        rules += own
+        policies.append({"subjects": [peer], "rules": [rule["id"] for rule in own]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": peer, "cert_common_names": [peer]} for peer in Role],
+        "policies": policies,
+    }
+
+
+def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, Any]]:
+    """What one process may send to another: every listener may listen, few may speak."""
+    allowed = {
+        "put": [topic.key_expression(domain) for topic in topics_of(speaker)],
+        "declare_subscriber": [f"{domain}/**"],
+        "liveliness_token": [node_tokens(domain, speaker)],
+        "declare_liveliness_subscriber": [
+            graph_key_expression(domain), recorded_key_expression(domain)
+        ],
+    }  # fmt: skip
+    if speaker is Role.RECORDER:
+        allowed["liveliness_token"].append(recorded_key_expression(domain))
+    allowed["liveliness_query"] = allowed["declare_liveliness_subscriber"]
+    return [
+        {
+            "id": f"{name}: {message}",
+            "messages": [message],
+            "flows": [flow],
+            "permission": "allow",
+            "key_exprs": keys,
+        }
+        for message, keys in allowed.items()
+        if keys
+    ]

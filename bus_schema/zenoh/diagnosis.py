@@ -1,0 +1,147 @@
+"""Why a peer may be missing. Zenoh refuses silently, so whoever waits has to be told what to check.
+
+A process that connects knocks at the door once and tells what it found; one that listens can only
+list what keeps visitors away.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+import time
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.messages.topics import Role
+
+logger = logging.getLogger(__name__)
+
+SILENCE_S = 2.0
+"""How long a peer may be missing before somebody says so."""
+_KNOCK_S = 1.0
+
+
+class SilenceWatch:
+    """Warns once, after two seconds without a peer.
+
+    Args:
+        link: section ``link`` of the scenario.
+        role: what this process is.
+        peer: whom it waits for.
+    """
+
+    def __init__(self, link: LinkConfiguration, role: Role, peer: Role) -> None:
+        self._link, self._role, self._peer = link, role, peer
+        self._warn_at_s: float | None = time.monotonic() + SILENCE_S
+
+    def look(self) -> None:
+        """To be called again and again while the peer is missing."""
+        if self._warn_at_s is not None and time.monotonic() >= self._warn_at_s:
+            self._warn_at_s = None
+            logger.warning("%s", explain_silence(self._link, self._role, self._peer))
+
+
+def explain_silence(link: LinkConfiguration, role: Role, peer: Role) -> str:
+    """What may keep a peer away, in one or two sentences.
+
+    Args:
+        link: section ``link`` of the scenario.
+        role: what this process is.
+        peer: who is missing.
+    """
+    start = f"no {peer} yet after {SILENCE_S:g} s"
+    if peer is Role.RECORDER or role is Role.PLANT:
+        return f"{start} at {link.listen_endpoint(role)}: {_why_nobody_comes(link, peer)}"
+    endpoint = link.listen_endpoint(peer)
+    protocol, _, address = endpoint.partition("/")
+    if protocol == "tcp":
+        finding = _knock(address)
+    elif protocol == "tls":
+        finding = _shake_hands(address, link, role, peer)
+    else:
+        finding = None
+    return f"{start} at {endpoint}: {finding or _why_nobody_answers(link, peer)}"
+
+
+def _why_nobody_comes(link: LinkConfiguration, peer: Role) -> str:
+    if link.security.enabled:
+        return (
+            f"is it running, with this endpoint, with link.security on, and with a certificate for"
+            f" the role {peer} from the authority in {link.security.keys.authority} that has not"
+            " expired? Whoever has not is refused silently"
+        )
+    return (
+        f"is it running, with this endpoint, with link.domain {link.domain}, and without"
+        " link.security? It is off here"
+    )
+
+
+def _why_nobody_answers(link: LinkConfiguration, peer: Role) -> str:
+    security = "on" if link.security.enabled else "off"
+    return (
+        f"somebody answers there, but not as the {peer}: do link.domain ({link.domain} here) and"
+        f" link.security ({security} here) agree on both sides, and is it still starting?"
+    )
+
+
+def _knock(address: str) -> str | None:
+    """What is wrong at a TCP endpoint; None if somebody is there."""
+    try:
+        _connect(address).close()
+    except OSError as error:
+        return _unreachable(error)
+    return None
+
+
+def _shake_hands(address: str, link: LinkConfiguration, role: Role, peer: Role) -> str | None:
+    """What is wrong at a TLS endpoint; None if it accepts us and is who it should be."""
+    keys = link.security.keys
+    try:
+        plain = _connect(address)
+    except OSError as error:
+        return _unreachable(error)
+    try:
+        context = ssl.create_default_context(cafile=str(keys.authority))
+        context.load_cert_chain(keys.certificate(role), keys.key(role))
+        with plain, context.wrap_socket(plain, server_hostname=_host(address)) as secure:
+            said = _common_name(secure.getpeercert() or {})
+            if said != peer:
+                return f"the certificate there is for the role {said!r}; link.security refuses it"
+            return _our_refusal(secure, role)
+    except ssl.SSLCertVerificationError as error:
+        return (
+            f"its certificate is not accepted ({error.verify_message}): is it from the authority"
+            f" in {keys.authority}, not expired, and issued for this host (`keys issue --host`)?"
+        )
+    except OSError as error:
+        return f"it does not speak TLS ({error}): is link.security on there too?"
+
+
+def _our_refusal(secure: ssl.SSLSocket, role: Role) -> str | None:
+    """Under TLS 1.3 a server says only after the handshake that it refuses our certificate."""
+    try:
+        secure.settimeout(_KNOCK_S)
+        secure.recv(1)
+    except TimeoutError:
+        return None
+    except OSError as error:
+        return f"it refuses our certificate for the role {role} ({error})"
+    return None
+
+
+def _connect(address: str) -> socket.socket:
+    return socket.create_connection((_host(address), int(address.rpartition(":")[2])), _KNOCK_S)
+
+
+def _host(address: str) -> str:
+    return address.rpartition(":")[0].strip("[]")
+
+
+def _unreachable(error: OSError) -> str:
+    return f"nobody can be reached there ({error.strerror or error}): is it running?"
+
+
+def _common_name(certificate: object) -> str:
+    subject = certificate.get("subject", ()) if isinstance(certificate, dict) else ()
+    names = [value for ((kind, value),) in subject if kind == "commonName"]
+    return names[0] if names else ""

@@ -1,0 +1,232 @@
+"""Both sides of the link over Zenoh, in rmw_zenoh's wire format.
+
+The plant listens, and so does the controller; the controller connects to the plant, a recorder to
+both. So every pair has a connection of its own, and no message takes a detour.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from bus_schema.errors import PeerSilentError
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.interface import CommandArrival, StateHandler, never
+from bus_schema.messages import topics
+from bus_schema.messages.layout import MAX_PAYLOAD_BYTES
+from bus_schema.messages.topics import Role, Topic
+from bus_schema.runtime.clock import Clock
+from bus_schema.zenoh.node import POLL_S, ZenohNode
+from bus_schema.zenoh.ros_graph import Attachment
+from bus_schema.zenoh.session import Delivery
+
+_LARGEST_BACKLOG = 10_000
+_GRACE_S = 1.0
+
+
+class ZenohPlantLink:
+    """The plant's side.
+
+    Args:
+        link: section ``link`` of the scenario.
+        clock: the plant's clock, which stamps arrivals.
+        lossless: rather wait for a slow recorder than go on without it.
+        await_recorder: do not start without a recorder.
+    """
+
+    def __init__(
+        self, link: LinkConfiguration, clock: Clock, *, lossless: bool, await_recorder: bool
+    ) -> None:
+        self._link = link
+        self._clock = clock
+        self._await_recorder = await_recorder
+        self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
+        self._pending: list[CommandArrival] = []
+        self._overflow = 0
+        self._commander_was_seen = False
+        self._node = ZenohNode(link, Role.PLANT, lossless=lossless)
+        self._states = self._node.advertise(topics.JOINT_STATES)
+        for topic in _TELEMETRY[Role.PLANT]:
+            self._node.advertise(topic)
+        self._node.subscribe(topics.JOINT_COMMANDS, self._on_command)
+        self._node.expect_acknowledgement()
+        self._node.announce()
+        self.publish = self._node.publish
+        self.close = self._node.close
+
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait for a publisher of commands, or at least for a stranger who listens to states."""
+        give_up_s = time.monotonic() + timeout_s
+        if self._await_recorder:
+            self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+        listened_since_s = None
+        silence = self._node.watch_silence(Role.CONTROLLER)
+        while not self._node.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
+            silence.look()
+            now_s = time.monotonic()
+            # A client without rmw_zenoh's tokens can only be told by its subscription.
+            if self._states.has_subscribers() and not self._node.sees(Role.RECORDER):
+                listened_since_s = now_s if listened_since_s is None else listened_since_s
+                if now_s - listened_since_s > _GRACE_S:
+                    return
+            if now_s > give_up_s:
+                raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
+            time.sleep(POLL_S)
+        self._commander_was_seen = True
+
+    def send_state(self, state: bytes, status: bytes) -> None:
+        self.publish(topics.PLANT_STATUS, status)
+        self.publish(topics.JOINT_STATES, state)
+
+    def await_command(self, timeout_s: float) -> bool:
+        if not self._pending:
+            try:
+                self._pending.append(self._arrivals.get(timeout=timeout_s))
+            except queue.Empty:
+                return False
+        return True
+
+    def controller_has_left(self) -> bool:
+        return self._commander_was_seen and not self._node.has_publisher(topics.JOINT_COMMANDS)
+
+    def sender_has_left(self, sender: bytes) -> bool:
+        return self._node.has_left(sender)
+
+    def await_recorded(self) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        self._node.await_acknowledgement(self._link.reply_timeout_s)
+
+    def take_commands(self) -> list[CommandArrival]:
+        taken, self._pending = self._pending, []
+        for _ in range(self._arrivals.qsize()):
+            taken.append(self._arrivals.get_nowait())
+        return taken
+
+    def overflow(self) -> int:
+        return self._overflow
+
+    def fault(self) -> str | None:
+        return None
+
+    def report(self) -> dict[str, Any]:
+        return {}
+
+    def _on_command(self, delivery: Delivery) -> None:
+        if self._arrivals.qsize() >= _LARGEST_BACKLOG:
+            self._overflow += 1  # a flood: what comes after is no use, and memory is bounded
+            return
+        now_ns = self._clock.now_ns()
+        self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
+
+
+class ZenohControllerLink:
+    """The controller's side. States are answered on the network thread, as they arrive.
+
+    Not before it has taken command, though: in a run that is under way they arrive at once.
+
+    Args:
+        link: section ``link`` of the scenario.
+        lossless: rather wait for a slow recorder than go on without it.
+
+    Attributes:
+        failure: the exception that ended the service of states, if any.
+    """
+
+    def __init__(self, link: LinkConfiguration, *, lossless: bool) -> None:
+        self._link = link
+        self._on_state: StateHandler | None = None
+        self._status = b""
+        self._states_seen = 0
+        self._over = threading.Event()
+        self.failure: Exception | None = None
+        self._node = ZenohNode(link, Role.CONTROLLER, lossless=lossless)
+        for topic in _TELEMETRY[Role.CONTROLLER]:
+            self._node.advertise(topic)
+        self._node.subscribe(topics.PLANT_STATUS, self._on_status_delivery)
+        self._node.subscribe(topics.JOINT_STATES, self._on_state_delivery)
+        self._node.expect_acknowledgement()
+        self._node.announce()
+        self.publish = self._node.publish
+        self.close = self._node.close
+
+    def serve(self, on_state: StateHandler) -> None:
+        self._on_state = on_state
+
+    def take_command(
+        self, *, await_recorder: bool, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Announce that commands will come, which lets the plant start.
+
+        Raises:
+            PeerSilentError: a recorder was to be awaited and did not come.
+        """
+        if await_recorder:
+            timeout_s = self._link.connect_timeout_s
+            self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+        self._node.advertise(topics.JOINT_COMMANDS)
+
+    def join(self, *, is_stop_requested: Callable[[], bool]) -> None:
+        """Wait for the end of the run.
+
+        Raises:
+            PeerSilentError: the plant never came, or went silent.
+            Exception: whatever the handler of states raised.
+        """
+        seen, last_change_s, allowed_s = 0, time.monotonic(), self._link.connect_timeout_s
+        plant_was_there = False
+        silence = self._node.watch_silence(Role.PLANT)
+        while not self._over.wait(POLL_S) and not is_stop_requested():
+            plant_is_there = self._node.has_publisher(topics.JOINT_STATES)
+            if plant_was_there and not plant_is_there:
+                return
+            if not plant_is_there and not self._states_seen:
+                silence.look()
+            plant_was_there = plant_is_there
+            if self._states_seen != seen:
+                seen, last_change_s = self._states_seen, time.monotonic()
+                allowed_s = self._link.reply_timeout_s + _GRACE_S
+            elif time.monotonic() - last_change_s > allowed_s:
+                raise PeerSilentError(Role.PLANT, allowed_s, "joint state")
+        if self.failure is not None:
+            raise self.failure
+
+    def await_recorded(self) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        self._node.await_acknowledgement(self._link.reply_timeout_s)
+
+    def _on_status_delivery(self, delivery: Delivery) -> None:
+        self._status = delivery.payload
+
+    def _on_state_delivery(self, delivery: Delivery) -> None:
+        status, self._status = self._status, b""
+        is_in_command = self._node.sends_on(topics.JOINT_COMMANDS)
+        if self._on_state is None or not is_in_command or self._over.is_set():
+            return
+        self._states_seen += 1
+        try:
+            self._on_state(delivery.payload, status or None)
+        except Exception as error:  # noqa: BLE001 (raised again by join, on the main thread)
+            self.failure = error
+            self._over.set()
+
+
+def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
+    """A command as the plant takes it in; a sender without an attachment has no name."""
+    known = Attachment.decode(attachment)
+    return CommandArrival(
+        payload[: MAX_PAYLOAD_BYTES + 1],
+        known.sequence if known else 0,
+        known.gid if known else b"",
+        now_ns,
+    )
+
+
+_TELEMETRY: dict[Role, Sequence[Topic]] = {
+    Role.PLANT: (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS),
+    Role.CONTROLLER: (topics.CONTROL_STATUS, topics.RUN_EVENTS),
+}

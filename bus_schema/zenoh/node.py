@@ -1,0 +1,205 @@
+"""A Zenoh session that is a node of the ROS graph: it announces itself and knows who is there."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable
+
+from bus_schema.errors import PeerSilentError
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.interface import never
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Rate, Role, Topic
+from bus_schema.zenoh.access import recorded_key_expression, secure_settings
+from bus_schema.zenoh.diagnosis import SilenceWatch
+from bus_schema.zenoh.ros_graph import (
+    Attachment,
+    Entity,
+    EntityKind,
+    endpoint_gid,
+    endpoint_token,
+    graph_key_expression,
+    node_name,
+    node_token,
+)
+from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
+
+POLL_S = 0.05
+_BATCH = 32
+_REMEMBERED_DEPARTED = 1000
+_PATIENCE_S = 60.0
+_REALTIME_PATIENCE_S = 0.02
+"""A loop in real time is held up at most once and for so long by a recorder that stops reading."""
+
+
+class ZenohNode:
+    """A session that is a node of the ROS graph: it announces itself and knows who is there.
+
+    Args:
+        link: section ``link`` of the scenario.
+        role: what this node is.
+        lossless: rather wait for a slow recorder than go on without it.
+    """
+
+    def __init__(self, link: LinkConfiguration, role: Role, *, lossless: bool) -> None:
+        listen, connect = _endpoints(link, role)
+        # A recorder may fall behind, and must not hold up the loop when it does.
+        self._session = ZenohSession(
+            listen,
+            connect,
+            low_latency=role is not Role.RECORDER,
+            patience_s=_PATIENCE_S if lossless else _REALTIME_PATIENCE_S,
+            security=secure_settings(role, link.domain, link.security.keys)
+            if link.security.enabled
+            else None,
+        )
+        self._link = link
+        self._domain = link.domain
+        self._role = role
+        self._node = node_name(role)
+        self._entities: dict[str, Entity] = {}
+        self._departed: deque[bytes] = deque(maxlen=_REMEMBERED_DEPARTED)
+        self._acknowledged = threading.Event()
+        self._waiting: list[tuple[ZenohPublisher, bytes, bytes]] = []
+        self._waiting_lock = threading.Lock()
+        self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
+        self._sequences: defaultdict[str, int] = defaultdict(int)
+        self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
+
+    def announce(self) -> None:
+        """Show the node to the others; to be called once it is ready."""
+        self._session.announce(node_token(self._domain, self._session.identifier, self._node))
+
+    def advertise(self, topic: Topic) -> ZenohPublisher:
+        """Declare a publisher and announce it, which is after `sends_on` has become true."""
+        publisher = self._session.publisher(topic.key_expression(self._domain))
+        token = self._token(EntityKind.PUBLISHER, topic)
+        self._publishers[topic.name] = (publisher, endpoint_gid(token))
+        self._session.announce(token)
+        return publisher
+
+    def subscribe(self, topic: Topic, on_delivery: Callable[[Delivery], None]) -> None:
+        """Subscribe and announce it."""
+        self._session.subscribe(topic.key_expression(self._domain), on_delivery)
+        self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
+
+    def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox:
+        """Subscribe to everything in the domain, in one mailbox."""
+        mailbox = self._session.mailbox(f"{self._domain}/**", capacity, lossless=lossless)
+        for topic in topics.TOPICS:
+            self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
+        return mailbox
+
+    def publish(self, topic: Topic, payload: bytes) -> int:
+        """Send a message; its sequence number.
+
+        What is not urgent waits for some more of its kind: each message that leaves alone costs its
+        receivers a wake-up, and on few cores these wake-ups get in the way of the loops.
+        """
+        publisher, gid = self._publishers[topic.name]
+        self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
+        attachment = Attachment(sequence, time.time_ns(), gid).encode()
+        if topic.urgent:
+            publisher.put(payload, attachment)
+            return sequence
+        with self._waiting_lock:
+            self._waiting.append((publisher, payload, attachment))
+            if len(self._waiting) >= _BATCH or topic.rate is Rate.EVENT:
+                for waiting, its_payload, its_attachment in self._waiting:
+                    waiting.put(its_payload, its_attachment)
+                self._waiting.clear()
+        return sequence
+
+    def sends_on(self, topic: Topic) -> bool:
+        """Whether this node has a publisher of a topic."""
+        return topic.name in self._publishers
+
+    def has_publisher(self, topic: Topic) -> bool:
+        """Whether another session has announced that it sends on a topic."""
+        return any(
+            entity.kind == EntityKind.PUBLISHER and entity.topic == topic.name
+            for entity in self._others()
+        )
+
+    def has_left(self, gid: bytes) -> bool:
+        """Whether a publisher had announced itself and is gone."""
+        return gid in self._departed
+
+    def await_role(
+        self, role: Role, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait for one of our own processes, or until asked to stop.
+
+        Raises:
+            PeerSilentError: it did not come.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        silence = self.watch_silence(role)
+        while not self.sees(role) and not is_stop_requested():
+            silence.look()
+            if time.monotonic() > give_up_s:
+                raise PeerSilentError(role, timeout_s, "sign of life")
+            time.sleep(POLL_S)
+
+    def watch_silence(self, role: Role) -> SilenceWatch:
+        """What says why one of our own processes may be missing."""
+        return SilenceWatch(self._link, self._role, role)
+
+    def sees(self, role: Role) -> bool:
+        """Whether one of our own processes is on the bus."""
+        name = node_name(role)
+        return any(
+            entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
+        )
+
+    def acknowledge(self, gid: bytes) -> None:
+        """As a recorder: say that all messages of a publisher of run events are recorded."""
+        self._session.announce(recorded_key_expression(self._domain, gid.hex()))
+
+    def expect_acknowledgement(self) -> None:
+        """Listen for the recorder's word that it has everything."""
+        _, gid = self._publishers[topics.RUN_EVENTS.name]
+        key = recorded_key_expression(self._domain, gid.hex())
+        self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
+
+    def await_acknowledgement(self, timeout_s: float) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
+        give_up_s = time.monotonic() + timeout_s
+        while self.sees(Role.RECORDER) and time.monotonic() < give_up_s:
+            if self._acknowledged.wait(POLL_S):
+                return
+
+    def close(self) -> None:
+        """Leave the bus. What is still on its way to a slow peer is lost."""
+        self._session.close()
+
+    def _others(self) -> list[Entity]:
+        own = self._session.identifier
+        return [entity for entity in list(self._entities.values()) if entity.session != own]
+
+    def _token(self, kind: EntityKind, topic: Topic) -> str:
+        self._sequences["entities"] = entity_id = self._sequences["entities"] + 1
+        return endpoint_token(
+            self._domain, self._session.identifier, self._node, entity_id, kind, topic
+        )
+
+    def _on_token(self, token: str, alive: bool) -> None:
+        entity = Entity.from_token(token)
+        if entity is not None and alive:
+            self._entities[token] = entity
+        elif self._entities.pop(token, None) is not None:
+            self._departed.append(endpoint_gid(token))
+
+
+def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:
+    """Endpoints to listen on and to connect to."""
+    router = [link.router_endpoint] if link.router_endpoint is not None else []
+    match role:
+        case Role.PLANT:
+            return [link.plant_endpoint], router
+        case Role.CONTROLLER:
+            return [link.controller_endpoint], [link.plant_endpoint, *router]
+        case Role.RECORDER:
+            return [], [link.plant_endpoint, link.controller_endpoint, *router]

@@ -1,0 +1,116 @@
+"""What rmw_zenoh puts around a message: the attachment, and the tokens that make up the ROS graph.
+
+Formats after rmw_zenoh_cpp's design document (sections "Topics" and "Graph Cache").
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from dataclasses import dataclass
+from enum import StrEnum
+
+from bus_schema.messages.topics import Role, Topic
+from bus_schema.messages.types import type_hash
+
+GID_BYTES = 16
+_ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
+_ADMIN = "@ros2_lv"
+_FIELDS_BEFORE_NODE_NAME = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """Travels beside every payload.
+
+    Attributes:
+        sequence: number of the message on its topic, from 1.
+        source_time_ns: when it was sent, Unix time.
+        gid: identifier of the sending publisher, 16 bytes.
+    """
+
+    sequence: int
+    source_time_ns: int
+    gid: bytes
+
+    def encode(self) -> bytes:
+        return _ATTACHMENT.pack(self.sequence, self.source_time_ns, GID_BYTES, self.gid)
+
+    @staticmethod
+    def decode(data: bytes) -> Attachment | None:
+        """The attachment, or None if these bytes are none."""
+        if len(data) != _ATTACHMENT.size:
+            return None
+        sequence, source_time_ns, gid_bytes, gid = _ATTACHMENT.unpack(data)
+        if gid_bytes != GID_BYTES or sequence < 0 or source_time_ns < 0:
+            return None
+        return Attachment(sequence, source_time_ns, gid)
+
+
+class EntityKind(StrEnum):
+    """Kinds of entities in the ROS graph."""
+
+    NODE = "NN"
+    PUBLISHER = "MP"
+    SUBSCRIBER = "MS"
+
+
+@dataclass(frozen=True)
+class Entity:
+    """An entity in the ROS graph, as its liveliness token tells.
+
+    Attributes:
+        session: Zenoh identifier of the session it lives in.
+        kind: an `EntityKind`, or a foreign kind.
+        node: name of its node.
+        topic: name of its topic without slashes; empty for nodes.
+    """
+
+    session: str
+    kind: str
+    node: str
+    topic: str
+
+    @staticmethod
+    def from_token(token: str) -> Entity | None:
+        """The entity that a liveliness token announces, or None if it is no such token."""
+        parts = token.split("/")
+        if parts[0] != _ADMIN or len(parts) <= _FIELDS_BEFORE_NODE_NAME:
+            return None
+        topic = parts[9].strip("%") if len(parts) > 9 else ""
+        return Entity(session=parts[2], kind=parts[5], node=parts[8], topic=topic)
+
+
+def graph_key_expression(domain: int) -> str:
+    """Key expression of all tokens of a ROS domain."""
+    return f"{_ADMIN}/{domain}/**"
+
+
+def node_name(role: Role) -> str:
+    """Name of one of our own nodes."""
+    return f"funnel_hil_{role}"
+
+
+def node_tokens(domain: int, role: Role) -> str:
+    """Key expression of all tokens of one of our own nodes, in whatever session."""
+    return f"{_ADMIN}/{domain}/*/*/*/*/*/*/{node_name(role)}/**"
+
+
+def node_token(domain: int, session: str, node: str) -> str:
+    """Token of a node."""
+    return f"{_ADMIN}/{domain}/{session}/0/0/{EntityKind.NODE}/%/%/{node}"
+
+
+def endpoint_token(
+    domain: int, session: str, node: str, entity_id: int, kind: EntityKind, topic: Topic
+) -> str:
+    """Token of a publisher or subscriber."""
+    return (
+        f"{_ADMIN}/{domain}/{session}/0/{entity_id}/{kind}/%/%/{node}"
+        f"/%{topic.name}/{topic.dds_type}/{type_hash(topic.type_name)}/{topic.qos}"
+    )
+
+
+def endpoint_gid(token: str) -> bytes:
+    """Identifier of an endpoint: unique, and reproducible from its token."""
+    return hashlib.blake2b(token.encode(), digest_size=GID_BYTES).digest()

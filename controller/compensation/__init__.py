@@ -1,0 +1,1 @@
+"""Delay compensation: the state in which a torque will act."""

@@ -1,0 +1,85 @@
+"""The command line: `funnel-hil`."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections import UserDict
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from deploy.cli.common import BAD_INPUT, FAULT
+from deploy.scenario.yaml_files import InputError
+
+_COMMANDS = {
+    "run": "deploy.cli.run:run",
+    "simulate": "deploy.cli.simulate:simulate",
+    "controller": "deploy.cli.processes:controller",
+    "plant": "deploy.cli.processes:plant",
+    "record": "deploy.cli.processes:record",
+    "keys": "deploy.cli.keys:app",
+    "compare": "deploy.cli.experiments:compare",
+    "sweep": "deploy.cli.studies:sweep",
+    "margin": "deploy.cli.studies:margin",
+    "report": "deploy.cli.experiments:report",
+    "replay": "deploy.cli.experiments:replay",
+    "bench": "deploy.cli.experiments:bench",
+    "drives": "deploy.cli.drives:drives",
+    "doctor": "deploy.cli.doctor:doctor",
+}
+"""Where each command is: a function, or a group of commands."""
+
+
+class _Commands(UserDict[str, Any]):
+    """Commands by name, each imported when it is asked for: a plant needs no figures."""
+
+    def __getitem__(self, name: str) -> Any:
+        if isinstance(self.data[name], str):
+            self.data[name] = _imported(name, self.data[name])
+        return self.data[name]
+
+
+def _imported(name: str, place: str) -> Any:
+    module, _, attribute = place.partition(":")
+    found = getattr(import_module(module), attribute)
+    if isinstance(found, typer.Typer):
+        group = typer.main.get_command(found)
+        group.name = name
+        return group
+    alone = typer.Typer(add_completion=False)
+    alone.command(name)(found)
+    return typer.main.get_command(alone)
+
+
+class _LazyGroup(TyperGroup):
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = _Commands(_COMMANDS)
+
+
+app = typer.Typer(
+    cls=_LazyGroup, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+)
+
+
+@app.callback()
+def funnel_hil() -> None:
+    """Hardware-in-the-loop test bench for prescribed-performance robot control."""
+
+
+def main() -> None:
+    """Entry point; bad input ends here with one message and exit code 2."""
+    logging.basicConfig(level=logging.ERROR, format="%(message)s", stream=sys.stderr)
+    logging.getLogger("bus_schema").setLevel(logging.WARNING)
+    logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    except OSError as error:  # a disk that is full or gone
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(FAULT)

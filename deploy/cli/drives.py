@@ -1,0 +1,155 @@
+"""The command `funnel-hil drives`: the emulator as motor drives on a CAN bus, nothing else."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.session import open_can_bus
+from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import BusError
+from bus_schema.runtime.clock import Clock, MonotonicClock
+from deploy.cli.common import (
+    FAULT,
+    FINISHED,
+    INTERRUPTED,
+    Overrides,
+    ScenarioArgument,
+    on_interrupt,
+)
+from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.commissioning import build_bank
+from plant_emulator.drives.drive_rig import DriveRig
+from plant_emulator.drives.fault_plan import FaultPlan, PlannedFault, parse_fault
+
+Duration = Annotated[
+    float | None,
+    typer.Option("--duration", metavar="S", min=0.001, help="End after so many seconds."),
+]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Decode every frame.")]
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="KIND:NODE@TIME[+DURATION]",
+        help="Let something go wrong, such as drive:2@3s or silent:1@500ms+2s; repeatable. Kinds:"
+        " drive, silent, encoder-frozen, over-temperature.",
+    ),
+]
+
+
+def drives(
+    scenario: ScenarioArgument = "paper_arm",
+    overrides: Overrides = None,
+    duration_s: Duration = None,
+    verbose: Verbose = False,
+    faults: Faults = None,
+) -> None:
+    """Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code."""
+    setup = load_setup(scenario, overrides or [])
+    can = setup.scenario.link.can
+    plan = _plan(setup, faults or [])
+    try:
+        bus = open_can_bus(can)
+    except ConfigurationError as error:
+        raise ScenarioError(f"{setup.source}: {error}") from error
+    try:
+        code = _serve(setup, bus, plan, duration_s, verbose=verbose)
+    finally:
+        bus.close()
+    raise typer.Exit(code)
+
+
+def _plan(setup: Setup, faults: list[str]) -> list[PlannedFault]:
+    try:
+        node_ids = setup.scenario.link.can.node_ids_of(setup.robot.joints)
+    except ConfigurationError as error:
+        raise ScenarioError(f"{setup.source}: {error}") from error
+    try:
+        return [parse_fault(text, node_ids) for text in faults]
+    except ConfigurationError as error:
+        raise ScenarioError(str(error)) from error
+
+
+def _serve(
+    setup: Setup, bus: CanBus, plan: list[PlannedFault], duration_s: float | None, *, verbose: bool
+) -> int:
+    """Run the rig to its end; the exit code."""
+    clock = MonotonicClock()
+    witness = Witness(bus, clock, verbose=verbose)
+    can, robot = setup.scenario.link.can, setup.robot
+    try:
+        witness.bank = build_bank(can, robot, setup.scenario.plant, witness.send)
+    except ConfigurationError as error:
+        raise ScenarioError(f"{setup.source}: {error}") from error
+    arm = setup.arm()
+    rig = DriveRig(
+        arm, witness.bank, bus, clock, setup.grid,
+        plan=FaultPlan(plan), on_frame=witness.hear, on_event=witness.say,
+    )  # fmt: skip
+    on_interrupt(rig.request_stop)
+    clock.start()
+    nodes = ", ".join(str(each) for each in can.node_ids_of(robot.joints))
+    witness.say(f"{can.protocol} drives {nodes} on {can.interface} {can.resolved_channel}")
+    ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
+    try:
+        rig.run(ticks)
+    except BusError as error:
+        witness.say(str(error))
+        return FAULT
+    finally:
+        arm.close()
+    skipped = f", {rig.counts.skipped} of {rig.counts.ticks} ticks late" * bool(rig.counts.skipped)
+    rejected = dict(witness.bank.rejections.counts) or "none"
+    witness.say(
+        f"{rig.counts.heard} frames heard, {witness.sent} sent, rejected: {rejected}{skipped}"
+    )
+    was_cut_short = ticks is not None and rig.counts.ticks < ticks
+    return INTERRUPTED if was_cut_short else FINISHED
+
+
+class Witness:
+    """Stands between drives and bus, and tells what passes.
+
+    Without `verbose` it tells of the first frame of every identifier that is heard.
+
+    Attributes:
+        bank: the drives; they know what a frame means.
+        sent: frames that the drives sent.
+    """
+
+    bank: DriveBank
+
+    def __init__(self, bus: CanBus, clock: Clock, *, verbose: bool) -> None:
+        self._bus, self._clock, self._verbose = bus, clock, verbose
+        self._console = Console(highlight=False, markup=False, soft_wrap=True)
+        self._heard: set[int] = set()
+        self.sent = 0
+
+    def send(self, frame: CanFrame) -> None:
+        """Take a frame that a drive sends."""
+        self._bus.send(frame)
+        self.sent += 1
+        if self._verbose:
+            self._show("sent ", frame)
+
+    def hear(self, frame: CanFrame) -> None:
+        """Look at a frame that comes from the bus."""
+        is_first = frame.identifier not in self._heard
+        self._heard.add(frame.identifier)
+        if self._verbose or is_first:
+            self._show("heard", frame)
+
+    def say(self, sentence: str) -> None:
+        """Tell something that happened."""
+        self._console.print(f"{self._clock.now_ns() * 1e-9:9.4f}  {sentence}")
+
+    def _show(self, direction: str, frame: CanFrame) -> None:
+        data = "remote" if frame.is_remote else frame.data.hex(" ")
+        words = self.bank.describe(frame)
+        self.say(f"{direction} {frame.identifier:03X} {data:<23}  {words}")

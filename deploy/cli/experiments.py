@@ -1,0 +1,165 @@
+"""The commands that experiment with runs and look back at them."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from deploy.cli.common import (
+    BOUNDS_NOT_KEPT,
+    FAULT,
+    FINISHED,
+    INTERRUPTED,
+    Out,
+    Overrides,
+    RequireBounds,
+    ScenarioArgument,
+    on_interrupt,
+)
+from deploy.cli.show_comparison import CompareProgress, settling_sentence, show_comparison
+from deploy.cli.show_run import show_summary
+from deploy.cli.studies import is_study, report_study
+from deploy.comparison.compare import (
+    ComparisonFolder,
+    is_comparison,
+    load_comparison,
+    load_setups,
+    parse_laws,
+)
+from deploy.comparison.comparison import Comparison
+from deploy.comparison.settling import settling_test
+from deploy.reports.verdict import PARTIAL
+from deploy.runs.replay import replay as replay_run
+from deploy.runs.run_folder import RunFolder, load_run
+from deploy.runs.simulate import attempt
+from deploy.scenario.scenario import Setup
+from plant_emulator.plant_loop import PlantLoop
+
+RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
+
+
+def compare(
+    scenario: ScenarioArgument = "paper_arm",
+    laws: Annotated[
+        str | None,
+        typer.Option("--laws", metavar="A,B,…", help="Laws to compare; all by default."),
+    ] = None,
+    settling: Annotated[
+        bool,
+        typer.Option("--settling", help="Also measure settling times from offsets of up to 1 rad."),
+    ] = False,
+    overrides: Overrides = None,
+    out: Out = None,
+    require_bounds: RequireBounds = False,
+) -> None:
+    """Run a scenario under several laws in virtual time, and set their results side by side."""
+    setups = load_setups(scenario, overrides or [], parse_laws(laws))
+    folder = ComparisonFolder.create(f"compare-{setups[0].scenario.name}", out)
+    console = Console()
+    interrupted = _run_all(setups, folder, console)
+    if settling and not interrupted:
+        _settle_all(setups, folder, console)
+    comparison = folder.conclude()
+    show_comparison(console, comparison)
+    _show_places(console, folder)
+    raise typer.Exit(_exit_code(comparison, interrupted=interrupted, require_bounds=require_bounds))
+
+
+def replay(run_dir: RunDirectory) -> None:
+    """Feed a recorded run to the law again and compare the torques bit for bit."""
+    data, contents = load_run(run_dir)
+    result = replay_run(data.setup, contents)
+    console = Console()
+    if not data.complete:
+        console.print(PARTIAL)
+    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
+    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
+    if result.is_identical:
+        console.print("[bold green]identical[/]")
+        return
+    console.print(f"[bold red]different[/] from command {result.first_difference} on")
+    raise typer.Exit(FAULT)
+
+
+def report(
+    run_dir: Annotated[
+        Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
+    ],
+) -> None:
+    """Judge what was recorded again: summary.json and report.html of what a folder holds."""
+    console = Console()
+    if is_study(run_dir):
+        report_study(run_dir, console)
+        return
+    if is_comparison(run_dir):
+        comparison_folder = load_comparison(run_dir)
+        show_comparison(console, comparison_folder.conclude())
+        _show_places(console, comparison_folder)
+        return
+    data, _ = load_run(run_dir)
+    folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
+    show_summary(console, folder.conclude(data))
+    console.print(f"report: {folder.report}", soft_wrap=True)
+
+
+def bench(
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the numbers to a file.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer and shorter repetitions: a first impression.")
+    ] = False,
+) -> None:
+    """Measure what things cost on this machine, as ratios of medians side by side."""
+    from deploy.benchmarks.bench import run_bench  # imports what nothing else needs
+
+    sections = run_bench(Console(), json_file, quick=quick)
+    raise typer.Exit(FINISHED if all(section.ratios for section in sections) else FAULT)
+
+
+def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> bool:
+    """Simulate one law after another; whether the user put an end to it."""
+    stop = threading.Event()
+    with CompareProgress(console, setups) as progress:
+        for setup in setups:
+
+            def on_start(loop: PlantLoop, setup: Setup = setup) -> None:
+                progress.start(setup.scenario.controller.law, loop)
+
+                def request_stop() -> None:
+                    stop.set()
+                    loop.request_stop()
+
+                on_interrupt(request_stop)
+
+            progress.done(folder.add(attempt(setup, on_start)))
+            if stop.is_set():
+                return True
+    return False
+
+
+def _settle_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> None:
+    """Start every law from near and far."""
+    for setup in setups:
+        test = settling_test(setup)
+        folder.add_settling(test)
+        console.print(settling_sentence(test), markup=False, highlight=False)
+
+
+def _show_places(console: Console, folder: ComparisonFolder) -> None:
+    console.print(f"results: {folder.path}", soft_wrap=True)
+    console.print(f"report:  {folder.report}", soft_wrap=True)
+
+
+def _exit_code(comparison: Comparison, *, interrupted: bool, require_bounds: bool) -> int:
+    if interrupted:
+        return INTERRUPTED
+    if not all(run.is_whole for run in comparison.runs):
+        return FAULT
+    if require_bounds and not all(run.kept_bounds for run in comparison.runs):
+        return BOUNDS_NOT_KEPT
+    return FINISHED

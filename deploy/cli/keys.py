@@ -1,0 +1,84 @@
+"""`keys`: an authority of one's own, and certificates for the roles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
+from bus_schema.messages.topics import Role
+from deploy.processes.keys import common_name, create_authority, hosts_of, issue, read_certificate
+
+app = typer.Typer(
+    help="Make, issue and list keys for link.security.", no_args_is_help=True, add_completion=False
+)
+
+_LOCAL = ("localhost", "127.0.0.1", "::1")
+Folder = Annotated[Path, typer.Option("--folder", help="Where the keys lie: link.security.folder.")]
+Hosts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--host",
+        help="Host name or IP address under which plant or controller are reached; repeatable."
+        " Added to those of this machine itself.",
+    ),
+]
+Days = Annotated[float, typer.Option("--days", min=0.01, max=3650, help="Validity in days.")]
+
+
+@app.command("init")
+def init(
+    folder: Folder = Path(DEFAULT_FOLDER),
+    hosts: Hosts = None,
+    days: Days = 30.0,
+    authority_days: Annotated[
+        float, typer.Option("--authority-days", min=0.01, max=3650, help="That of the authority.")
+    ] = 365.0,
+) -> None:
+    """Make an authority, and a certificate for each role."""
+    keys = KeyFolder.at(folder)
+    create_authority(keys, authority_days)
+    for role in Role:
+        issue(keys, role, [*_LOCAL, *(hosts or [])], days)
+    _show(keys)
+
+
+@app.command("issue")
+def issue_roles(
+    roles: Annotated[list[Role], typer.Argument(help="Roles that get a new key.")],
+    folder: Folder = Path(DEFAULT_FOLDER),
+    hosts: Hosts = None,
+    days: Days = 30.0,
+) -> None:
+    """Issue new keys and certificates to roles, in place of those they have."""
+    keys = KeyFolder.at(folder)
+    for role in roles:
+        issue(keys, role, [*_LOCAL, *(hosts or [])], days)
+    _show(keys)
+
+
+@app.command("list")
+def show_all(folder: Folder = Path(DEFAULT_FOLDER)) -> None:
+    """Show which certificates there are, for whom, and for how long."""
+    _show(KeyFolder.at(folder))
+
+
+def _show(keys: KeyFolder) -> None:
+    table = Table(
+        "role", "serial number", "valid until, UTC", "hosts", title=str(keys.path), box=None
+    )
+    files = [keys.authority, *(keys.certificate(role) for role in Role)]
+    for file in files:
+        if file is keys.authority or file.is_file():
+            certificate = read_certificate(file, f"run `funnel-hil keys init --folder {keys.path}`")
+            table.add_row(
+                common_name(certificate),
+                f"{certificate.serial_number:x}"[:16],
+                f"{certificate.not_valid_after_utc:%Y-%m-%d %H:%M}",
+                ", ".join(hosts_of(certificate)),
+            )
+    Console().print(table)

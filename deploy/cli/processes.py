@@ -1,0 +1,79 @@
+"""The commands that are one of the processes of a run: `controller`, `plant` and `record`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from bus_schema.messages.topics import Role
+from bus_schema.recording.atomic_files import partial_path
+from deploy.cli.common import FINISHED, Out, Overrides, ScenarioArgument
+from deploy.cli.finish import finish
+from deploy.processes.launcher import RunOutcome
+from deploy.processes.links import check_link, require_keys
+from deploy.processes.processes import StopRequest, Voice, run_controller, run_plant, run_recorder
+from deploy.runs.run_folder import RunFolder
+from deploy.scenario.scenario import load_setup
+
+ToParent = Annotated[bool, typer.Option("--to-parent", hidden=True)]
+AwaitRecorder = Annotated[
+    bool, typer.Option("--await-recorder", help="Start only once a recorder listens.")
+]
+
+
+def controller(
+    scenario: ScenarioArgument,
+    overrides: Overrides = None,
+    await_recorder: AwaitRecorder = False,
+    to_parent: ToParent = False,
+) -> None:
+    """Be the controller: answer the joint states of a plant on the bus."""
+    setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=False)
+    require_keys(setup, Role.CONTROLLER)
+    voice = Voice(Role.CONTROLLER, to_parent=to_parent)
+    raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
+
+
+def plant(
+    scenario: ScenarioArgument,
+    overrides: Overrides = None,
+    await_recorder: AwaitRecorder = False,
+    can_log: Annotated[
+        Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
+    ] = None,
+    to_parent: ToParent = False,
+) -> None:
+    """Be the plant: emulate the arm for a controller on the bus."""
+    setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=False)
+    require_keys(setup, Role.PLANT)
+    voice = Voice(Role.PLANT, to_parent=to_parent)
+    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder, can_log=can_log))
+
+
+def record(
+    scenario: ScenarioArgument,
+    overrides: Overrides = None,
+    out: Out = None,
+    log: Annotated[Path | None, typer.Option("--log", hidden=True)] = None,
+    to_parent: ToParent = False,
+) -> None:
+    """Be the recorder: write every message on the bus to a run folder."""
+    setup = load_setup(scenario, overrides or [])
+    require_keys(setup, Role.RECORDER)
+    voice = Voice(Role.RECORDER, to_parent=to_parent)
+    stop = StopRequest()
+    if log is not None:
+        raise typer.Exit(run_recorder(setup, log, voice, stop))
+    folder = RunFolder.create(setup.scenario.name, out)
+    folder.write_scenario(setup)
+    folder.write_manifest(setup, {})
+    code = run_recorder(setup, folder.log, voice, stop)
+    if code == FINISHED or partial_path(folder.log).exists():
+        outcome = RunOutcome(interrupted=stop.is_set)
+        finish(Console(), folder, outcome, require_bounds=False)
+    raise typer.Exit(code)

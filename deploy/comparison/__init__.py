@@ -1,0 +1,1 @@
+"""The same scenario under several laws."""

@@ -1,0 +1,66 @@
+"""The runs of a comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from bus_schema.messages import topics
+from deploy.comparison.settling import SettlingTest
+from deploy.runs.run_data import RunData
+
+
+@dataclass(frozen=True)
+class LawRun:
+    """The run of one law.
+
+    Attributes:
+        law: its name.
+        data: the run.
+        summary: what `metrics.summarise` says of it.
+    """
+
+    law: str
+    data: RunData
+    summary: dict[str, Any]
+
+    @property
+    def seed(self) -> int:
+        return self.data.setup.scenario.seed
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the run came to its end without a fault."""
+        return bool(self.summary["completed"]) and not self.summary["faults"]
+
+    @property
+    def kept_bounds(self) -> bool:
+        """Whether a whole run stayed inside its bounds."""
+        return self.is_whole and bool(self.summary["bounds"]["kept"])
+
+    @property
+    def has_ticks(self) -> bool:
+        """Whether there is anything to draw."""
+        return len(self.data.tables[topics.PLANT_TRUTH.name]) > 1
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs of one scenario under several laws, in the order asked for.
+
+    Attributes:
+        runs: a run for each law.
+        settling: what became of starts from near and far, for each law that was put to that test.
+    """
+
+    runs: list[LawRun]
+    settling: list[SettlingTest] = field(default_factory=list)
+
+    @property
+    def drawn(self) -> list[LawRun]:
+        """Runs with something to draw."""
+        return [run for run in self.runs if run.has_ticks]
+
+    def colour_index(self, law: str) -> int:
+        """Place of a law among all, which gives its colour."""
+        return [run.law for run in self.runs].index(law)

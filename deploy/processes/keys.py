@@ -1,0 +1,278 @@
+"""Keys: a small authority of one's own, and a certificate for each role.
+
+A certificate's common name is the role of its holder, which is all that access control asks for.
+Keys are ECDSA on P-256 in PKCS #8. Private keys are readable by their owner alone, and appear
+nowhere but in their own files.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import ipaddress
+import os
+import stat
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages.topics import Role
+from deploy.scenario.yaml_files import ScenarioError
+
+AUTHORITY_NAME = "funnel-hil authority"
+_CLOCKS_DIFFER_BY = dt.timedelta(minutes=5)
+_SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+
+
+@dataclass(frozen=True)
+class Credential:
+    """A certificate with the private key that belongs to it.
+
+    Attributes:
+        certificate: as issued.
+        key: its private key.
+    """
+
+    certificate: x509.Certificate
+    key: ec.EllipticCurvePrivateKey
+
+
+def create_authority(keys: KeyFolder, days: float) -> None:
+    """Make an authority, in a folder that nobody else can look into.
+
+    Args:
+        keys: the folder; created where it does not exist.
+        days: how long the authority is valid.
+
+    Raises:
+        ScenarioError: there is one already, or the folder cannot be written to.
+    """
+    if keys.authority_key.exists():
+        raise ScenarioError(f"{keys.authority_key}: exists; choose another --folder or remove it")
+    try:
+        keys.path.mkdir(parents=True, exist_ok=True)
+        keys.path.chmod(0o700)
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = _name(AUTHORITY_NAME)
+        usage = _usage(key_cert_sign=True, crl_sign=True)
+        builder = (
+            _builder(name, name, key, days)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .add_extension(usage, critical=True)
+        )
+        _write(keys.authority, keys.authority_key, Credential(_sign(builder, key), key))
+    except OSError as error:
+        raise ScenarioError(f"--folder {keys.path}: {error.strerror}") from error
+
+
+def issue(keys: KeyFolder, role: Role, hosts: Sequence[str], days: float) -> x509.Certificate:
+    """Issue a certificate with a new private key to a role, in place of the one it has.
+
+    Args:
+        keys: the folder of the authority.
+        role: becomes the common name.
+        hosts: names and addresses under which its endpoint is reached.
+        days: how long it is valid; never longer than the authority.
+
+    Raises:
+        ScenarioError: there is no authority, or a host is none.
+    """
+    authority = _read_authority(keys)
+    key = ec.generate_private_key(ec.SECP256R1())
+    subject, issuer = _name(role), authority.certificate.subject
+    until = authority.certificate.not_valid_after_utc
+    builder = (
+        _builder(subject, issuer, key, days, until)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_usage(digital_signature=True), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(_purposes(role)), critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()),
+            critical=False,
+        )
+    )
+    if role is not Role.RECORDER:
+        names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
+        builder = builder.add_extension(names, critical=False)
+    certificate = _sign(builder, authority.key)
+    try:
+        _write(keys.certificate(role), keys.key(role), Credential(certificate, key))
+    except OSError as error:
+        raise ScenarioError(f"--folder {keys.path}: {error.strerror}") from error
+    return certificate
+
+
+def hosts_of(certificate: x509.Certificate) -> list[str]:
+    """Names and addresses under which the holder's endpoint may be reached."""
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return []
+    return [str(name.value) for name in names]
+
+
+def common_name(certificate: x509.Certificate) -> str:
+    """The role that a certificate claims; empty where it claims none."""
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def check_keys(keys: KeyFolder, roles: Iterable[Role]) -> None:
+    """Find out before anything starts whether these roles have what link.security needs.
+
+    Raises:
+        ScenarioError: a file is missing, unreadable, expired, of another role, of another
+            authority, or readable by others; the message says what to do.
+    """
+    remedy = f"run `funnel-hil keys init --folder {keys.path}`"
+    authority = read_certificate(keys.authority, remedy)
+    _require_valid_now(keys.authority, authority, f"remove the folder and {remedy}")
+    for role in roles:
+        _check_role(keys, role, authority)
+
+
+def read_certificate(path: Path, remedy: str) -> x509.Certificate:
+    """Read a certificate.
+
+    Args:
+        path: its file.
+        remedy: what to do if there is none.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    try:
+        return x509.load_pem_x509_certificate(_read(path, remedy))
+    except ValueError as error:
+        raise ScenarioError(f"{path}: is no certificate in PEM: {remedy}") from error
+
+
+def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> None:
+    path = keys.certificate(role)
+    remedy = f"run `funnel-hil keys issue {role} --folder {keys.path}`"
+    certificate = read_certificate(path, remedy)
+    if common_name(certificate) != role:
+        said = f"is a certificate for {common_name(certificate)!r}, not for {role.value!r}"
+        raise ScenarioError(f"{path}: {said}: {remedy}")
+    _require_valid_now(path, certificate, remedy)
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except Exception as error:  # what it raises depends on the kind of key that signed
+        raise ScenarioError(f"{path}: is not issued by {keys.authority}: {remedy}") from error
+    key = _read_key(keys.key(role), remedy)
+    if key.public_key() != certificate.public_key():
+        raise ScenarioError(f"{keys.key(role)}: does not belong to {path}: {remedy}")
+
+
+def _require_valid_now(path: Path, certificate: x509.Certificate, remedy: str) -> None:
+    now = dt.datetime.now(dt.UTC)
+    if now > certificate.not_valid_after_utc:
+        raise ScenarioError(f"{path}: expired at {certificate.not_valid_after_utc}: {remedy}")
+    if now < certificate.not_valid_before_utc:
+        since = certificate.not_valid_before_utc
+        raise ScenarioError(f"{path}: is valid from {since} on: check this machine's clock")
+
+
+def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
+    pem = _read(path, remedy)
+    mode = path.stat().st_mode
+    # A group may be the one of a service, and where systemd hands keys over it is always shown.
+    if mode & stat.S_IRWXO:
+        shown = stat.filemode(mode)
+        raise ScenarioError(f"{path}: others may read it ({shown}): run `chmod 600 {path}`")
+    try:
+        key = serialization.load_pem_private_key(pem, password=None)
+    except (ValueError, TypeError) as error:
+        raise ScenarioError(f"{path}: is no private key in PEM: {remedy}") from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise ScenarioError(f"{path}: is no key on an elliptic curve: {remedy}")
+    return key
+
+
+def _read(path: Path, remedy: str) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise ScenarioError(f"{path}: does not exist: {remedy}") from error
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _read_authority(keys: KeyFolder) -> Credential:
+    remedy = f"run `funnel-hil keys init --folder {keys.path}`"
+    certificate = read_certificate(keys.authority, remedy)
+    return Credential(certificate, _read_key(keys.authority_key, remedy))
+
+
+def _purposes(role: Role) -> list[x509.ObjectIdentifier]:
+    """A recorder only ever connects to others; nobody should take it for a server."""
+    return [_CLIENT] if role is Role.RECORDER else [_CLIENT, _SERVER]
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        pass
+    try:
+        if not host or any(character.isspace() or character in "/:" for character in host):
+            raise ValueError
+        return x509.DNSName(host)
+    except ValueError as error:
+        raise ScenarioError(f"--host {host!r}: must be a host name or an IP address") from error
+
+
+def _name(common: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+
+
+def _builder(
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    days: float,
+    until: dt.datetime | None = None,
+) -> x509.CertificateBuilder:
+    now = dt.datetime.now(dt.UTC)
+    end = now + dt.timedelta(days=days)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _CLOCKS_DIFFER_BY)
+        .not_valid_after(end if until is None else min(end, until))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+
+
+def _usage(**allowed: bool) -> x509.KeyUsage:
+    uses = (
+        "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
+        "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only",
+    )  # fmt: skip
+    return x509.KeyUsage(**{use: allowed.get(use, False) for use in uses})
+
+
+def _sign(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
+    return builder.sign(key, hashes.SHA256())
+
+
+def _write(certificate_file: Path, key_file: Path, credential: Credential) -> None:
+    """Write both files; the key's is created with its mode, so that it is never open to others."""
+    pem = credential.key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    key_file.unlink(missing_ok=True)
+    descriptor = os.open(key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(pem)
+    certificate_file.write_bytes(credential.certificate.public_bytes(serialization.Encoding.PEM))

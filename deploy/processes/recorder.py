@@ -1,0 +1,214 @@
+"""The recorder: a process of its own that writes every message on the bus to an MCAP file."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from itertools import islice
+from pathlib import Path
+
+from bus_schema.errors import InvalidMessageError, PeerSilentError
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role, Topic
+from bus_schema.recording.mcap_log import McapLog
+from bus_schema.zenoh.node import ZenohNode
+from bus_schema.zenoh.ros_graph import Attachment
+from bus_schema.zenoh.session import Delivery
+from deploy.scenario.link_files import delay_files
+from deploy.scenario.scenario import Setup
+from deploy.scenario.scenario_text import effective_scenario
+
+SCENARIO_ATTACHMENT = "scenario.yaml"
+ROBOT_ATTACHMENT = "robot.urdf"
+DELAYS_ATTACHMENT = "{direction}_delays.txt"
+RUN_METADATA = "run"
+RECORDER_METADATA = "recorder"
+LOST_METADATA = "lost"
+_STAMP = struct.Struct("<iI")
+_STAMP_OFFSET = 4
+_LARGEST_BACKLOG = 200_000
+_AT_ONCE = 10_000
+_FAREWELL_S = 2.0
+"""How long the backlog is still written once the recorder has to leave."""
+_PAUSE_S = 0.02
+"""Between two looks into the mailbox: waking up for each message would cost the loops time."""
+
+
+def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
+    """Begin the recording of a run, with all that is needed to judge or repeat it.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    names = setup.robot.joint_names
+    tick_bytes = sum(
+        topics.layout(topic, names).size
+        for topic in topics.TOPICS
+        if topic.rate is topics.Rate.TICK
+    )
+    log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
+    scenario = setup.scenario
+    log.attach(SCENARIO_ATTACHMENT, "application/yaml", effective_scenario(setup).encode())
+    log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
+    for direction, file in delay_files(scenario.link).items():
+        name = DELAYS_ATTACHMENT.format(direction=direction)
+        log.attach(name, "text/plain", file.read_bytes())
+    log.add_metadata(
+        RUN_METADATA,
+        {"scenario": scenario.name, "law": scenario.controller.law, "clock": clock, "link": link},
+    )
+    if log.failure is not None:
+        raise log.failure
+    return log
+
+
+def close_log(log: McapLog, lost: Counter[str]) -> None:
+    """Finish a recording with the count of what it holds, and of what it lacks by topic."""
+    log.finish_messages()
+    missing = lost + log.lost
+    log.add_metadata(
+        RECORDER_METADATA, {"messages": str(log.messages), "lost": str(missing.total())}
+    )
+    log.add_metadata(LOST_METADATA, {topic: str(count) for topic, count in missing.items()})
+    log.close()
+
+
+def stamp_of(payload: bytes) -> int | None:
+    """Header stamp of a CDR payload in ns; all our messages begin with a header."""
+    if len(payload) < _STAMP_OFFSET + _STAMP.size:
+        return None
+    sec, nanosec = _STAMP.unpack_from(payload, _STAMP_OFFSET)
+    stamp_ns: int = sec * 1_000_000_000 + nanosec
+    return stamp_ns if stamp_ns >= 0 else None
+
+
+class GapCounter:
+    """Counts messages that never came, by the gaps in their senders' numbers.
+
+    Attributes:
+        missed: messages that are missing, by topic.
+    """
+
+    def __init__(self) -> None:
+        self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
+        self.missed: Counter[str] = Counter()
+
+    def note(self, topic: str, sender: bytes, sequence: int) -> None:
+        """A message came; what is missing since the last one of its sender is missed."""
+        last = self._last_sequence[topic, sender]
+        self.missed[topic] += max(0, sequence - last - 1)
+        self._last_sequence[topic, sender] = max(sequence, last)
+
+
+class Recorder:
+    """Writes what it hears until both sides have left.
+
+    Its backlog is bounded. In real time the oldest of it makes room where the disk is too slow, so
+    that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk that fails ends
+    the recording but not the run: what comes later is counted.
+
+    Raises:
+        OSError: the recording cannot be begun.
+    """
+
+    def __init__(self, setup: Setup, path: Path) -> None:
+        self._setup = setup
+        self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind)
+        domain = setup.scenario.link.domain
+        self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
+        self._gaps = GapCounter()
+        self._last_stamp_ns = 0
+        lossless = setup.scenario.clock == "lockstep"
+        self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=lossless)
+        self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG, lossless=lossless)
+        self._node.announce()
+
+    @property
+    def messages(self) -> int:
+        """Messages in the recording."""
+        return self._log.messages
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Messages that are not: by gaps in their senders' numbers, and by the disk; by topic."""
+        return self._gaps.missed + self._log.lost
+
+    @property
+    def failure(self) -> OSError | None:
+        """What ended the recording before its time, if anything did."""
+        return self._log.failure
+
+    def run(self, is_stop_requested: Callable[[], bool]) -> None:
+        """Record until both sides have left the bus, or until asked to stop.
+
+        Raises:
+            PeerSilentError: nobody came.
+        """
+        give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
+        has_heard = False
+        silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
+        while not is_stop_requested():
+            somebody_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
+            time.sleep(_PAUSE_S)
+            wrote = self._write_what_came()
+            has_heard = has_heard or wrote
+            if has_heard and not somebody_is_there and not wrote:
+                return
+            if not has_heard and not somebody_is_there:
+                for silence in silences:
+                    silence.look()
+            if not has_heard and not somebody_is_there and time.monotonic() > give_up_s:
+                raise PeerSilentError(
+                    "plant", self._setup.scenario.link.connect_timeout_s, "message"
+                )
+
+    def close(self) -> None:
+        """Write what was heard, as far as there is time, and finish the file."""
+        give_up_s = time.monotonic() + _FAREWELL_S
+        while time.monotonic() < give_up_s and self._write_what_came():
+            pass
+        for key, delivery in iter(self._mailbox.take, None):
+            topic = self._topics.get(key)
+            if topic is not None:
+                self._count_gap(topic, delivery)
+                self._gaps.missed[topic.name] += 1
+        close_log(self._log, self._gaps.missed)
+        self._node.close()
+
+    def _write_what_came(self) -> bool:
+        """Write what has come in, or a good part of it; whether anything had."""
+        wrote = False
+        for key, delivery in islice(iter(self._mailbox.take, None), _AT_ONCE):
+            topic = self._topics.get(key)
+            if topic is not None:
+                self._write(topic, delivery)
+                wrote = True
+        return wrote
+
+    def _write(self, topic: Topic, delivery: Delivery) -> None:
+        attachment = self._count_gap(topic, delivery)
+        stamp_ns = stamp_of(delivery.payload)
+        self._last_stamp_ns = self._last_stamp_ns if stamp_ns is None else stamp_ns
+        self._log.write(
+            topic, attachment.sequence, self._last_stamp_ns, attachment.source_time_ns,
+            delivery.payload,
+        )  # fmt: skip
+        if topic is topics.RUN_EVENTS and attachment.gid:
+            self._acknowledge(delivery.payload, attachment.gid)
+
+    def _count_gap(self, topic: Topic, delivery: Delivery) -> Attachment:
+        """Count what is missing since the last message of this sender on this topic."""
+        attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
+        if attachment.sequence:
+            self._gaps.note(topic.name, attachment.gid, attachment.sequence)
+        return attachment
+
+    def _acknowledge(self, payload: bytes, gid: bytes) -> None:
+        """Tell a process that said its last word that all of it is recorded."""
+        with contextlib.suppress(InvalidMessageError):
+            if RunEvent.decode(payload).kind == EventKind.ENDED:
+                self._node.acknowledge(gid)

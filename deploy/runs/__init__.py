@@ -1,0 +1,1 @@
+"""One run: simulated, judged, replayed, and its folder."""

@@ -1,0 +1,181 @@
+"""The judge: from the data of a run to the numbers of ``summary.json``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from deploy.runs.chattering import chatter_shares
+from deploy.runs.run_data import RunData, stamps_s
+from deploy.runs.settling_bound import settling_bound_s
+
+PERCENTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
+_CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
+
+
+def summarise(run: RunData) -> dict[str, Any]:
+    """The summary of a run, ready for JSON."""
+    setup = run.setup
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    ended = run.last_event(Role.PLANT, EventKind.ENDED)
+    outcome = ended.values() if ended is not None else {}
+    ticks = int(outcome.get("ticks", max(len(truth) - 1, 0)))
+    duration_s = ticks * setup.grid.period_ns * 1e-9
+    wall_s = float(outcome.get("wall_s", 0.0))
+    return {
+        "scenario": setup.scenario.name,
+        "law": setup.scenario.controller.law,
+        "clock": run.clock,
+        "link": run.link,
+        "duration_s": duration_s,
+        "ticks": ticks,
+        "completed": bool(outcome.get("completed", False)) and run.complete,
+        "faults": run.faults(),
+        "real_time_factor": duration_s / wall_s if wall_s > 0.0 else None,
+        "bounds": judge_bounds(run),
+        "tracking": _tracking(run),
+        "torque": _torque(run),
+        "timing": _timing(run, ticks, outcome.get("stolen_ms")),
+        "transport": _transport(run),
+        "limits": _limits(run),
+        "recorder": {
+            "messages": run.messages,
+            "lost": None if run.lost is None else sum(run.lost.values()),
+            "lost_by_topic": None if run.lost is None else dict(run.lost),
+            "complete": run.complete,
+        },
+        "digest": run.digest,
+    }
+
+
+def bound_usage(run: RunData) -> Matrix:
+    """|e| over the bound on the error's own side, at every tick, shape (ticks, joints)."""
+    errors = run.true_errors_rad
+    upper, lower = run.setup.funnel.bounds(run.times_s(topics.PLANT_TRUTH))
+    return np.where(errors >= 0.0, errors / upper, errors / lower)
+
+
+def judge_bounds(run: RunData) -> dict[str, Any]:
+    """Whether the true error stayed inside the funnel at every tick."""
+    usage = bound_usage(run)
+    if not len(usage):
+        return {"kept": False, "violation_fraction": None, "first_violation_s": None,
+                "margin_min": None}  # fmt: skip
+    outside = (usage >= 1.0).any(axis=1)
+    first = float(run.times_s(topics.PLANT_TRUTH)[np.argmax(outside)]) if outside.any() else None
+    return {
+        "kept": not outside.any(),
+        "violation_fraction": float(outside.mean()),
+        "first_violation_s": first,
+        "margin_min": float(1.0 - usage.max()),
+    }
+
+
+def percentiles_us(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
+    """Exact percentiles of all values, in µs; null where there are none."""
+    if not values_ns.size:
+        return dict.fromkeys(PERCENTILES)
+    return {
+        name: float(np.quantile(values_ns, q, method="inverted_cdf")) * 1e-3
+        for name, q in PERCENTILES.items()
+    }
+
+
+def _tracking(run: RunData) -> dict[str, Any]:
+    errors, times_s = run.true_errors_rad, run.times_s(topics.PLANT_TRUTH)
+    judged = errors[times_s >= run.setup.scenario.metrics.from_s]
+    return {
+        "joint_names": list(run.setup.robot.joint_names),
+        "rms_rad": np.sqrt((judged**2).mean(axis=0)).tolist() if len(judged) else None,
+        "max_abs_rad": np.abs(judged).max(axis=0).tolist() if len(judged) else None,
+        "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
+        "settling_bound_s": settling_bound_s(run.setup),
+    }
+
+
+def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[float | None]:
+    """When each joint's error last entered ±band to stay; null if it never did."""
+    settled: list[float | None] = []
+    for error, band in zip(errors.T, band_rad, strict=True):
+        outside = np.flatnonzero(np.abs(error) > band)
+        if not outside.size:
+            settled.append(float(times_s[0]) if len(times_s) else None)
+        elif outside[-1] + 1 < len(times_s):
+            settled.append(float(times_s[outside[-1] + 1]))
+        else:
+            settled.append(None)
+    return settled
+
+
+def _torque(run: RunData) -> dict[str, Any]:
+    commands = run.tables[topics.JOINT_COMMANDS.name]
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    effort = commands["effort"]
+    duration_s = np.ptp(stamps_s(commands)) if len(commands) else 0.0  # answers may be out of order
+    if not duration_s:
+        return dict.fromkeys(
+            ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm",
+             "saturated_fraction")
+        )  # fmt: skip
+    variation = np.abs(np.diff(effort, axis=0)).sum(axis=0) / duration_s
+    return {
+        "total_variation_nm_per_s": variation.tolist(),
+        "share_above_50_hz": chatter_shares(effort, run.setup.scenario.rate_hz),
+        "rms_nm": np.sqrt((effort**2).mean(axis=0)).tolist(),
+        "peak_nm": np.abs(effort).max(axis=0).tolist(),
+        "saturated_fraction": float(truth["saturated"].mean()) if len(truth) else None,
+    }
+
+
+def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]:
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    missed = truth["deadline_met"] == 0
+    misses = int(missed.sum())
+
+    def known(values: NDArray[np.int64]) -> NDArray[np.int64]:
+        return values[values >= 0]
+
+    return {
+        "round_trip_us": percentiles_us(known(truth["round_trip_ns"])),
+        "command_age_us": percentiles_us(known(truth["command_age_ns"])),
+        "state_age_us": percentiles_us(known(truth["state_age_ns"])),
+        "control_step_us": percentiles_us(run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"]),
+        "wakeup_lateness_us": percentiles_us(known(truth["timing.lateness_ns"])),
+        "deadline_misses": misses,
+        "deadline_miss_longest_run": _longest_run(missed),
+        "success_rate": 1.0 - misses / ticks if ticks else None,
+        "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
+    }
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+
+
+def _limits(run: RunData) -> dict[str, Any]:
+    """How often each side met each limit: the controller by torques, the plant by ticks."""
+    plant = run.last_event(Role.PLANT, EventKind.COUNTS)
+    controller = run.last_event(Role.CONTROLLER, EventKind.ENDED)
+    return {
+        "controller": controller.values().get("limits") if controller is not None else None,
+        "plant": plant.values().get("limits") if plant is not None else None,
+    }
+
+
+def _transport(run: RunData) -> dict[str, Any]:
+    event = run.last_event(Role.PLANT, EventKind.COUNTS)
+    counts = event.values() if event is not None else {}
+    unknown: dict[str, Any] = {
+        **dict.fromkeys(_CHANNEL), "rejected": {},
+        "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),
+        "loss_burst": dict.fromkeys(("mean", "longest")),
+    }  # fmt: skip
+    channels = {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
+    return channels | ({"can": counts["can"]} if "can" in counts else {})

@@ -1,0 +1,92 @@
+"""Replay: a recorded run's delivered states fed to the law again, torques compared bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus_schema.can.codec import as_delivered, build_codec
+from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.recording.mcap_log import LogContents
+from bus_schema.runtime.clock import VirtualClock
+from controller.control_loop import ControlLoop
+from deploy.runs.run_data import digest
+from deploy.scenario.faults import process_faults
+from deploy.scenario.scenario import Setup
+
+_STAMP = slice(4, 12)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """How a replay compares with its recording.
+
+    Attributes:
+        recorded: commands in the recording.
+        replayed: commands that the law gave now.
+        first_difference: index of the first command that differs; None if none does.
+        digest: digest of the replay.
+        recorded_digest: digest of the recording.
+    """
+
+    recorded: int
+    replayed: int
+    first_difference: int | None
+    digest: str
+    recorded_digest: str
+
+    @property
+    def is_identical(self) -> bool:
+        return self.first_difference is None and self.digest == self.recorded_digest
+
+
+def replay(setup: Setup, contents: LogContents) -> Replay:
+    """Feed the recorded joint states to a fresh law.
+
+    Args:
+        setup: the recorded scenario.
+        contents: the recording; a partial one, or one of a run whose controller was struck, is
+            compared as far as it goes.
+    """
+    states = contents.payloads[topics.JOINT_STATES.name]
+    recorded = contents.payloads[topics.JOINT_COMMANDS.name]
+    # States and plant statuses belong together by their stamps, which stand at the same place.
+    statuses = {status[_STAMP]: status for status in contents.payloads[topics.PLANT_STATUS.name]}
+    bus = InProcessBus(VirtualClock())
+    loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
+    loop.warm_up()
+    for state in states:
+        try:
+            loop.cycle(state, statuses.get(state[_STAMP]))
+        except Exception:  # noqa: BLE001 (a law that failed in the recording fails again)
+            break
+    replayed = [command.payload for command in bus.commands]
+    if setup.scenario.link.kind == "can":
+        replayed = _as_delivered(setup, replayed)
+    if not contents.complete or process_faults(setup.scenario.faults):
+        whole = min(len(recorded), len(replayed))
+        recorded, replayed = recorded[:whole], replayed[:whole]
+    pairs = zip(recorded, replayed, strict=False)
+    differing = (index for index, (a, b) in enumerate(pairs) if a != b)
+    shorter = min(len(recorded), len(replayed))
+    first = next(differing, None if len(recorded) == len(replayed) else shorter)
+    return Replay(
+        recorded=len(recorded),
+        replayed=len(replayed),
+        first_difference=first,
+        digest=digest(states, replayed),
+        recorded_digest=digest(states, recorded),
+    )
+
+
+def _as_delivered(setup: Setup, commands: list[bytes]) -> list[bytes]:
+    """Commands as the drives of a CAN bus get them: torques rounded for the wire."""
+    codec = build_codec(setup.scenario.link.can, setup.robot)
+    layout = topics.layout(topics.JOINT_COMMANDS, setup.robot.joint_names)
+    command, delivered = Record(layout), []
+    for payload in commands:
+        layout.decode(payload, command)
+        command.fields["effort"][:] = as_delivered(codec, command.fields["effort"])
+        delivered.append(command.payload())
+    return delivered

@@ -1,0 +1,133 @@
+"""The data of one run, from a recording or straight from memory, as tables."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.errors import InvalidMessageError
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role, Topic
+from controller.reference import sample_positions
+from deploy.scenario.scenario import Setup
+
+Table = NDArray[np.void]
+"""Messages of one topic, one row each; fields by dotted name (``header.stamp.sec``)."""
+
+
+@dataclass(frozen=True)
+class RunData:
+    """One run.
+
+    Attributes:
+        setup: the scenario it was a run of.
+        clock: ``realtime``, ``lockstep`` or ``virtual`` (in one process).
+        link: kind of link.
+        tables: messages by topic name; every fixed-size topic has one, perhaps without rows.
+        events: run events in order.
+        digest: SHA-256 over the delivered joint states and the commands, in order.
+        messages: number of recorded messages.
+        lost: messages that the recorder knows it missed, by topic; None if nobody counted them to
+            the end.
+        complete: the recording was finished properly.
+    """
+
+    setup: Setup
+    clock: str
+    link: str
+    tables: Mapping[str, Table]
+    events: Sequence[RunEvent]
+    digest: str
+    messages: int
+    lost: Mapping[str, int] | None
+    complete: bool
+
+    def times_s(self, topic: Topic) -> Vector:
+        """Stamps of a topic's messages, shape (messages,)."""
+        return stamps_s(self.tables[topic.name])
+
+    @cached_property
+    def true_errors_rad(self) -> Matrix:
+        """True joint errors at every tick, shape (ticks, joints)."""
+        truth = self.tables[topics.PLANT_TRUTH.name]
+        joints = self.setup.robot.joints
+        wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
+        return np.asarray(truth["position"] - wanted)
+
+    def last_event(self, role: Role, kind: EventKind) -> RunEvent | None:
+        """The last event of a kind that one of the processes told of."""
+        found = [e for e in self.events if e.kind == kind and e.source == role]
+        return found[-1] if found else None
+
+    def faults(self) -> list[str]:
+        """All faults, a sentence each."""
+        return [
+            f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
+            for event in self.events
+            if event.kind == EventKind.FAULT
+        ]
+
+
+def stamps_s(table: Table) -> Vector:
+    """Header stamps in seconds."""
+    return table["header.stamp.sec"] + 1e-9 * table["header.stamp.nanosec"]
+
+
+def digest(states: Sequence[bytes], commands: Sequence[bytes]) -> str:
+    """SHA-256 over delivered joint states, then commands, each in order, as wire bytes."""
+    hasher = hashlib.sha256()
+    for payload in (*states, *commands):
+        hasher.update(payload)
+    return hasher.hexdigest()
+
+
+def tabulate(
+    payloads: Mapping[str, Sequence[bytes]], joint_names: tuple[str, ...]
+) -> tuple[dict[str, Table], list[RunEvent]]:
+    """Tables of all fixed-size topics, and the events; unusable messages are left out."""
+    tables = {
+        topic.name: topics.layout(topic, joint_names).tabulate(payloads.get(topic.name, ()))
+        for topic in topics.TOPICS
+        if topic is not topics.RUN_EVENTS
+    }
+    events = []
+    for payload in payloads.get(topics.RUN_EVENTS.name, ()):
+        try:
+            events.append(RunEvent.decode(payload))
+        except InvalidMessageError:
+            continue
+    return tables, events
+
+
+def build_run_data(
+    setup: Setup,
+    payloads: Mapping[str, Sequence[bytes]],
+    *,
+    clock: str,
+    link: str,
+    lost: Mapping[str, int] | None = MappingProxyType({}),
+    complete: bool = True,
+) -> RunData:
+    """The data of a run from its messages by topic name."""
+    tables, events = tabulate(payloads, setup.robot.joint_names)
+    return RunData(
+        setup=setup,
+        clock=clock,
+        link=link,
+        tables=tables,
+        events=events,
+        digest=digest(
+            payloads.get(topics.JOINT_STATES.name, ()), payloads.get(topics.JOINT_COMMANDS.name, ())
+        ),
+        messages=sum(len(messages) for messages in payloads.values()),
+        lost=lost,
+        complete=complete,
+    )

@@ -1,0 +1,98 @@
+"""Runs as rows of a table: what experiments over several runs leave as a Parquet file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bus_schema.recording.atomic_files import complete, partial_path
+
+_COLUMNS = {
+    "scenario": "string",
+    "law": "string",
+    "seed": "int64",
+    "duration_s": "double",
+    "ticks": "int64",
+    "completed": "bool",
+    "error": "string",
+    "bounds_kept": "bool",
+    "violation_fraction": "double",
+    "first_violation_s": "double",
+    "margin_min": "double",
+    "joint_names": "list<string>",
+    "rms_rad": "list<double>",
+    "max_abs_rad": "list<double>",
+    "settling_time_s": "list<double>",
+    "settling_bound_s": "list<double>",
+    "total_variation_nm_per_s": "list<double>",
+    "share_above_50_hz": "list<double>",
+    "rms_nm": "list<double>",
+    "peak_nm": "list<double>",
+    "saturated_fraction": "double",
+    "deadline_misses": "int64",
+    "digest": "string",
+}
+"""Names and types, units as in ``summary.json``; lists have one entry for each joint."""
+
+Row = dict[str, Any]
+
+
+def row(summary: dict[str, Any], seed: int) -> Row:
+    """A run as a row; `error` holds its faults, null for none.
+
+    Args:
+        summary: the run's ``summary.json``.
+        seed: the scenario's seed.
+    """
+    bounds, tracking, torque = (summary[name] for name in ("bounds", "tracking", "torque"))
+    values = {**bounds, **tracking, **torque, "bounds_kept": bounds["kept"]}
+    values |= {name: summary[name] for name in ("scenario", "law", "duration_s", "ticks")}
+    values |= {name: summary[name] for name in ("completed", "digest")}
+    values["seed"] = seed
+    values["error"] = "; ".join(summary["faults"]) or None
+    values["deadline_misses"] = summary["timing"]["deadline_misses"]
+    bound = tracking["settling_bound_s"]
+    if bound is not None and not isinstance(bound, list):
+        values["settling_bound_s"] = [bound] * len(tracking["joint_names"])
+    return {name: values[name] for name in _COLUMNS}
+
+
+def failed_row(seed: int, error: str) -> Row:
+    """The row of a run that left nothing to judge."""
+    return dict.fromkeys(_COLUMNS) | {"seed": seed, "completed": False, "error": error}
+
+
+def write_rows(
+    rows: Sequence[Row], path: Path, more_columns: Mapping[str, str] | None = None
+) -> None:
+    """Write rows to a Parquet file; an existing one is replaced as a whole or not at all.
+
+    Args:
+        rows: what to write.
+        path: the file.
+        more_columns: names and types of columns in front of those that every run has.
+    """
+    import pyarrow as pa  # heavy, and needed by few commands
+    from pyarrow import parquet
+
+    kinds = {
+        "string": pa.string(),
+        "int64": pa.int64(),
+        "double": pa.float64(),
+        "bool": pa.bool_(),
+        "list<string>": pa.list_(pa.string()),
+        "list<double>": pa.list_(pa.float64()),
+    }
+    columns = {**(more_columns or {}), **_COLUMNS}
+    schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
+    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+    complete(path)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a Parquet file."""
+    from pyarrow import parquet
+
+    rows: list[Row] = parquet.read_table(path).to_pylist()
+    return rows

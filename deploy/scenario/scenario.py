@@ -1,0 +1,306 @@
+"""Scenarios: the one description that controller, plant, recorder and judge all read.
+
+A scenario is a YAML file. Everything that can be wrong with it is found here, before any process
+starts, and told with file, key, value and what is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.can_run import CanRun
+from bus_schema.configuration import (
+    ConfigurationError,
+    NonNegative,
+    PerJoint,
+    StrictModel,
+    expand,
+)
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.robot_description import RobotDescription, load_robot
+from bus_schema.runtime.clock import TickGrid
+from controller.configuration import (
+    ControllerConfiguration,
+    FunnelConfiguration,
+    ReferenceConfiguration,
+)
+from controller.control_loop import ControlTask
+from controller.funnel import Funnel
+from controller.reference import Reference, sample_positions
+from controller.torque_guard import TorqueGuard
+from deploy.scenario.faults import ScheduledFault, check_faults, plant_faults
+from deploy.scenario.link_files import find_delay_files
+from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.yaml_files import ScenarioError, explain, override, read_yaml
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.drives.driven_arm import DrivenArm
+from plant_emulator.faults.faulty_link import Strike
+from plant_emulator.plant_task import PlantTask
+
+SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
+_CHECKED_PER_SECOND = 100
+_MOST_CHECKED = 20_000
+_SIZED_BY = 100
+
+
+class RobotConfiguration(StrictModel):
+    """The arm.
+
+    Attributes:
+        urdf: a path (relative to the scenario file), the name of a shipped robot, or
+            ``pybullet_data:`` with a path inside that package.
+        initial_offset_rad: joint positions at the start, relative to the reference.
+    """
+
+    urdf: str
+    initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
+
+
+class MetricsConfiguration(StrictModel):
+    """The judge.
+
+    Attributes:
+        from_s: start of the time over which tracking errors are summed up.
+    """
+
+    from_s: NonNegative = 2.0
+
+
+class Scenario(StrictModel):
+    """A whole experiment."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    duration_s: Annotated[float, Field(gt=0, le=86_400)]
+    rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
+    clock: Literal["realtime", "lockstep"] = "realtime"
+    seed: Annotated[int, Field(ge=0)] = 0
+    robot: RobotConfiguration
+    reference: ReferenceConfiguration
+    funnel: FunnelConfiguration = FunnelConfiguration()
+    controller: ControllerConfiguration = ControllerConfiguration()
+    link: LinkConfiguration = LinkConfiguration()
+    plant: PlantConfiguration = PlantConfiguration()
+    limits: LimitsConfiguration = LimitsConfiguration()
+    metrics: MetricsConfiguration = MetricsConfiguration()
+    faults: tuple[ScheduledFault, ...] = ()
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scenario with everything its values refer to, checked against each other.
+
+    Attributes:
+        source: the scenario file.
+        funnel: the bounds that laws and judge share.
+        gains: gains in use, expanded to the robot's joints.
+        start_position_rad: joint positions at the start, shape (joints,).
+    """
+
+    scenario: Scenario
+    source: Path
+    robot: RobotDescription
+    reference: Reference
+    funnel: Funnel
+    gains: Any
+    start_position_rad: Vector
+    grid: TickGrid
+
+    @property
+    def ticks(self) -> int:
+        return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
+
+    def control_task(self) -> ControlTask:
+        """A fresh task for a controller."""
+        controller = self.scenario.controller
+        own_rates = controller.torque_rate_limits(self.robot.joints)
+        limits = self.scenario.limits.of_controller(self.robot, own_rates)
+        return ControlTask(
+            robot=self.robot,
+            reference=self.reference,
+            funnel=self.funnel,
+            law=controller.build_law(self.gains, self.robot),
+            guard=TorqueGuard(controller.law, limits),
+            compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
+        )
+
+    def plant_task(self, *, lockstep: bool, strikes: tuple[Strike, ...] = ()) -> PlantTask:
+        """The task of a plant.
+
+        Args:
+            lockstep: wait for the reply to every state that is delivered.
+            strikes: what is done to processes on the plant's clock.
+        """
+        return PlantTask(
+            robot=self.robot,
+            plant=self.scenario.plant,
+            link=self.scenario.link,
+            grid=self.grid,
+            ticks=self.ticks,
+            lockstep=lockstep,
+            seed=self.scenario.seed,
+            faults=plant_faults(self.scenario.faults),
+            strikes=strikes,
+        )
+
+    def can_run(self, *, lockstep: bool) -> CanRun:
+        """What both sides of a run over CAN must know of it."""
+        link, names = self.scenario.link, self.robot.joint_names
+        return CanRun(names, link, self.grid, self.ticks, lockstep=lockstep)
+
+    def arm(self) -> ArmPlant:
+        """A fresh arm at its start; over CAN one that waits for its drives."""
+        kind = DrivenArm if self.scenario.link.kind == "can" else ArmPlant
+        return kind(
+            self.scenario.plant,
+            self.robot,
+            self.start_position_rad,
+            self.grid,
+            self.scenario.seed,
+            self.scenario.limits,
+            plant_faults(self.scenario.faults),
+        )
+
+
+def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
+    """Load, override and check a scenario.
+
+    Args:
+        name_or_path: a scenario file, or the name of a shipped scenario.
+        overrides: ``dotted.key=value``; values are YAML.
+
+    Raises:
+        ScenarioError: anything about it is wrong.
+    """
+    path = find_scenario(name_or_path)
+    values = _read_scenario(path)
+    for text in overrides:
+        override(values, text)
+    try:
+        scenario = Scenario.model_validate(values)
+    except ValidationError as error:
+        raise ScenarioError(explain(error, path)) from error
+    return check(scenario, path)
+
+
+def _read_scenario(path: Path) -> dict[str, Any]:
+    """The values of a scenario; one that ``extends`` another says only what is different."""
+    values = read_yaml(path)
+    base = values.pop("extends", None)
+    if base is None:
+        return values
+    if not isinstance(base, str):
+        raise ScenarioError(f"{path}: extends = {base!r}: must be the name or path of a scenario")
+    base_values = read_yaml(find_scenario(base))
+    if "extends" in base_values:
+        raise ScenarioError(f"{path}: extends = {base!r}: must be a scenario that extends no other")
+    return _merged(base_values, values)
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
+
+
+def check(scenario: Scenario, source: Path) -> Setup:
+    """Check a scenario against the files and the robot it refers to.
+
+    Raises:
+        ScenarioError: something does not fit.
+    """
+    try:
+        return _check(scenario, source)
+    except RobotDescriptionError as error:
+        key = f"robot.urdf = {scenario.robot.urdf!r}"
+        raise ScenarioError(f"{source}: {key}: {error}") from error
+    except ConfigurationError as error:
+        raise ScenarioError(f"{source}: {error}") from error
+
+
+def find_scenario(name_or_path: str) -> Path:
+    """The file of a scenario.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path.resolve()
+    shipped = SHIPPED / f"{name_or_path}.yaml"
+    if shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
+    raise ScenarioError(f"{name_or_path}: no such file, nor one of the shipped scenarios {names}")
+
+
+def _check(scenario: Scenario, source: Path) -> Setup:
+    robot = load_robot(find_urdf(scenario.robot.urdf, source.parent))
+    reference = scenario.reference.build(robot)
+    grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
+    if scenario.duration_s * 1e9 < grid.period_ns:
+        allowed = f"at least a tick, {grid.period_ns * 1e-9} s"
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed)
+    key = "robot.initial_offset_rad"
+    offset = expand(scenario.robot.initial_offset_rad, robot.joints, key)
+    motion = _reachable_motion(reference, robot, scenario)
+    start = sample_positions(reference, np.zeros(1), robot.joints)[0] + offset
+    if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
+        allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
+        raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
+    check_faults(
+        scenario.faults, robot.joint_names, scenario.duration_s, scenario.plant.payload_kg,
+        scenario.link.kind,
+    )  # fmt: skip
+    link = find_delay_files(scenario.link, source.parent)
+    setup = Setup(
+        scenario=scenario.model_copy(update={"link": link}),
+        source=source,
+        robot=robot,
+        reference=reference,
+        funnel=scenario.funnel.build(offset),
+        gains=scenario.controller.build_gains(robot, motion[:: -(-len(motion) // _SIZED_BY)]),
+        start_position_rad=start,
+        grid=grid,
+    )
+    setup.control_task()
+    if scenario.link.kind == "can":
+        from deploy.scenario.can_check import check_can_link  # imports what only CAN needs
+
+        check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
+    ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
+    return setup
+
+
+def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: Scenario) -> Matrix:
+    """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
+    samples = min(round(scenario.duration_s * _CHECKED_PER_SECOND), _MOST_CHECKED) + 1
+    times = np.linspace(0.0, scenario.duration_s, samples)
+    positions = sample_positions(reference, times, robot.joints)
+    outside = ~((positions >= robot.lower_rad) & (positions <= robot.upper_rad)).all(axis=1)
+    if outside.any():
+        first = int(np.argmax(outside))
+        what = np.round(positions[first], 4).tolist()
+        raise ConfigurationError(
+            "reference",
+            f"{what} at {times[first]:g} s",
+            f"must stay within the arm's reach and joint limits {_ranges(robot)}",
+        )
+    return positions
+
+
+def _ranges(robot: RobotDescription) -> str:
+    ends = zip(robot.lower_rad, robot.upper_rad, strict=True)
+    return ", ".join(f"[{lower:.4g}, {upper:.4g}]" for lower, upper in ends)

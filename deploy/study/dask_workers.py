@@ -1,0 +1,154 @@
+"""Dask as the workers of studies: processes of this machine's own, or a cluster that exists."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import queue
+from collections import deque
+from types import TracebackType
+
+import dask
+from distributed import Client, Future, LocalCluster, rpc
+from distributed.scheduler import KilledWorker
+
+from deploy.runs.run_rows import Row, failed_row
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.study import Run, execute, labelled
+
+_ANSWER_S = 3.0
+_WORKERS_S = 5.0
+_FIRST_TASK_S = 30.0
+_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Dask's own profiler and its watch over its event loop interrupt a run hundreds of times."""
+
+
+class ClusterLostError(Exception):
+    """The scheduler has gone away in the middle of a study."""
+
+
+class DaskWorkers:
+    """Processes that do runs.
+
+    A worker that dies costs no row, as its runs are given to others. Runs whose workers die again
+    and again are tried once more, alone, as any of those that a worker has at a time may be the
+    cause; one that takes its workers with it even then becomes a row with an error.
+
+    Args:
+        workers: processes to start on this machine; as many as it has cores by default.
+        scheduler: address of a scheduler to use instead.
+
+    Raises:
+        ScenarioError: the scheduler does not answer, or its workers cannot do runs.
+    """
+
+    def __init__(self, workers: int | None = None, scheduler: str | None = None) -> None:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._finished: queue.SimpleQueue[tuple[Run, Future]] = queue.SimpleQueue()
+        self._in_flight = 0
+        self._suspects: deque[Run] = deque()
+        self._alone: Run | None = None
+        self._cluster: LocalCluster | None = None
+        if scheduler is not None:
+            self._client = _connect(scheduler)
+            return
+        with dask.config.set(_UNWATCHED):
+            self._cluster = LocalCluster(
+                n_workers=workers or len(os.sched_getaffinity(0)),
+                threads_per_worker=1,
+                processes=True,
+                memory_limit=0,
+                dashboard_address=None,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
+                silence_logs=logging.CRITICAL,
+                preload=["deploy.study.dask_worker_setup"],
+            )
+        self._client = Client(self._cluster)
+
+    def __enter__(self) -> DaskWorkers:
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> None:
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+    @property
+    def count(self) -> int:
+        """How many runs they do at a time, as far as is known."""
+        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        return sum(worker["nthreads"] for worker in workers)
+
+    def submit(self, run: Run) -> None:
+        """Have a run done."""
+        self._in_flight += 1
+        future = self._client.submit(execute, run, pure=False)
+        future.add_done_callback(lambda done: self._finished.put((run, done)))
+
+    def finished(self, timeout_s: float) -> tuple[Run, Row] | None:
+        """A run that is done, in any order; None if none was done in time.
+
+        Raises:
+            ClusterLostError: none will ever be.
+        """
+        if not self._in_flight and self._suspects:
+            self._alone = self._suspects.popleft()
+            self.submit(self._alone)
+        try:
+            run, future = self._finished.get(timeout=timeout_s)
+        except queue.Empty:
+            if self._client.status not in ("running", "connecting"):
+                raise ClusterLostError("the Dask scheduler has gone away") from None
+            return None
+        self._in_flight -= 1
+        if future.status == "cancelled":
+            raise ClusterLostError("the Dask scheduler has gone away")
+        error = future.exception()
+        if error is None:
+            return run, future.result()
+        if isinstance(error, KilledWorker) and run is not self._alone:
+            self._suspects.append(run)
+            return None
+        reason = f"{type(error).__name__}: {error}"
+        if isinstance(error, KilledWorker):
+            reason = "ended the process of every worker that tried it"
+        return run, labelled(run, failed_row(run.seed, reason))
+
+
+def _connect(scheduler: str) -> Client:
+    """A client of a scheduler whose workers can do runs."""
+    try:
+        asyncio.run(asyncio.wait_for(_identity(scheduler), _ANSWER_S))
+        client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        reason = str(error) or f"nothing was heard for {_ANSWER_S:g} s"
+        raise ScenarioError(
+            f"--scheduler {scheduler}: must be the address of a Dask scheduler that answers, such"
+            f" as tcp://127.0.0.1:8786: {reason}"
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=_WORKERS_S)
+        client.submit(_can_run, pure=False).result(timeout=_FIRST_TASK_S)
+    except Exception as error:
+        client.close()
+        raise ScenarioError(
+            f"--scheduler {scheduler}: has no worker that can run funnel-hil: {error}"
+        ) from error
+    return client
+
+
+async def _identity(scheduler: str) -> None:
+    """Ask who is there; cheaper to give up than a client."""
+    async with rpc(scheduler) as peer:
+        await peer.identity()
+
+
+def _can_run() -> str:
+    """Where a worker has the code from."""
+    return execute.__module__

@@ -1,0 +1,46 @@
+"""Several runs of one point of a study, summed up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from deploy.runs.run_rows import Row
+
+Spread = dict[str, float | None]
+"""``mean``, ``lowest`` and ``highest``; null where there is nothing."""
+
+
+def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
+    """What runs that differ in seed or start have in common, and how far they lie apart."""
+    return {
+        "runs": len(rows),
+        "runs_kept": sum(held(row) for row in rows),
+        "runs_failed": sum(row["error"] is not None for row in rows),
+        "violation_fraction": spread([row["violation_fraction"] for row in rows]),
+        "margin_min": spread([row["margin_min"] for row in rows]),
+        "worst_rms_rad": spread([worst(row["rms_rad"]) for row in rows]),
+        "worst_total_variation_nm_per_s": spread(
+            [worst(row["total_variation_nm_per_s"]) for row in rows]
+        ),
+    }
+
+
+def held(row: Row) -> bool:
+    """Whether a run came to its end, without a fault and inside its bounds."""
+    return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
+
+
+def worst(values: Sequence[float | None] | None) -> float | None:
+    """The largest of all joints, unless one of them is unknown."""
+    known = [value for value in values or () if value is not None]
+    return max(known) if values and len(known) == len(values) else None
+
+
+def spread(values: Sequence[float | None]) -> Spread:
+    """Mean and extremes of those that are known and finite."""
+    known = [value for value in values if value is not None and math.isfinite(value)]
+    if not known:
+        return {"mean": None, "lowest": None, "highest": None}
+    return {"mean": math.fsum(known) / len(known), "lowest": min(known), "highest": max(known)}

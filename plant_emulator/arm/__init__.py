@@ -1,0 +1,1 @@
+"""The arm: physics, joints' hardware, friction and disturbance."""

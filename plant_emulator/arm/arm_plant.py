@@ -1,0 +1,194 @@
+"""The emulated arm: rigid bodies, actuators, friction, disturbance, brakes and encoders."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import TickGrid
+from bus_schema.runtime.modes import Cue, Mode, follow
+from plant_emulator.arm.bullet_arm import BulletArm
+from plant_emulator.arm.bullet_server import require_loadable
+from plant_emulator.arm.joint_hardware import Encoders
+from plant_emulator.arm.joint_torques import JointTorques
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.fault_configuration import Fault
+from plant_emulator.faults.arm_faults import ArmFaults
+
+
+class ArmPlant:
+    """The arm with all its hardware, advanced one physics substep at a time.
+
+    Args:
+        configuration: section ``plant`` of the scenario.
+        robot: description of the arm.
+        start_position_rad: joint positions at the start, shape (joints,).
+        grid: ticks and physics steps of the run.
+        seed: seed of everything random in the arm.
+        limits: section ``limits`` of the scenario.
+        faults: what breaks, and when.
+
+    Attributes:
+        mode: what the arm does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
+        stops_at: limits at which the arm has to be stopped safely.
+        torques: torques of the last substep.
+        position: true joint positions, rad, shape (joints,).
+        velocity: true joint velocities, rad/s, shape (joints,).
+        motion: both as rows, shape (2, joints).
+    """
+
+    def __init__(
+        self,
+        configuration: PlantConfiguration,
+        robot: RobotDescription,
+        start_position_rad: Vector,
+        grid: TickGrid,
+        seed: int,
+        limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        self._safe_stop = configuration.safe_stop
+        self.stops_at = limits.stops_at
+        randoms = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)]
+        self._stop_damping, self.torques, self._encoders = _joint_hardware(
+            configuration, robot, grid, limits, *randoms[:2]
+        )
+        self._faults = ArmFaults(faults, robot.joint_names, randoms[2]) if faults else None
+        # Without faults, what is commanded is what the actuators are asked for.
+        self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
+        self._commanded_memory = self._commanded.data  # written to in a third of the array's time
+        self._grid = grid
+        self._arm = BulletArm(
+            robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
+        )
+        self._arm.place(start_position_rad)
+        self.position: Vector = self._arm.position
+        self.velocity: Vector = self._arm.velocity
+        self.motion: Matrix = self._arm.motion
+        self.attach_encoders(np.zeros_like(self.motion))
+        self._set_brakes(engaged=True)
+        self.mode = Mode.IDLE
+
+    @staticmethod
+    def check(
+        configuration: PlantConfiguration,
+        robot: RobotDescription,
+        grid: TickGrid,
+        limits: LimitsConfiguration,
+    ) -> None:
+        """Check that such an arm can be made.
+
+        Raises:
+            ConfigurationError: a value does not fit the arm.
+            RobotDescriptionError: pybullet cannot load the arm.
+        """
+        if configuration.gui and not os.environ.get("DISPLAY"):
+            raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
+        _joint_hardware(configuration, robot, grid, limits, *[np.random.default_rng()] * 2)
+        require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg))
+
+    def attach_encoders(self, seen: Matrix) -> None:
+        """Have what a controller gets to see of the motion written here, shape (2, joints)."""
+        self._seen, self._show = seen, self._encoders.onto(self.motion, seen)
+
+    def read_encoders(self, now_ns: int = 0) -> None:
+        """Write what is to be seen at `now_ns`."""
+        self._show()
+        if self._faults is not None:
+            self._faults.sense(self._seen, now_ns)
+
+    def begin(self) -> None:
+        """Take part in a run: the brakes hold until the first torque."""
+        self.mode = follow(self.mode, Cue.BEGIN)
+
+    def command(self, torque_nm: Vector) -> None:
+        """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
+        if self.mode is Mode.READY:
+            self._set_brakes(engaged=False)
+            self.mode = follow(self.mode, Cue.COMMAND)
+        if self.mode is Mode.TRACKING:
+            self._commanded_memory[:] = torque_nm.data
+
+    def hold(self, joints: NDArray[np.bool_]) -> None:
+        """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
+        held = self.torques.held
+        if not np.array_equal(joints, held):
+            held[:] = joints
+            if not self._is_braked:
+                self._arm.hold(held.tolist())
+
+    def stop(self) -> None:
+        """Begin the configured safe stop. There is no way back."""
+        self.mode = follow(self.mode, Cue.FAIL)
+        self._commanded[:] = 0.0
+        if self._safe_stop == "brake":
+            self._set_brakes(engaged=True)
+
+    def brake(self) -> None:
+        """Engage the brakes for good: the run is over."""
+        self.mode = follow(self.mode, Cue.STOPPED if self.mode is Mode.STOPPING else Cue.END)
+        self._commanded[:] = 0.0
+        self._set_brakes(engaged=True)
+
+    def advance(self, first: int, end: int) -> None:
+        """Advance by substeps under the command in force.
+
+        Args:
+            first: number of the first substep in the run.
+            end: number of the first one that is not to come yet.
+        """
+        is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
+        if self._faults is None and not is_damped:
+            self._go(first, end)
+            return
+        for number in range(first, end):
+            if is_damped:
+                np.multiply(self._stop_damping, self.velocity, out=self._commanded)
+                np.negative(self._commanded, out=self._commanded)
+            if self._faults is not None:
+                self._suffer(self._faults, self._grid.substep_ns(number))
+            self._go(number, number + 1)
+
+    def close(self) -> None:
+        """Free the physics server."""
+        self._arm.close()
+
+    def _suffer(self, faults: ArmFaults, now_ns: int) -> None:
+        """Let the faults come between what is commanded and what the actuators are asked for."""
+        if faults.payload_falls(now_ns):
+            self._arm.drop_payload()
+        faults.ask(self._commanded, now_ns, self.torques.asked)
+
+    def _go(self, first: int, end: int) -> None:
+        if self._is_braked:
+            self.torques.rest()
+            self._arm.coast(end - first)
+        else:
+            self._arm.advance(first, end)
+
+    def _set_brakes(self, *, engaged: bool) -> None:
+        self._arm.set_brakes(engaged=engaged)
+        if not engaged and self.torques.held.any():
+            self._arm.hold(self.torques.held.tolist())
+        self._is_braked = engaged
+
+
+def _joint_hardware(
+    configuration: PlantConfiguration,
+    robot: RobotDescription,
+    grid: TickGrid,
+    limits: LimitsConfiguration,
+    disturbance_random: np.random.Generator,
+    encoder_random: np.random.Generator,
+) -> tuple[Vector, JointTorques, Encoders]:
+    """Damping of a safe stop (N m s, shape (joints,)), torques and encoders."""
+    damping = expand(configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
+    torques = JointTorques(configuration, robot, grid.substep_s, disturbance_random, limits)
+    return damping, torques, Encoders(configuration.encoder, robot.joints, encoder_random)

@@ -1,0 +1,98 @@
+"""External torques on the joints: a sum of terms, each a function of time alone.
+
+Every kind of term reduces to windowed sinusoids, amplitude × sin(frequency t + phase) from a start
+to an end, so that one small table serves all of them. Band-limited noise is a sum of sinusoids of
+random frequency and phase (Shinozuka and Deodatis, 1991): it needs no state, so it is the same
+whatever instants it is asked for.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import ConfigurationError
+from bus_schema.runtime.compiled import compiled
+from plant_emulator.configuration import (
+    ConstantTerm,
+    DisturbanceConfiguration,
+    DisturbanceTerm,
+    NoiseTerm,
+    PulseTerm,
+    SineTerm,
+    StepTerm,
+)
+
+NOISE_COMPONENTS = 48
+_QUARTER_TURN = 0.5 * math.pi
+
+Row = tuple[float, float, float, float, float, float]
+
+
+def disturbance_table(
+    configuration: DisturbanceConfiguration,
+    joint_names: tuple[str, ...],
+    random: np.random.Generator,
+) -> Matrix:
+    """All terms as rows of joint, amplitude (N m), frequency (rad/s), phase, start, end (s).
+
+    Raises:
+        ConfigurationError: a term names a joint that the arm has not, or a band upside down.
+    """
+    rows: list[Row] = []
+    for index, term in enumerate(configuration.terms if configuration.enabled else []):
+        if term.joint != "all" and term.joint not in joint_names:
+            raise ConfigurationError(
+                f"plant.disturbance.terms.{index}.joint",
+                term.joint,
+                f"all, or one of {', '.join(joint_names)}",
+            )
+        if isinstance(term, NoiseTerm) and term.highest_hz <= term.lowest_hz:
+            key = f"plant.disturbance.terms.{index}.highest_hz"
+            raise ConfigurationError(key, term.highest_hz, f"above lowest_hz = {term.lowest_hz}")
+        for joint, name in enumerate(joint_names):
+            if term.joint in ("all", name):
+                rows.extend((float(joint), *wave) for wave in _waves(term, random))
+    return np.array(rows, dtype=np.float64).reshape(-1, 6)
+
+
+@compiled
+def add_disturbance(time_s: float, table: Matrix, out: Vector) -> None:
+    """Write the torque of all terms at `time_s` into `out`, shape (joints,), N m."""
+    out[:] = 0.0
+    for row in range(table.shape[0]):
+        if table[row, 4] <= time_s < table[row, 5]:
+            angle = table[row, 2] * time_s + table[row, 3]
+            out[int(table[row, 0])] += table[row, 1] * math.sin(angle)
+
+
+def _waves(
+    term: DisturbanceTerm, random: np.random.Generator
+) -> list[tuple[float, float, float, float, float]]:
+    match term:
+        case ConstantTerm():
+            return [(term.torque_nm, 0.0, _QUARTER_TURN, 0.0, math.inf)]
+        case SineTerm():
+            return [(term.amplitude_nm, term.frequency_rad_s, term.phase_rad, 0.0, math.inf)]
+        case StepTerm():
+            return [(term.torque_nm, 0.0, _QUARTER_TURN, term.start_s, math.inf)]
+        case PulseTerm():
+            end_s = term.start_s + term.duration_s
+            return [(term.torque_nm, 0.0, _QUARTER_TURN, term.start_s, end_s)]
+        case NoiseTerm():
+            return _noise(term, random)
+
+
+def _noise(
+    term: NoiseTerm, random: np.random.Generator
+) -> list[tuple[float, float, float, float, float]]:
+    edges = np.linspace(term.lowest_hz, term.highest_hz, NOISE_COMPONENTS + 1)
+    frequencies = 2.0 * math.pi * random.uniform(edges[:-1], edges[1:])
+    phases = random.uniform(0.0, 2.0 * math.pi, NOISE_COMPONENTS)
+    amplitude = term.rms_nm * math.sqrt(2.0 / NOISE_COMPONENTS)
+    return [
+        (amplitude, float(frequency), float(phase), 0.0, math.inf)
+        for frequency, phase in zip(frequencies, phases, strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""What the emulated link does to messages."""

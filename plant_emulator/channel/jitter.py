@@ -1,0 +1,142 @@
+"""What jitter adds to delays: distributions, with correlation from one message to the next.
+
+Draws come from a Gaussian copula: a first-order autoregressive sequence of standard normal numbers
+z, each put through the distribution's quantile function at Φ(z). So the distribution is kept
+whatever the correlation, which is more than netem's mix of the last draw and a new one can say. The
+sequence's own correlation is chosen such that the correlation of the *draws* is the one asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.link.channel_configuration import ChannelConfiguration
+from plant_emulator.channel.random_numbers import normal_numbers
+
+Quantile = Callable[[float], float]
+"""A distribution's quantile function at Φ(z)."""
+
+_PARETO_SHAPE = 3.0
+_PARETO_MEAN = 1.5
+_PARETO_DEVIATION = math.sqrt(0.75)
+_HERMITE_TERMS = 60
+_Z = np.linspace(-12.0, 12.0, 4801)
+_WEIGHTS = np.exp(-0.5 * _Z**2) / np.exp(-0.5 * _Z**2).sum()
+
+
+def read_delays_ms(path: Path) -> Vector:
+    """Delays from a text file: one per line, or the first column; shape (delays,), ascending.
+
+    Empty lines and what follows a ``#`` do not count, nor does a first line of titles. Columns
+    are separated by commas, semicolons or blanks.
+
+    Raises:
+        ValueError: there is no such file, or it holds something else.
+    """
+    try:
+        lines = path.read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    delays: list[float] = []
+    for number, line in enumerate(lines, start=1):
+        cells = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
+        try:
+            delays += [float(cell) for cell in cells[:1]]
+        except ValueError:
+            if number > 1:
+                raise ValueError(f"{path}, line {number}: {cells[0]!r} is no number") from None
+            continue
+        if delays and not 0.0 <= delays[-1] < math.inf:
+            raise ValueError(f"{path}, line {number}: a delay is at least 0 and finite")
+    if not delays:
+        raise ValueError(f"{path} holds no delay")
+    return np.sort(delays)
+
+
+class Jitter:
+    """A sequence of draws, in units of the channel's jitter (empirical ones: in ms).
+
+    Attributes:
+        mean: of the distribution.
+    """
+
+    def __init__(self, configuration: ChannelConfiguration, random: np.random.Generator) -> None:
+        self._normal = normal_numbers(random)
+        self._z = next(self._normal)
+        self._correlation, self._keep, self._renew = 0.0, 0.0, 1.0
+        self.mean = 0.0
+        match configuration.distribution:
+            case "uniform":
+                self._quantile: Quantile = _uniform
+            case "normal":
+                self._quantile = float
+            case "pareto":
+                self._quantile = _pareto
+            case "empirical":
+                delays_ms = read_delays_ms(Path(configuration.distribution_file or ""))
+                self._quantile = _empirical(delays_ms)
+                self.mean = float(delays_ms.mean())
+
+    def draw(self, correlation: float) -> float:
+        """The next draw, correlated like this with the one before."""
+        if correlation != self._correlation:
+            self._correlation = correlation
+            self._keep = float(np.interp(correlation, *self._copula))
+            self._renew = math.sqrt(1.0 - self._keep**2)
+        self._z = self._keep * self._z + self._renew * next(self._normal)
+        return self._quantile(self._z)
+
+    @cached_property
+    def _copula(self) -> tuple[Vector, Vector]:
+        return copula_correlations(self._quantile)
+
+
+def copula_correlations(quantile: Quantile) -> tuple[Vector, Vector]:
+    """Correlations of draws, ascending from 0 to 1, and those of the normal numbers behind them.
+
+    With g the quantile function at Φ(z), and c_k the coefficients of g in normalised Hermite
+    polynomials, the correlation of g(z_1) and g(z_2) is Σ c_k² ρ^k / Σ c_k², k ≥ 1 (Mehler).
+    """
+    normal = np.linspace(0.0, 1.0, 401)
+    values = np.array([quantile(z) for z in _Z.tolist()])
+    values -= _WEIGHTS @ values
+    variance = rest = float(_WEIGHTS @ values**2)
+    if variance <= 0.0:
+        return normal, normal
+    drawn = np.zeros_like(normal)
+    before, polynomial = np.zeros_like(_Z), np.ones_like(_Z)
+    for k in range(1, _HERMITE_TERMS + 1):
+        following = (_Z * polynomial - math.sqrt(k - 1) * before) / math.sqrt(k)
+        before, polynomial = polynomial, following
+        share = float(_WEIGHTS @ (values * polynomial)) ** 2
+        drawn += share * normal**k
+        rest -= share
+    drawn += max(rest, 0.0) * normal ** (_HERMITE_TERMS + 1)
+    return drawn / drawn[-1], normal
+
+
+def _uniform(z: float) -> float:
+    """Between -1 and 1."""
+    return math.erf(z / math.sqrt(2.0))
+
+
+def _pareto(z: float) -> float:
+    """Shape 3, mean 0, standard deviation 1. netem's table has 1.15 for the latter, cut at 4."""
+    upper_tail = 0.5 * math.erfc(z / math.sqrt(2.0))
+    return (math.pow(upper_tail, -1.0 / _PARETO_SHAPE) - _PARETO_MEAN) / _PARETO_DEVIATION
+
+
+def _empirical(ascending: Vector) -> Quantile:
+    values: list[float] = ascending.tolist()
+    last = len(values) - 1
+
+    def quantile(z: float) -> float:
+        return values[min(int(0.5 * math.erfc(-z / math.sqrt(2.0)) * (last + 1)), last)]
+
+    return quantile

@@ -1,0 +1,143 @@
+"""What a direction of the link is like at an instant, when it changes over a run."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from bus_schema.link.channel_configuration import (
+    ChangeableConditions,
+    ChannelConfiguration,
+    Outage,
+    Ramp,
+    Step,
+)
+from plant_emulator.fault_configuration import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
+
+_LOSSLESS_CHAIN = (0.0, 1.0, 1.0, 0.0)
+_NS_PER_BYTE_AT_1_KBIT_S = 8e6
+
+
+class Conditions(NamedTuple):
+    """The numbers of a channel at an instant.
+
+    Attributes:
+        delay_ns: delay of every message.
+        jitter_ns: scale of what jitter adds.
+        correlation: of what jitter adds to one message and to the next.
+        loss: probability of being lost, independent of others.
+        p: Gilbert–Elliott chain, probability of going from good to bad.
+        r: from bad to good.
+        loss_in_bad: probability of being lost in the bad state.
+        loss_in_good: in the good state.
+        duplicate: probability of coming twice.
+        ns_per_byte: time that a byte takes to pass; 0 without a bandwidth limit.
+    """
+
+    delay_ns: float
+    jitter_ns: float
+    correlation: float
+    loss: float
+    p: float
+    r: float
+    loss_in_bad: float
+    loss_in_good: float
+    duplicate: float
+    ns_per_byte: float
+
+
+class _Change(NamedTuple):
+    start_ns: int
+    end_ns: int
+    target: Conditions
+
+
+class Schedule:
+    """The conditions of a channel over a run.
+
+    Args:
+        configuration: a section ``link.uplink`` or ``link.downlink``.
+        faults: what befalls the channel beside it.
+    """
+
+    def __init__(
+        self, configuration: ChannelConfiguration, faults: Sequence[ChannelFault] = ()
+    ) -> None:
+        self._faults = faults
+        self._settled = target = _initial(configuration)
+        self._changes: deque[_Change] = deque()
+        self._outages: deque[tuple[int, int]] = deque()
+        for entry in configuration.schedule:
+            start_ns = round(entry.at_s * 1e9)
+            if isinstance(entry, Outage):
+                self._outages.append((start_ns, start_ns + round(entry.for_s * 1e9)))
+            else:
+                target = _changed(target, entry)
+                self._changes.append(_Change(start_ns, round(entry.end_s * 1e9), target))
+
+    def at(self, now_ns: int) -> Conditions:
+        """The conditions at `now_ns`, which must not be earlier than asked for before."""
+        while self._changes and self._changes[0].end_ns <= now_ns:
+            self._settled = self._changes.popleft().target
+        conditions = self._settled
+        if self._changes and self._changes[0].start_ns < now_ns:
+            conditions = _between(conditions, self._changes[0], now_ns)
+        while self._outages and self._outages[0][1] <= now_ns:
+            self._outages.popleft()
+        if self._outages and self._outages[0][0] <= now_ns:
+            conditions = conditions._replace(loss=1.0)
+        for fault in self._faults:
+            if fault.is_active(now_ns):
+                conditions = _faulty(conditions, fault)
+        return conditions
+
+
+def _initial(configuration: ChannelConfiguration) -> Conditions:
+    is_empirical = configuration.distribution == "empirical"  # its draws are delays in ms
+    return Conditions(
+        configuration.delay_ms * 1e6,
+        1e6 if is_empirical else configuration.jitter_ms * 1e6,
+        configuration.correlation,
+        configuration.loss,
+        *(configuration.burst_loss.chain if configuration.burst_loss else _LOSSLESS_CHAIN),
+        configuration.duplicate,
+        _ns_per_byte(configuration.rate_kbit_s) if configuration.rate_kbit_s else 0.0,
+    )
+
+
+def _changed(before: Conditions, entry: Step | Ramp) -> Conditions:
+    values = {name: getattr(entry, name) for name in ChangeableConditions.model_fields}
+    given = {name: value for name, value in values.items() if value is not None}
+    changes: dict[str, float] = {}
+    for name, value in given.items():
+        if name in ("delay_ms", "jitter_ms"):
+            changes[name.replace("_ms", "_ns")] = value * 1e6
+        elif name == "rate_kbit_s":
+            changes["ns_per_byte"] = _ns_per_byte(value)
+        elif name == "burst_loss":
+            names = ("p", "r", "loss_in_bad", "loss_in_good")
+            changes |= dict(zip(names, value.chain, strict=True))
+        else:
+            changes[name] = value
+    return before._replace(**changes)
+
+
+def _faulty(conditions: Conditions, fault: ChannelFault) -> Conditions:
+    match fault:
+        case LinkCut():
+            return conditions._replace(loss=1.0)
+        case LinkSlowed():
+            return conditions._replace(delay_ns=conditions.delay_ns + fault.delay_ms * 1e6)
+        case LinkDuplicated():
+            return conditions._replace(duplicate=max(conditions.duplicate, fault.share))
+
+
+def _between(before: Conditions, ramp: _Change, now_ns: int) -> Conditions:
+    share = (now_ns - ramp.start_ns) / (ramp.end_ns - ramp.start_ns)
+    pairs = zip(before, ramp.target, strict=True)
+    return Conditions(*(start + share * (end - start) for start, end in pairs))
+
+
+def _ns_per_byte(rate_kbit_s: float) -> float:
+    return _NS_PER_BYTE_AT_1_KBIT_S / rate_kbit_s

@@ -1,0 +1,103 @@
+"""The plant's side of commands: from the bus, through gate and downlink, into force."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+
+from bus_schema.link.interface import CommandArrival
+from bus_schema.messages.run_event import EventKind
+from bus_schema.runtime.modes import COMMANDABLE, Mode, mode_event
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.channel.channel import Channel
+from plant_emulator.channel.playout import PlayoutBuffer
+from plant_emulator.command_gate import Command, CommandGate
+from plant_emulator.telemetry import PlantJournal
+from plant_emulator.watchdog import Watchdog
+
+
+class CommandSide:
+    """Takes commands in as they arrive, and puts each into force when it takes effect.
+
+    Args:
+        gate: what every command has to pass.
+        downlink: the way of commands to the joints.
+        watchdog: fed with what comes into force.
+        arm: what is commanded.
+        journal: told of each round trip.
+        announce: told of a new commander, and of the arm's release.
+
+    Attributes:
+        downlink: commands on their way.
+        newest_sent_ns: stamp of the newest state that was delivered; -1 before the first.
+        sequence: number of the command in force; 0 before the first.
+        delay_ns: age of the state that the command in force answers, when it came into force; -1
+            before the first.
+    """
+
+    def __init__(
+        self,
+        gate: CommandGate,
+        downlink: Channel[Command] | PlayoutBuffer,
+        watchdog: Watchdog,
+        arm: ArmPlant,
+        journal: PlantJournal,
+        announce: Callable[[EventKind, str], None],
+    ) -> None:
+        self._gate, self.downlink, self._watchdog = gate, downlink, watchdog
+        self._arm, self._journal, self._announce = arm, journal, announce
+        self._unused: Counter[str] = Counter()
+        self._stamp_ns = -1
+        self.newest_sent_ns = -1
+        self.sequence = 0
+        self.delay_ns = -1
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """How many commands changed nothing, by reason."""
+        return self._gate.rejections.counts + self._unused
+
+    def age_ns(self, now_ns: int) -> int:
+        """Age of the state that the command in force answers; -1 before the first."""
+        return now_ns - self._stamp_ns if self._stamp_ns >= 0 else -1
+
+    def take_in(self, arrivals: Iterable[CommandArrival]) -> None:
+        """Send what passes the gate on its way to the joints."""
+        for arrival in arrivals:
+            former = self._gate.commander
+            command = self._gate.admit(arrival, self.newest_sent_ns)
+            if command is not None:
+                if arrival.sender != former:
+                    self._announce(EventKind.COMMANDER, _commander(arrival.sender, former))
+                self.downlink.send(command, arrival.arrival_ns, len(arrival.payload))
+
+    def leave_out(self, arrivals: list[CommandArrival]) -> None:
+        """Count what comes from a controller that is taken for lost: the world has moved on."""
+        self._unused["after_loss"] += len(arrivals)
+
+    def put_into_force(self, now_ns: int) -> None:
+        """Let the newest of the commands that have come through act."""
+        for effective_ns, command in self.downlink.take_due(now_ns):
+            if command.stamp_ns <= self._stamp_ns:
+                self._unused["overtaken"] += 1
+                continue
+            if self._arm.mode not in COMMANDABLE:
+                self._unused["after_stop"] += 1
+                continue
+            self._watchdog.feed(effective_ns)
+            self._journal.round_trip_ns = effective_ns - command.stamp_ns
+            self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
+            self.delay_ns = now_ns - command.stamp_ns
+            is_first = self._arm.mode is Mode.READY
+            self._arm.command(command.torque_nm)
+            if is_first:
+                why = "first valid command, brakes released"
+                self._announce(EventKind.MODE, mode_event(self._arm.mode, why))
+
+
+def _commander(sender: bytes, former: bytes | None) -> str:
+    """Who commands from now on, in words."""
+    name = f"session {sender.hex()}" if sender else "a session without a name"
+    if former is None:
+        return name
+    return f"{name}, after {former.hex() or 'one without a name'} left"

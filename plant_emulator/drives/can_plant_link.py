@@ -1,0 +1,215 @@
+"""The plant's side of the link over CAN: emulated drives between the loop and the bus.
+
+The loop shows the drives their joints by `send_state`; a master has them sampled when it likes, and
+when it has given every drive a torque, that is a command. In lockstep time stands still in between,
+so frames are handled where the loop waits for the command; in real time, by a thread.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.can.can_run import CanRun
+from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import CanFrame
+from bus_schema.errors import PeerSilentError
+from bus_schema.link.interface import CommandArrival, never
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.clock import Clock, SyncedClock
+from bus_schema.zenoh.telemetry import Telemetry
+from plant_emulator.drives.drives_on_bus import DrivesOnBus
+
+_POLL_S = 0.02
+_FAREWELL_S = 1.0
+_LEAD = 0.3
+"""Share of the period by which the physics is ahead of the master in real time."""
+
+
+class CanPlantLink:
+    """The plant's side.
+
+    Args:
+        run: the run.
+        drives: the drives on their bus.
+        codec: their cyclic frames.
+        clock: the plant's clock.
+        telemetry: where all that is no frame goes; what the frames say too, for the record.
+        await_recorder: do not start without a recorder.
+    """
+
+    def __init__(
+        self,
+        run: CanRun,
+        drives: DrivesOnBus,
+        codec: CanCodec,
+        clock: Clock,
+        telemetry: Telemetry,
+        *,
+        await_recorder: bool,
+    ) -> None:
+        self._run, self._drives, self._codec = run, drives, codec
+        self._clock, self._telemetry = clock, telemetry
+        self._await_recorder = await_recorder
+        self._measured = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
+        self._sampled = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
+        self._command = Record(topics.layout(topics.JOINT_COMMANDS, run.joint_names))
+        self._torque: Vector = np.zeros(len(run.joint_names))
+        self._samplings = 0
+        self._waiting: deque[CanFrame] = deque()
+        self._arrivals: deque[CommandArrival] = deque()
+        self._lock = threading.Lock()
+        self._over = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._controller_was_seen = False
+        self._layout = topics.layout(topics.JOINT_STATES, run.joint_names)
+        self.publish = telemetry.publish
+
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Let the drives be enabled, until the first tick is asked for."""
+        if self._await_recorder:
+            self._telemetry.await_recorder(timeout_s, is_stop_requested)
+        heard_s = time.monotonic()
+        while not is_stop_requested():
+            self._drives.advance(self._clock.now_ns())
+            frame = self._drives.receive(_POLL_S)
+            if frame is None:
+                if time.monotonic() - heard_s > timeout_s:
+                    raise PeerSilentError(Role.CONTROLLER, timeout_s, "frame on the CAN bus")
+                continue
+            heard_s = time.monotonic()
+            if self._codec.is_sampling(frame):
+                self._waiting.append(frame)
+                break
+            self._drives.handle(frame, self._clock.now_ns())
+        if isinstance(self._clock, SyncedClock):
+            # Each tick comes a little before it is asked for, so that what is told is fresh.
+            self._clock.note_sign(round(_LEAD * self._run.grid.period_ns))
+        self._drives.bank.take_targets()
+        self._samplings = self._drives.bank.samplings
+        self._drives.begin_run(self._clock.now_ns())
+        self._controller_was_seen = self._telemetry.sees(Role.CONTROLLER)
+
+    def send_state(self, state: bytes, status: bytes) -> None:
+        """Show the drives their joints, and let them do what is due."""
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            self._layout.decode(state, self._measured)
+            fields = self._measured.fields
+            bank = self._drives.bank
+            bank.measure(fields["position"], fields["velocity"], fields["effort"])
+            bus_off_s = self._run.link.can.faults.bus_off_s
+            if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
+                self._drives.lose_bus(now_ns)
+            self._drives.advance(now_ns)
+        self.publish(topics.PLANT_STATUS, status)
+        if not self._run.lockstep and self._thread is None:
+            self._thread = threading.Thread(target=self._serve, daemon=True)
+            self._thread.start()
+
+    def await_command(self, timeout_s: float) -> bool:
+        give_up_s = time.monotonic() + timeout_s
+        while not self._arrivals:
+            frame = self._next_frame(max(0.0, give_up_s - time.monotonic()))
+            if frame is None:
+                return False
+            self._take(frame)
+        return True
+
+    def controller_has_left(self) -> bool:
+        is_gone = self._controller_was_seen and not self._telemetry.sees(Role.CONTROLLER)
+        return is_gone or self._drives.is_off
+
+    def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (on this bus, all are one)
+        return False
+
+    def take_commands(self) -> list[CommandArrival]:
+        return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
+
+    def overflow(self) -> int:
+        return 0
+
+    def fault(self) -> str | None:
+        """What is wrong with drives, if anything is."""
+        return "; ".join(self._drives.bank.faults) or None
+
+    def report(self) -> dict[str, Any]:
+        """Load, latency and counts of the bus."""
+        now_ns = self._clock.now_ns()
+        rejected = {"rejected": dict(self._drives.bank.rejections.counts)}
+        return {"can": self._drives.medium.summary(now_ns) | rejected}
+
+    def await_recorded(self) -> None:
+        """Stay until the master has stopped the drives, and the recorder has everything."""
+        self._stop_serving()
+        bank, fields = self._drives.bank, self._measured.fields
+        bank.measure(fields["position"], 0.0 * fields["velocity"], 0.0 * fields["effort"])
+        now_ns, give_up_s = self._clock.now_ns(), time.monotonic() + _FAREWELL_S
+        while not self.controller_has_left() and time.monotonic() < give_up_s:
+            frame = self._next_frame(_POLL_S)
+            if frame is not None:
+                now_ns += self._run.grid.period_ns if self._codec.is_sampling(frame) else 0
+                self._drives.handle(frame, now_ns)
+            elif bank.braked.all() and not self._controller_was_seen:
+                break  # nobody can tell when a foreign master has heard enough
+            self._drives.advance(now_ns)
+        self._telemetry.await_recorded()
+
+    def close(self) -> None:
+        """Leave the buses."""
+        self._stop_serving()
+        self._drives.close()
+        self._telemetry.close()
+
+    def _serve(self) -> None:
+        while not self._over.is_set():
+            frame = self._next_frame(_POLL_S)
+            if frame is not None:
+                self._take(frame)
+
+    def _stop_serving(self) -> None:
+        self._over.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _next_frame(self, timeout_s: float) -> CanFrame | None:
+        return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
+
+    def _take(self, frame: CanFrame) -> None:
+        """Hand a frame to the drives, and note what it brought about."""
+        with self._lock:
+            self._drives.handle(frame, self._clock.now_ns())
+            for answer in self._drives.answers:
+                fields = self._sampled.fields
+                self._codec.read_state(answer, fields["position"], fields["velocity"])
+            self._codec.read_torque(frame, self._torque)
+            samplings = self._drives.bank.samplings
+            if samplings != self._samplings:
+                self._samplings = samplings
+                self._note_sampling()
+            if self._drives.bank.take_targets():
+                self._note_command()
+
+    def _note_sampling(self) -> None:
+        """All drives have told their states: what the controller gets to see."""
+        self._sampled.stamp_ns = self._measured.stamp_ns
+        self._sampled.fields["effort"][:] = self._torque
+        self.publish(topics.JOINT_STATES, self._sampled.payload())
+
+    def _note_command(self) -> None:
+        """All drives have got their torques: a command that answers the last sampling."""
+        self._command.stamp_ns = self._sampled.stamp_ns
+        self._command.fields["effort"][:] = self._torque
+        payload = self._command.payload()
+        sequence = self.publish(topics.JOINT_COMMANDS, payload)
+        self._arrivals.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))

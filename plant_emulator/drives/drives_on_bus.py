@@ -1,0 +1,94 @@
+"""Emulated drives with the bus they are on: its medium's time, its log, its loss."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from bus_schema.can.candump import CandumpLog
+from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
+from bus_schema.can.medium import CanMedium
+from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.drive import Send
+from plant_emulator.drives.fault_plan import FaultPlan
+
+
+class DrivesOnBus:
+    """Drives on a bus.
+
+    Args:
+        bus: the bus.
+        plan: what goes wrong with drives, in the time of the run.
+        build: makes the drives, given where they send to.
+        medium: keeps the bus's time.
+        log: takes every frame; None for no log.
+
+    Attributes:
+        bank: the drives.
+        answers: frames that the drives sent in answer to the last frame, or when they last had
+            their turn.
+        is_off: the bus is lost for good.
+    """
+
+    def __init__(
+        self,
+        bus: CanBus,
+        plan: FaultPlan,
+        build: Callable[[Send], DriveBank],
+        medium: CanMedium,
+        log: CandumpLog | None,
+    ) -> None:
+        self._bus, self._plan, self._log = bus, plan, log
+        self.medium = medium
+        self.answers: list[CanFrame] = []
+        self.is_off = False
+        self._began_ns = 0
+        self._is_running = False
+        self.bank = build(self._send)
+        self.receive = bus.receive
+
+    def begin_run(self, now_ns: int) -> None:
+        """The run's time 0 is now. The drives' own time goes on: they have been on for a while."""
+        self._began_ns, self._is_running = now_ns, True
+        self._plan.postpone(now_ns)
+        self.medium.start_counting()
+
+    def handle(self, frame: CanFrame, now_ns: int) -> None:
+        """Let the drives take a frame; once the bus is off, nobody hears it."""
+        self.answers.clear()
+        if self.is_off:
+            return
+        if not frame.is_error:  # else it never was on the bus
+            self._note([frame], now_ns)
+        self.bank.receive(frame, self._began_ns + now_ns)
+        self._note(self.answers, now_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """Let happen to the drives what is planned, and let them do what is due."""
+        self.answers.clear()
+        if self._is_running:
+            self._plan.carry_out(self.bank, self._began_ns + now_ns)
+        self.bank.advance(self._began_ns + now_ns)
+        self._note(self.answers, now_ns)
+
+    def lose_bus(self, now_ns: int) -> None:
+        """The drives' side goes bus-off."""
+        self.bank.receive(CanFrame(BUS_OFF, is_error=True), self._began_ns + now_ns)
+        self.is_off = True
+
+    def close(self) -> None:
+        """Leave the bus and finish the log."""
+        self._bus.close()
+        if self._log is not None:
+            self._log.close()
+
+    def _send(self, frame: CanFrame) -> None:
+        if not self.is_off:
+            self.answers.append(frame)
+            self._bus.send(frame)
+
+    def _note(self, frames: Sequence[CanFrame], now_ns: int) -> None:
+        """Frames become ready together, when what they answer is through."""
+        passed = self.medium.transmit(frames, max(now_ns, self.medium.free_ns))
+        if self._log is not None:
+            for time_ns, frame in passed:
+                self._log.write(time_ns, frame)

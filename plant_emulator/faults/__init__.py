@@ -1,0 +1,1 @@
+"""Scheduled faults of the arm and of the link."""

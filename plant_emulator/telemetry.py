@@ -1,0 +1,109 @@
+"""What the plant tells of itself: truth and timing at every tick, and events.
+
+Entries are collected and sent when the loop has time for them: after a state is on its way.
+"""
+
+from __future__ import annotations
+
+import time
+
+from bus_schema.link.interface import PlantLink
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.compiled import copying
+from plant_emulator.arm.arm_plant import ArmPlant
+
+_NO_CYCLE_NS = -1
+
+
+class PlantJournal:
+    """Collects and sends the plant's telemetry.
+
+    Attributes:
+        round_trip_ns: round trip of the newest command since the last tick, -1 without one.
+        state_age_ns: age of the newest state delivered since the last tick, -1 without one.
+        skipped: ticks at which nothing was measured, because the loop came too late.
+        deadline_misses: ticks at which the command in force was too old.
+        physics_ns: what the physics have taken since the last cycle ended.
+    """
+
+    def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
+        self._deadline_ns = deadline_ns
+        self._truth = Record(topics.layout(topics.PLANT_TRUTH, joint_names))
+        self._arm = arm
+        self._note_motion = copying(arm.motion, self._truth.matrix("position", "velocity"))
+        self._note_torques = copying(
+            arm.torques.acting, self._truth.matrix("torque", "disturbance")
+        )
+        self._entries: list[tuple[topics.Topic, bytes]] = []
+        self._cycle_started_ns = 0
+        self._period_ns = 0
+        self._lateness_ns = 0
+        self._step_ns = 0
+        self.round_trip_ns = -1
+        self.state_age_ns = -1
+        self.skipped = 0
+        self.deadline_misses = 0
+        self.physics_ns = 0
+
+    def begin_cycle(self, lateness_ns: int) -> None:
+        """A cycle begins, so late after the instant it was to begin at."""
+        now_ns = time.perf_counter_ns()
+        self._period_ns = now_ns - self._cycle_started_ns if self._cycle_started_ns else 0
+        self._lateness_ns = lateness_ns
+        self._cycle_started_ns = now_ns
+
+    def end_cycle(self) -> None:
+        """The work of the cycle is done."""
+        self._step_ns = self.physics_ns + time.perf_counter_ns() - self._cycle_started_ns
+        self.physics_ns = 0
+
+    def note_truth(
+        self,
+        stamp_ns: int,
+        tick: int,
+        command_sequence: int,
+        command_age_ns: int,
+        *,
+        was_skipped: bool,
+    ) -> None:
+        """Note what is true at a tick, also at one that was skipped.
+
+        Args:
+            stamp_ns: instant of the tick.
+            tick: its number.
+            command_sequence: number of the command in force, 0 before the first.
+            command_age_ns: age of the state it answers, -1 before the first.
+            was_skipped: the loop came too late to measure at this tick.
+        """
+        # Before the first command nothing in force can be older than the run itself.
+        age_ns = command_age_ns if command_age_ns >= 0 else stamp_ns
+        is_in_time = age_ns <= self._deadline_ns
+        self.deadline_misses += not is_in_time
+        truth = self._truth
+        truth.stamp_ns = stamp_ns
+        truth.put_scalars(
+            tick, self._period_ns, _NO_CYCLE_NS if was_skipped else self._lateness_ns,
+            self._step_ns, self.skipped,
+            command_sequence, command_age_ns, self.round_trip_ns, self.state_age_ns,
+            self._arm.mode, is_in_time, self._arm.torques.saturated,
+        )  # fmt: skip
+        self._note_motion()
+        self._note_torques()
+        self._entries.append((topics.PLANT_TRUTH, truth.payload()))
+        self.round_trip_ns = self.state_age_ns = -1
+
+    def note_event(self, stamp_ns: int, kind: EventKind, detail: str) -> None:
+        """Note that something happened."""
+        event = RunEvent(stamp_ns, Role.PLANT, kind, detail)
+        self._entries.append((topics.RUN_EVENTS, event.encode()))
+
+    def send(self, link: PlantLink) -> None:
+        """Send what was noted."""
+        if not self._entries:
+            return
+        for topic, payload in self._entries:
+            link.publish(topic, payload)
+        self._entries.clear()

@@ -1,0 +1,88 @@
+"""The CAN session on interfaces that need nothing, and what it says of those it cannot open."""
+
+from __future__ import annotations
+
+import uuid
+from pathlib import Path
+
+import pytest
+
+from bus_schema.can.candump import candump_line
+from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.session import check_can_bus, open_can_bus
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.can_configuration import CanConfiguration
+
+HAS_SOCKETCAN = Path("/proc/net/can").exists()
+
+
+def virtual() -> CanConfiguration:
+    return CanConfiguration(interface="virtual", channel=str(uuid.uuid4()))
+
+
+def multicast() -> CanConfiguration:
+    return CanConfiguration(interface="udp_multicast", port=43_555, fd=True)
+
+
+FRAMES = [
+    CanFrame(0x123, b"\x01\x02"),
+    CanFrame(0x1ABCDEF, b"12345678", is_extended=True),
+    CanFrame(0x181, is_remote=True),
+    CanFrame(0x080),
+    CanFrame(0x300, bytes(range(64)), is_fd=True),
+]
+
+
+@pytest.mark.parametrize("configure", [virtual, multicast])
+def test_frames_reach_the_others_in_order_and_never_their_sender(configure: object) -> None:
+    configuration = configure()  # type: ignore[operator]
+    ours, theirs = open_can_bus(configuration), open_can_bus(configuration)
+    try:
+        for frame in FRAMES:
+            ours.send(frame)
+        assert [theirs.receive(1.0) for _ in FRAMES] == FRAMES
+        theirs.send(FRAMES[0])
+        assert ours.receive(1.0) == FRAMES[0]
+        assert ours.receive(0.01) is None
+    finally:
+        _close(ours, theirs)
+
+
+@pytest.mark.parametrize(
+    ("values", "key", "advice"),
+    [
+        ({"interface": "nope"}, "link.can.interface", "virtual"),
+        ({"interface": "udp_multicast", "channel": "10.0.0.1"}, "link.can.channel", "multicast"),
+        ({"interface": "pcan"}, "link.can.interface", "is its driver installed?"),
+        pytest.param(
+            {"interface": "socketcan"}, "link.can.interface", "with-vcan",
+            marks=pytest.mark.skipif(HAS_SOCKETCAN, reason="this kernel has SocketCAN"),
+        ),
+    ],
+)  # fmt: skip
+def test_bus_that_cannot_be_joined_is_a_configuration_error_with_advice(
+    values: dict[str, str], key: str, advice: str
+) -> None:
+    with pytest.raises(ConfigurationError) as refusal:
+        check_can_bus(CanConfiguration(**values))  # type: ignore[arg-type]
+    assert refusal.value.key == key
+    assert advice in refusal.value.allowed
+
+
+@pytest.mark.parametrize(
+    ("frame", "line"),
+    [
+        (CanFrame(0x044, b"\x2a\x36"), "(1.000002) can0 044#2A36"),
+        (CanFrame(0x12345, b"", is_extended=True), "(1.000002) can0 00012345#"),
+        (CanFrame(0x009, is_remote=True), "(1.000002) can0 009#R"),
+        (CanFrame(0x111, b"\xff" * 12, is_fd=True), "(1.000002) can0 111##1" + "FF" * 12),
+        (CanFrame(0x040, bytes(8), is_error=True), "(1.000002) can0 20000040#" + "00" * 8),
+    ],
+)
+def test_log_lines_are_those_of_candump(frame: CanFrame, line: str) -> None:
+    assert candump_line(1_000_002_999, "can0", frame) == line
+
+
+def _close(*buses: CanBus) -> None:
+    for bus in buses:
+        bus.close()

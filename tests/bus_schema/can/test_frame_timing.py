@@ -1,0 +1,71 @@
+"""Frame lengths against the formula and against frames written out bit by bit."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from bit_strings import classical, fd_lengths
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus_schema.can.frame import CanFrame
+from bus_schema.can.frame_timing import arbitration_key, longest_classical_bits, wire_bits
+
+frames = st.builds(
+    lambda extended, identifier, data, remote: CanFrame(
+        identifier if extended else identifier & 0x7FF, b"" if remote else data, extended, remote
+    ),
+    st.booleans(),
+    st.integers(0, (1 << 29) - 1),
+    st.binary(max_size=8)
+    | st.integers(0, 8).map(bytes)
+    | st.integers(0, 8).map(lambda n: b"\xff" * n),
+    st.booleans(),
+)
+
+
+@given(frames)
+def test_classical_frame_is_as_long_as_its_bits_written_out(frame: CanFrame) -> None:
+    assert wire_bits(frame) == (len(classical(frame)), 0)
+
+
+@given(st.booleans(), st.integers(0, (1 << 29) - 1), st.binary(max_size=64) | st.just(bytes(64)))
+def test_fd_frame_is_as_long_as_its_bits_written_out(
+    extended: bool, identifier: int, data: bytes
+) -> None:
+    frame = CanFrame(identifier if extended else identifier & 0x7FF, data, extended, is_fd=True)
+    assert wire_bits(frame) == fd_lengths(frame)
+
+
+@pytest.mark.parametrize("data_bytes", range(9))
+@pytest.mark.parametrize(("extended", "fixed_bits"), [(False, 47), (True, 67)])
+def test_length_lies_between_the_formulas_of_no_and_most_stuffing(
+    data_bytes: int, extended: bool, fixed_bits: int
+) -> None:
+    """g + 8 s + 13 and, per Davis et al. 2007 (equation 1), at most ⌊(g + 8 s − 1)/4⌋ more."""
+    random.seed(data_bytes)
+    shortest = fixed_bits + 8 * data_bytes
+    longest = shortest + (shortest - 13 - 1) // 4
+    for _ in range(300):
+        identifier = random.getrandbits(29 if extended else 11)
+        frame = CanFrame(identifier, random.randbytes(data_bytes), extended)
+        assert shortest <= wire_bits(frame).nominal <= longest
+    if not extended:
+        assert longest_classical_bits(data_bytes) == longest
+
+
+def test_lower_identifier_wins_then_data_over_remote_then_standard_over_extended() -> None:
+    low, high = CanFrame(0x181), CanFrame(0x182)
+    remote = CanFrame(0x181, is_remote=True)
+    extended = CanFrame(0x181 << 18, is_extended=True)
+    extended_remote = CanFrame(0x181 << 18, is_extended=True, is_remote=True)
+    order = [low, remote, extended, extended_remote, high]
+    shuffled = [high, extended, low, extended_remote, remote]
+    assert sorted(shuffled, key=arbitration_key) == order
+
+
+def test_duration_counts_each_phase_at_its_own_rate() -> None:
+    bits = wire_bits(CanFrame(0x123, bytes(range(64)), is_fd=True))
+    expected_ns = 1e9 * (bits.nominal / 500_000 + bits.fast / 2_000_000)
+    assert bits.duration_ns(500_000, 2_000_000) == round(expected_ns)

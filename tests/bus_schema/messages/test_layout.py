@@ -1,0 +1,281 @@
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus_schema.errors import InvalidMessageError
+from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, Record, parse
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, TOPICS, layout
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE
+
+FIXED_TOPICS = [topic for topic in TOPICS if topic is not RUN_EVENTS]
+LETTERS = st.characters(codec="utf-8", exclude_categories=["C"])  # no NUL, which ends a string
+JOINT_NAMES = st.lists(
+    st.text(LETTERS, min_size=1, max_size=9), min_size=1, max_size=14, unique=True
+)
+THREE = ("yaw", "shoulder", "elbow_pitch")
+STATE = layout(JOINT_STATES, THREE)
+
+
+def filled(wire_layout, seed):
+    """A record with random bits in every field, NaNs and infinities among them."""
+    record, random = Record(wire_layout), np.random.default_rng(seed)
+    for name, values in record.fields.items():
+        is_flag = name in ("deadline_met", "saturated")
+        noise = bytes([seed % 2]) if is_flag else random.bytes(values.nbytes)
+        values[:] = np.frombuffer(noise, values.dtype)
+        if name.endswith("nanosec"):
+            values %= 1_000_000_000
+    return record
+
+
+def numeric_leaves(message, prefix=""):
+    """Dotted names of all numbers and non-empty arrays that a rosbags message holds."""
+    for name, value in vars(message).items():
+        if hasattr(value, "__msgtype__"):
+            yield from numeric_leaves(value, f"{prefix}{name}.")
+        elif name.islower() and not isinstance(value, str | list) and np.size(value):
+            yield prefix + name  # upper case names are constants of the type
+
+
+def rosbags_message(record, wire_layout):
+    """The values of a record as a rosbags message."""
+    message = TYPESTORE.deserialize_cdr(wire_layout.template, wire_layout.type_name)
+    assert set(numeric_leaves(message)) == set(record.fields)
+    for name, values in record.fields.items():
+        *path, last = name.split(".")
+        owner = message
+        for part in path:
+            owner = getattr(owner, part)
+        is_array = isinstance(getattr(owner, last), np.ndarray)
+        setattr(owner, last, values if is_array else values[0].item())
+    return message
+
+
+def joint_state(names=THREE, position=(1.0, 2.0, 3.0), velocity=(), effort=(), frame="", **options):
+    types = TYPESTORE.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](12, 34), frame)
+    arrays = [np.array(values, dtype=np.float64) for values in (position, velocity, effort)]
+    message = types[JOINT_STATE](header, list(names), *arrays)
+    return bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE, **options))
+
+
+def rejection(payload, wire_layout=STATE):
+    with pytest.raises(InvalidMessageError) as caught:
+        wire_layout.decode(payload, Record(wire_layout))
+    return caught.value.reason
+
+
+@pytest.mark.parametrize("topic", FIXED_TOPICS, ids=lambda topic: topic.name)
+@settings(max_examples=40)
+@given(names=JOINT_NAMES, seed=st.integers(0, 2**32 - 1))
+def test_payload_equals_rosbags_bytes_and_decodes_to_itself(topic, names, seed):
+    wire_layout = layout(topic, tuple(names))
+    record = filled(wire_layout, seed)
+    message = rosbags_message(record, wire_layout)
+    assert record.payload() == bytes(TYPESTORE.serialize_cdr(message, topic.type_name))
+
+    decoded = Record(wire_layout)
+    wire_layout.decode(record.payload(), decoded)
+    assert decoded.payload() == record.payload()
+
+
+@pytest.mark.parametrize("topic", FIXED_TOPICS, ids=lambda topic: topic.name)
+@pytest.mark.parametrize("joints", range(1, 15))
+def test_any_joint_count_in_both_byte_orders(topic, joints):
+    wire_layout = layout(topic, tuple(f"joint_{i}" for i in range(joints)))
+    record, decoded = filled(wire_layout, joints), Record(wire_layout)
+    message = rosbags_message(record, wire_layout)
+    assert record.payload() == bytes(TYPESTORE.serialize_cdr(message, topic.type_name))
+    foreign = bytes(TYPESTORE.serialize_cdr(message, topic.type_name, little_endian=False))
+    assert foreign != record.payload()
+    wire_layout.decode(foreign, decoded)
+    for name, values in record.fields.items():
+        np.testing.assert_array_equal(decoded.fields[name], values)
+
+
+def test_stamp_is_split_into_seconds_and_nanoseconds():
+    record = Record(STATE)
+    record.stamp_ns = 7_000_000_009
+    assert parse(record.payload(), JOINT_STATE).header.stamp.sec == 7
+    assert parse(record.payload(), JOINT_STATE).header.stamp.nanosec == 9
+    assert record.stamp_ns == 7_000_000_009
+
+
+@given(order=st.permutations(range(3)), frame=st.sampled_from(["", "x", "world"]))
+def test_foreign_joint_state_is_decoded_in_our_joint_order(order, frame):
+    payload = joint_state(
+        names=[THREE[i] for i in order],
+        position=[10.0 + i for i in order],
+        velocity=[20.0 + i for i in order],
+        effort=[30.0 + i for i in order],
+        frame=frame,
+    )
+    record = Record(STATE)
+    assert STATE.decode(payload, record) == 12_000_000_034
+    assert record.stamp_ns == 12_000_000_034
+    assert record.fields["position"].tolist() == [10.0, 11.0, 12.0]
+    assert record.fields["velocity"].tolist() == [20.0, 21.0, 22.0]
+    assert record.fields["effort"].tolist() == [30.0, 31.0, 32.0]
+
+
+def test_empty_velocity_and_effort_are_unknown_not_left_from_the_message_before():
+    record = filled(STATE, 1)
+    STATE.decode(joint_state(), record)
+    assert record.fields["position"].tolist() == [1.0, 2.0, 3.0]
+    assert np.isnan(record.fields["velocity"]).all()
+    assert np.isnan(record.fields["effort"]).all()
+
+
+def test_positions_in_a_command_are_ignored():
+    commands = layout(JOINT_COMMANDS, THREE)
+    record = Record(commands)
+    commands.decode(joint_state(effort=(4.0, 5.0, 6.0)), record)
+    assert record.fields["effort"].tolist() == [4.0, 5.0, 6.0]
+    assert "position" not in record.fields
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (joint_state(names=("yaw", "shoulder", "wrist")), "wrong_names"),
+        (joint_state(names=THREE[:2], position=(1.0, 2.0)), "wrong_names"),
+        (joint_state(names=(*THREE, "wrist"), position=(1.0, 2.0, 3.0, 4.0)), "wrong_names"),
+        (joint_state(names=("yaw", "yaw", "shoulder")), "wrong_names"),
+        (joint_state(names=()), "wrong_names"),
+        (joint_state(position=(1.0, 2.0)), "wrong_size"),
+        (joint_state(velocity=(1.0, 2.0, 3.0, 4.0)), "wrong_size"),
+        (joint_state(effort=(1.0,)), "wrong_size"),
+        (b"", "malformed"),
+        (b"garbage", "malformed"),
+        (joint_state().replace(b"yaw\0", b"\xff\xfe\xff\0"), "malformed"),
+        (joint_state() + bytes(8), "malformed"),
+    ],
+)
+def test_unusable_joint_states_are_rejected_with_their_reason(payload, reason):
+    assert rejection(payload) == reason
+
+
+def test_largest_payload_is_64_kib():
+    filler = MAX_PAYLOAD_BYTES - len(joint_state(frame="")) + 1
+    largest = joint_state(frame="x" * (filler // 8 * 8 - 8))
+    assert MAX_PAYLOAD_BYTES - 32 < len(largest) <= MAX_PAYLOAD_BYTES == 65_536
+    record = Record(STATE)
+    STATE.decode(largest, record)
+    assert record.fields["position"].tolist() == [1.0, 2.0, 3.0]
+    assert rejection(joint_state(frame="x" * 65_536)) == "oversized"
+    assert rejection(bytes(65_537)) == "oversized"
+    assert rejection(bytes(65_536)) != "oversized"
+
+
+@pytest.mark.parametrize("topic", FIXED_TOPICS, ids=lambda topic: topic.name)
+def test_every_truncation_is_rejected(topic):
+    wire_layout = layout(topic, THREE)
+    payload = filled(wire_layout, 3).payload()
+    for length in range(len(payload)):
+        assert rejection(payload[:length], wire_layout) == "malformed"
+
+
+def decode_or_reject(wire_layout, payload):
+    """Nothing but `InvalidMessageError` may come out, and never without a reason."""
+    record = Record(wire_layout)
+    try:
+        wire_layout.decode(payload, record)
+    except InvalidMessageError as error:
+        assert error.reason.isidentifier()
+        return
+    assert len(record.payload()) == wire_layout.size
+
+
+@settings(max_examples=300)
+@given(topic=st.sampled_from(FIXED_TOPICS), body=st.binary(max_size=300), headed=st.booleans())
+def test_random_bytes_are_decoded_or_rejected(topic, body, headed):
+    decode_or_reject(layout(topic, THREE), b"\0\1\0\0" + body if headed else body)
+
+
+@settings(max_examples=300)
+@given(
+    topic=st.sampled_from(FIXED_TOPICS),
+    flips=st.lists(st.integers(0, 10_000), min_size=1, max_size=8),
+)
+def test_flipped_bits_are_decoded_or_rejected(topic, flips):
+    wire_layout = layout(topic, THREE)
+    payload = bytearray(filled(wire_layout, 5).payload())
+    for flip in flips:
+        payload[flip // 8 % len(payload)] ^= 1 << flip % 8
+    decode_or_reject(wire_layout, bytes(payload))
+
+
+def test_every_single_flipped_bit_of_a_foreign_joint_state_is_decoded_or_rejected():
+    payload = joint_state(names=THREE[::-1], frame="world")
+    for bit in range(8 * len(payload)):
+        flipped = bytearray(payload)
+        flipped[bit // 8] ^= 1 << bit % 8
+        decode_or_reject(STATE, bytes(flipped))
+
+
+@pytest.mark.parametrize("count", [0x10000, 0x7FFFFFFF, 0xFFFFFFFF])
+def test_claimed_huge_arrays_are_rejected_in_bounded_memory(count):
+    # The three counters of an honest payload: string length, number of names, number of positions.
+    payload = joint_state()
+    claimed = count.to_bytes(4, "little")
+    counters = [12, 20, payload.index(np.float64(1.0).tobytes()) - 8]
+    counters[2] = next(at for at in (counters[2], counters[2] + 4) if payload[at] == 3)
+    tracemalloc.start()
+    try:
+        for at in counters:
+            assert rejection(payload[:at] + claimed + payload[at + 4 :]) == "malformed"
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # A payload may be 64 KiB; what its parsing takes may not be of another order.
+    assert peak_bytes < 4e6
+
+
+def test_as_many_names_as_fit_are_rejected_in_bounded_memory():
+    # 13,000 one-letter names of 8 bytes would not fit; 7,000 with their counts do.
+    payload = joint_state(names=["a"] * 7_000, position=())
+    assert len(payload) < MAX_PAYLOAD_BYTES
+    tracemalloc.start()
+    try:
+        assert rejection(payload) == "wrong_names"
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 4e6
+
+
+def test_run_events_have_no_fixed_layout():
+    with pytest.raises(ValueError, match="run_events"):
+        layout(RUN_EVENTS, THREE)
+
+
+def bad_stamp():
+    record = filled(STATE, 1)
+    record.fields["header.stamp.nanosec"][0] = 1_000_000_000
+    return record.payload()
+
+
+OURS = [filled(STATE, seed).payload() for seed in range(4)]
+FOREIGN = joint_state(names=THREE[::-1], velocity=(4.0, 5.0, 6.0), effort=(7.0, 8.0, 9.0))
+OTHER_NAMES = OURS[0].replace(b"yaw", b"way")
+
+
+@pytest.mark.parametrize(
+    "payloads",
+    [[], OURS, [*OURS, FOREIGN], [OURS[0], OTHER_NAMES], [OURS[0], bad_stamp()], [b"", OURS[0]]],
+    ids=["none", "ours", "foreign", "other names", "no time", "too short"],
+)
+def test_table_holds_what_can_be_decoded_one_by_one(payloads):
+    rows = []
+    for payload in payloads:
+        record = Record(STATE)
+        try:
+            STATE.decode(payload, record)
+        except InvalidMessageError:
+            continue
+        rows.append(record.payload())
+    table = STATE.tabulate(payloads)
+    assert (table.dtype, table.tobytes()) == (STATE.dtype, b"".join(rows))

@@ -1,0 +1,97 @@
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus_schema.runtime.clock import MonotonicClock, TickGrid, VirtualClock
+
+RATES_HZ = [1.0, 3.0, 7.0, 60.0, 333.0, 1000.0, 1024.0, 9999.0]
+SUBSTEPS = [1, 3, 4, 7, 100]
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_period_is_the_nearest_nanosecond(rate_hz):
+    assert abs(TickGrid(rate_hz, 1).period_ns - 1e9 / rate_hz) <= 0.5
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_grid_does_not_drift_in_a_million_ticks(rate_hz):
+    grid = TickGrid(rate_hz, 4)
+    assert grid.tick_ns(10**6) == 10**6 * grid.period_ns
+    assert grid.tick_at_or_before(grid.tick_ns(10**6)) == 10**6
+    assert grid.tick_at_or_before(grid.tick_ns(10**6) - 1) == 10**6 - 1
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+@pytest.mark.parametrize("substeps", SUBSTEPS)
+@pytest.mark.parametrize("tick", [0, 1, 10**6])
+def test_substeps_partition_a_tick(rate_hz, substeps, tick):
+    grid = TickGrid(rate_hz, substeps)
+    starts = [grid.substep_ns(tick * substeps + substep) for substep in range(substeps + 1)]
+    assert starts[0] == grid.tick_ns(tick)
+    assert starts[-1] == grid.tick_ns(tick + 1)
+    lengths = [b - a for a, b in zip(starts, starts[1:], strict=False)]
+    # Whole nanoseconds: no substep differs from the physics step by a full one.
+    assert all(abs(length - grid.substep_s * 1e9) < 1.0 for length in lengths)
+
+
+@pytest.mark.parametrize("substeps", SUBSTEPS)
+def test_stages_hold_each_substep_once_and_in_order(substeps):
+    grid = TickGrid(1000.0, substeps)
+    stages = grid.stages()
+    assert [substep for stage in stages for substep in stage] == list(range(substeps))
+    assert len(stages[-1]) == 1  # only the last one is left to the end of the tick
+
+
+def test_physics_time_of_a_tick_is_its_period():
+    grid = TickGrid(3.0, 7)
+    assert grid.period_ns == 333_333_333
+    assert 7 * grid.substep_s == pytest.approx(0.333_333_333, rel=1e-15)
+
+
+@given(st.floats(1.0, 10_000.0), st.integers(0, 10**15))
+def test_tick_at_or_before_is_the_last_tick_that_has_begun(rate_hz, instant_ns):
+    grid = TickGrid(rate_hz, 1)
+    tick = grid.tick_at_or_before(instant_ns)
+    assert grid.tick_ns(tick) <= instant_ns < grid.tick_ns(tick + 1)
+
+
+def test_virtual_clock_moves_only_when_waited_for_and_never_back():
+    clock = VirtualClock()
+    assert clock.now_ns() == 0
+    assert clock.wait_until(5) == 0
+    assert clock.now_ns() == 5
+    assert clock.wait_until(3) == 0
+    assert clock.now_ns() == 5
+
+
+@given(st.lists(st.integers(0, 10**12)))
+def test_virtual_clock_is_at_the_latest_instant_waited_for(instants):
+    clock = VirtualClock()
+    assert all(clock.wait_until(instant) == 0 for instant in instants)
+    assert clock.now_ns() == max(instants, default=0)
+
+
+def test_start_sets_virtual_time_to_zero():
+    clock = VirtualClock()
+    clock.wait_until(5)
+    clock.start()
+    assert clock.now_ns() == 0
+
+
+def test_monotonic_time_counts_from_the_start_of_the_run():
+    clock = MonotonicClock()
+    clock.wait_until(1_000_000)
+    before_ns = time.monotonic_ns()
+    clock.start()
+    assert 0 <= clock.now_ns() <= time.monotonic_ns() - before_ns
+
+
+def test_monotonic_clock_never_returns_early_and_tells_its_lateness():
+    clock = MonotonicClock()
+    instant_ns = clock.now_ns() + 100_000
+    lateness_ns = clock.wait_until(instant_ns)
+    assert lateness_ns >= 0
+    assert clock.now_ns() >= instant_ns + lateness_ns
+    assert clock.wait_until(0) > instant_ns

@@ -1,0 +1,44 @@
+import itertools
+
+import pytest
+
+from bus_schema.runtime.modes import (
+    TRANSITIONS,
+    Cue,
+    IllegalTransitionError,
+    Mode,
+    follow,
+    mode_event,
+    mode_in,
+)
+
+
+def test_every_pair_is_in_the_table_or_refused():
+    for mode, cue in itertools.product(Mode, Cue):
+        if (mode, cue) in TRANSITIONS:
+            assert follow(mode, cue) is TRANSITIONS[mode, cue]
+        else:
+            with pytest.raises(IllegalTransitionError, match=f"{mode.name}.*{cue.name}") as refused:
+                follow(mode, cue)
+            assert (refused.value.mode, refused.value.cue) == (mode, cue)
+
+
+def test_fault_is_reached_through_stopping_alone_and_never_left():
+    assert {before for (before, _), after in TRANSITIONS.items() if after is Mode.FAULT} == {
+        Mode.STOPPING
+    }
+    assert not [mode for mode, _ in TRANSITIONS if mode is Mode.FAULT]
+
+
+def test_whoever_takes_part_can_stop():
+    for mode in (Mode.READY, Mode.TRACKING):
+        assert follow(mode, Cue.FAIL) is Mode.STOPPING
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_event_of_a_mode_can_be_read_back(mode):
+    assert mode_in(mode_event(mode, "why: for a reason")) is mode
+
+
+def test_event_of_no_mode_is_told_apart():
+    assert mode_in("sleeping: at night") is None

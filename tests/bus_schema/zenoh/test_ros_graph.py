@@ -1,0 +1,116 @@
+"""The bytes and tokens beside a message, against literals worked out from rmw_zenoh's design.
+
+The examples there: ``@ros2_lv/2/aac3…/0/0/NN/%/%/listener`` for a node and
+``@ros2_lv/2/aac3…/0/10/MS/%/%/listener/%chatter/std_msgs::msg::dds_::String_/RIHS01_…/::,10:,:,:,,``
+for an endpoint of it; the attachment is int64 number, int64 time, length of the id, id.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
+from bus_schema.zenoh.ros_graph import (
+    Attachment,
+    Entity,
+    EntityKind,
+    endpoint_gid,
+    endpoint_token,
+    graph_key_expression,
+    node_token,
+)
+
+GID = bytes(range(16))
+SESSION = "aac3178e146ba6f1fc6e6a4085e77f21"
+JOINT_STATE_HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+NODE = f"@ros2_lv/7/{SESSION}/0/0/NN/%/%/funnel_hil_plant"
+PUBLISHER = (
+    f"@ros2_lv/7/{SESSION}/0/3/MP/%/%/funnel_hil_plant/%joint_states"
+    f"/sensor_msgs::msg::dds_::JointState_/{JOINT_STATE_HASH}/::,10:,:,:,,"
+)
+SUBSCRIBER = (
+    f"@ros2_lv/7/{SESSION}/0/4/MS/%/%/funnel_hil_plant/%joint_commands"
+    f"/sensor_msgs::msg::dds_::JointState_/{JOINT_STATE_HASH}/::,10:,:,:,,"
+)
+CHATTER = (
+    "@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter"
+    "/std_msgs::msg::dds_::String_"
+    "/RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18/::,7:,:,:,,"
+)
+
+
+def test_attachment_is_33_bytes_little_endian() -> None:
+    encoded = Attachment(sequence=0x0102, source_time_ns=0x1122334455667788, gid=GID).encode()
+    assert encoded == bytes.fromhex(
+        "0201000000000000"  # number
+        "8877665544332211"  # Unix time, ns
+        "10"  # 16 bytes of id follow
+        "000102030405060708090a0b0c0d0e0f"
+    )
+    assert len(encoded) == 33
+
+
+def test_attachment_survives_the_way_there_and_back() -> None:
+    attachment = Attachment(2**62, 1_700_000_000_123_456_789, GID)
+    assert Attachment.decode(attachment.encode()) == attachment
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        Attachment(1, 2, GID).encode()[:-1],
+        Attachment(1, 2, GID).encode() + b"\0",
+        bytes(8) + bytes(8) + b"\x0f" + GID,  # another length of the id
+        b"\xff" * 8 + bytes(8) + b"\x10" + GID,  # number −1
+    ],
+    ids=["empty", "short", "long", "id of 15", "negative"],
+)
+def test_bytes_that_are_no_attachment_are_none(data: bytes) -> None:
+    assert Attachment.decode(data) is None
+
+
+def test_node_token() -> None:
+    assert node_token(7, SESSION, "funnel_hil_plant") == NODE
+
+
+def test_endpoint_tokens() -> None:
+    node = (7, SESSION, "funnel_hil_plant")
+    assert endpoint_token(*node, 3, EntityKind.PUBLISHER, JOINT_STATES) == PUBLISHER
+    assert endpoint_token(*node, 4, EntityKind.SUBSCRIBER, JOINT_COMMANDS) == SUBSCRIBER
+
+
+def test_key_of_joint_states() -> None:
+    expected = f"7/joint_states/sensor_msgs::msg::dds_::JointState_/{JOINT_STATE_HASH}"
+    assert JOINT_STATES.key_expression(7) == expected
+
+
+def test_key_expression_of_a_domain_covers_its_tokens() -> None:
+    assert graph_key_expression(7) == "@ros2_lv/7/**"
+
+
+@pytest.mark.parametrize(
+    ("token", "entity"),
+    [
+        (NODE, Entity(SESSION, "NN", "funnel_hil_plant", "")),
+        (PUBLISHER, Entity(SESSION, "MP", "funnel_hil_plant", "joint_states")),
+        (SUBSCRIBER, Entity(SESSION, "MS", "funnel_hil_plant", "joint_commands")),
+        (CHATTER, Entity("8b20917502ee955ac4476e0266340d5c", "MP", "talker", "chatter")),
+    ],
+    ids=["node", "publisher", "subscriber", "foreign publisher"],
+)
+def test_tokens_are_read_back(token: str, entity: Entity) -> None:
+    assert Entity.from_token(token) == entity
+
+
+@pytest.mark.parametrize(
+    "token", ["", "@ros2_lv", "@ros2_lv/7/**", "7/joint_states/x/y", "a/" * 20]
+)
+def test_other_keys_are_no_tokens(token: str) -> None:
+    assert Entity.from_token(token) is None
+
+
+def test_ids_of_endpoints_are_16_bytes_and_differ() -> None:
+    assert len(endpoint_gid(PUBLISHER)) == 16
+    assert endpoint_gid(PUBLISHER) == endpoint_gid(PUBLISHER)
+    assert endpoint_gid(PUBLISHER) != endpoint_gid(SUBSCRIBER)

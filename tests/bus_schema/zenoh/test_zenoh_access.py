@@ -1,0 +1,218 @@
+"""Over real sockets: who may not speak is not heard, and who is none of us hears nothing."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bus_schema.link.configuration import LinkConfiguration, SecurityConfiguration
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.clock import MonotonicClock
+from bus_schema.zenoh.access import access_control, recorded_key_expression, secure_settings
+from bus_schema.zenoh.link import ZenohPlantLink
+from bus_schema.zenoh.node import ZenohNode
+from bus_schema.zenoh.ros_graph import node_name, node_token
+from bus_schema.zenoh.session import ZenohSession
+from deploy.processes.keys import create_authority, issue
+
+HANG_S = 60.0
+MINUTE_DAYS = 1 / 1440
+STATE, COMMAND = b"joint state", b"joint command"
+
+
+def make_keys(folder: Path, days: float = 1.0) -> KeyFolder:
+    keys = KeyFolder.at(folder)
+    create_authority(keys, 1.0)
+    for role in Role:
+        issue(keys, role, ["127.0.0.1"], days)
+    return keys
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> KeyFolder:
+    return make_keys(tmp_path_factory.mktemp("keys") / "keys")
+
+
+@contextmanager
+def secured_plant(keys: KeyFolder) -> Iterator[tuple[LinkConfiguration, ZenohPlantLink]]:
+    link = LinkConfiguration(
+        security=SecurityConfiguration(enabled=True, folder=str(keys.path)),
+        plant_endpoint=f"tcp/127.0.0.1:{free_port()}",
+        controller_endpoint=f"tcp/127.0.0.1:{free_port()}",
+    )
+    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True, await_recorder=False)
+    try:
+        yield link, plant
+    finally:
+        plant.close()
+
+
+class Stranger:
+    """A session that claims to be the controller, with settings of its own and no scruples."""
+
+    def __init__(self, endpoint: str, security: dict[str, Any] | None) -> None:
+        self._session = ZenohSession([], [endpoint], low_latency=True, security=security)
+        self.heard: list[bytes] = []
+        for topic in (topics.JOINT_STATES, topics.PLANT_STATUS, topics.PLANT_TRUTH):
+            self._session.subscribe(topic.key_expression(0), lambda d: self.heard.append(d.payload))
+        self._commands = self._session.publisher(topics.JOINT_COMMANDS.key_expression(0))
+        name = node_name(Role.CONTROLLER)
+        self._session.announce(node_token(0, self._session.identifier, name))
+
+    def shoot(self) -> None:
+        self._commands.put(COMMAND, b"")
+
+    def close(self) -> None:
+        self._session.close()
+
+
+def tls(keys: KeyFolder, role: Role) -> dict[str, Any]:
+    """TLS with a role's certificate, and no access control: nothing holds this peer back."""
+    settings = secure_settings(role, 0, keys)
+    del settings["access_control"]
+    return settings
+
+
+def no_certificate(keys: KeyFolder, _: Path) -> dict[str, Any]:
+    return {"transport/link/tls": {"root_ca_certificate": str(keys.authority)}}
+
+
+def other_authority(keys: KeyFolder, folder: Path) -> dict[str, Any]:
+    """Trusts our authority, and shows a controller's certificate of another one."""
+    settings = tls(make_keys(folder / "other"), Role.CONTROLLER)
+    settings["transport/link/tls"]["root_ca_certificate"] = str(keys.authority)
+    return settings
+
+
+def expired(keys: KeyFolder, folder: Path) -> dict[str, Any]:
+    """A controller's certificate of our authority that was valid until a minute ago."""
+    copy = KeyFolder.at(folder)
+    for file in keys.path.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    copy.authority_key.chmod(0o600)
+    issue(copy, Role.CONTROLLER, ["127.0.0.1"], -MINUTE_DAYS)
+    return tls(copy, Role.CONTROLLER)
+
+
+def plaintext(_: KeyFolder, __: Path) -> None:
+    return None
+
+
+def exchange(plant: ZenohPlantLink, stranger: Stranger, enough: Callable[[], bool]) -> None:
+    """Both sides talk, until enough has happened or for a second and a half."""
+    give_up_s = time.monotonic() + 1.5
+    while not enough() and time.monotonic() < give_up_s:
+        plant.send_state(STATE, b"status")
+        stranger.shoot()
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize(
+    "make", [no_certificate, other_authority, expired, plaintext], ids=lambda make: make.__name__
+)
+def test_who_is_none_of_us_neither_commands_nor_hears(
+    keys: KeyFolder, tmp_path: Path, make: Callable[[KeyFolder, Path], dict[str, Any] | None]
+) -> None:
+    with secured_plant(keys) as (link, plant):
+        security = make(keys, tmp_path)
+        protocol = "tcp" if security is None else "tls"
+        stranger = Stranger(link.plant_endpoint.replace("tls", protocol), security)
+        exchange(plant, stranger, lambda: bool(stranger.heard))
+        assert stranger.heard == []
+        assert plant.take_commands() == []
+        stranger.close()
+
+
+@pytest.mark.parametrize("role", [Role.RECORDER, Role.PLANT])
+def test_other_roles_cannot_command(keys: KeyFolder, role: Role) -> None:
+    with secured_plant(keys) as (link, plant):
+        stranger = Stranger(link.plant_endpoint, tls(keys, role))
+        exchange(plant, stranger, lambda: False)
+        assert STATE in stranger.heard  # it is connected; its commands are what is refused
+        assert plant.take_commands() == []
+        assert not plant._node.sees(Role.CONTROLLER)  # nor can it pretend to be there
+        stranger.close()
+
+
+def test_the_controllers_certificate_opens_the_door(keys: KeyFolder) -> None:
+    with secured_plant(keys) as (link, plant):
+        stranger = Stranger(link.plant_endpoint, tls(keys, Role.CONTROLLER))
+        exchange(plant, stranger, lambda: STATE in stranger.heard and plant.await_command(0.01))
+        assert STATE in stranger.heard
+        assert plant.take_commands()[0].payload == COMMAND
+        assert plant._node.sees(Role.CONTROLLER)
+        stranger.close()
+
+
+def test_false_plant_is_not_heard(keys: KeyFolder) -> None:
+    """Who listens at the plant's endpoint with another's certificate is no plant for that."""
+    port = free_port()
+    false_plant = ZenohSession(
+        [f"tls/127.0.0.1:{port}"], [], low_latency=True, security=tls(keys, Role.CONTROLLER)
+    )
+    states = false_plant.publisher(topics.JOINT_STATES.key_expression(0))
+    link = LinkConfiguration(
+        security=SecurityConfiguration(enabled=True, folder=str(keys.path)),
+        plant_endpoint=f"tcp/127.0.0.1:{port}",
+    )
+    recorder = ZenohNode(link, Role.RECORDER, lossless=True)
+    mailbox = recorder.listen_to_all(100, lossless=True)
+    give_up_s = time.monotonic() + 1.5
+    while time.monotonic() < give_up_s:
+        states.put(STATE, b"")
+        time.sleep(0.02)
+    assert mailbox.take() is None
+    recorder.close()
+    false_plant.close()
+
+
+def test_recorder_says_nothing_but_that_it_has_everything(keys: KeyFolder) -> None:
+    """Its word is a liveliness token: no rule lets it put anything."""
+    with secured_plant(keys) as (link, plant):
+        recorder = ZenohNode(link, Role.RECORDER, lossless=True)
+        recorder.announce()
+        plant._node.await_role(Role.RECORDER, HANG_S)
+        _, gid = plant._node._publishers[topics.RUN_EVENTS.name]
+        recorder.acknowledge(gid)
+        plant._node.await_acknowledgement(HANG_S)
+        assert plant._node._acknowledged.is_set()
+        recorder.close()
+
+
+def test_rules_follow_the_table_of_topics() -> None:
+    rules = access_control(Role.PLANT, 7)["rules"]
+
+    def puts(flow: str) -> set[str]:
+        return {
+            key
+            for rule in rules
+            if "put" in rule["messages"] and flow in rule["flows"]
+            for key in rule["key_exprs"]
+        }
+
+    def keys_of(*senders: Role | None) -> set[str]:
+        return {t.key_expression(7) for t in topics.TOPICS if t.sender in senders}
+
+    assert puts("egress") == keys_of(Role.PLANT, None)
+    assert puts("ingress") == keys_of(Role.PLANT, Role.CONTROLLER, None)
+    for rule in rules:
+        if rule["id"].startswith("plant hears recorder"):
+            assert "put" not in rule["messages"]
+            speaks = rule["messages"] == ["liveliness_token"]
+            assert (recorded_key_expression(7) in rule["key_exprs"]) == (
+                speaks or "liveliness" in rule["messages"][0]
+            )
+
+
+def free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return int(listener.getsockname()[1])

@@ -1,0 +1,165 @@
+"""The link over Zenoh, between its own two sides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bus_schema.errors import PeerSilentError
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import (
+    CONTROL_STATUS,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    PLANT_STATUS,
+    Role,
+    layout,
+)
+from bus_schema.zenoh import link as zenoh_link
+from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+from plant_emulator.command_gate import CommandGate
+from tests.bus_schema.zenoh.zenoh_pair import (
+    HANG_S,
+    JOINTS,
+    await_true,
+    controller_on,
+    fresh_link,
+    plant_on,
+    state,
+    status,
+)
+
+
+def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
+    link = fresh_link()
+    reply = layout(JOINT_COMMANDS, JOINTS).template
+    heard: list[tuple[bytes, bytes | None]] = []
+    with plant_on(link) as plant, controller_on(link) as controller:
+
+        def answer(payload: bytes, status: bytes | None) -> None:
+            heard.append((payload, status))
+            controller.publish(JOINT_COMMANDS, reply)
+            controller.publish(CONTROL_STATUS, b"beside the point")
+
+        controller.serve(answer)
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        for tick in range(50):
+            plant.send_state(state(tick), status())
+            assert plant.await_command(HANG_S)
+            (arrival,) = plant.take_commands()
+            assert arrival.payload == reply
+            assert arrival.sequence == tick + 1  # numbers begin with 1 and have no gaps
+            assert len(arrival.sender) == 16
+    assert heard == [(state(tick), status()) for tick in range(50)]
+
+
+def test_controller_that_joins_a_run_under_way_answers_once_it_is_in_command() -> None:
+    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
+    with plant_on(link) as plant, controller_on(link) as controller:
+
+        def answer(_payload: bytes, _status: bytes | None) -> None:
+            controller.publish(JOINT_COMMANDS, reply)
+
+        controller.serve(answer)
+        await_true(lambda: plant._node.sees(Role.CONTROLLER))
+        for tick in range(3):
+            plant.send_state(state(tick), status())
+        plant.publish(PLANT_STATUS, b"the last of what came too early")
+        await_true(lambda: controller._status == b"the last of what came too early")
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        plant.send_state(state(3), status())
+        assert plant.await_command(HANG_S)
+        assert [arrival.sequence for arrival in plant.take_commands()] == [1]
+    assert controller.failure is None
+
+
+def test_state_of_a_foreign_plant_comes_without_a_status() -> None:
+    link = fresh_link()
+    heard: list[bytes | None] = []
+    with plant_on(link) as plant, controller_on(link) as controller:
+        controller.serve(lambda _, status: heard.append(status))
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        plant.send_state(state(0), status())
+        plant.publish(JOINT_STATES, state(1))
+        plant.send_state(state(2), status())
+        await_true(lambda: len(heard) == 3)
+    assert heard == [status(), None, status()]
+
+
+def test_plant_knows_when_its_controller_has_left() -> None:
+    link = fresh_link()
+    with plant_on(link) as plant:
+        assert not plant.controller_has_left()  # nobody has come yet
+        with controller_on(link) as controller:
+            controller.take_command(await_recorder=False)
+            plant.await_controller(HANG_S)
+            assert not plant.controller_has_left()
+        await_true(plant.controller_has_left)
+
+
+def test_commander_is_followed_only_once_it_has_left() -> None:
+    link = fresh_link()
+
+    def command(controller: ZenohControllerLink, plant: ZenohPlantLink, stamp_ns: int) -> Any:
+        record = Record(layout(JOINT_COMMANDS, JOINTS))
+        record.stamp_ns = stamp_ns
+        record.fields["effort"][:] = 1.0
+        controller.publish(JOINT_COMMANDS, record.payload())
+        assert plant.await_command(HANG_S)
+        (arrival,) = plant.take_commands()
+        return gate.admit(arrival, 100)
+
+    with plant_on(link) as plant:
+        gate = CommandGate(JOINTS, plant.sender_has_left)
+        with controller_on(link) as first:
+            first.take_command(await_recorder=False)
+            plant.await_controller(HANG_S)
+            assert command(first, plant, 1) is not None
+        commander = gate.commander or b""
+        await_true(lambda: plant.sender_has_left(commander))
+        with controller_on(link) as again:  # the same controller, started again: a new session
+            again.take_command(await_recorder=False)
+            plant.await_controller(HANG_S)
+            assert command(again, plant, 2) is not None
+            assert gate.commander not in (None, commander)
+    assert not gate.rejections.counts
+
+
+def test_commands_beyond_the_largest_backlog_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zenoh_link, "_LARGEST_BACKLOG", 20)
+    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
+    with plant_on(link) as plant, controller_on(link) as controller:
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        for _ in range(50):
+            controller.publish(JOINT_COMMANDS, reply)
+        await_true(lambda: plant.overflow() == 30)
+        assert [arrival.sequence for arrival in plant.take_commands()] == list(range(1, 21))
+
+
+def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it() -> None:
+    with plant_on(fresh_link()) as plant:
+        with pytest.raises(PeerSilentError, match="the controller is silent") as silence:
+            plant.await_controller(0.1)
+        assert silence.value.peer == "controller"
+        assert not plant.await_command(0.01)
+        plant.await_controller(HANG_S, lambda: True)  # a stop request ends the wait
+
+
+def test_error_of_the_handler_ends_the_service_and_reaches_the_main_thread() -> None:
+    link = fresh_link()
+
+    def fail(_payload: bytes, _status: bytes | None) -> None:
+        raise ZeroDivisionError
+
+    with plant_on(link) as plant, controller_on(link) as controller:
+        controller.serve(fail)
+        controller.take_command(await_recorder=False)
+        plant.await_controller(HANG_S)
+        plant.send_state(state(0), status())
+        with pytest.raises(ZeroDivisionError):
+            controller.join(is_stop_requested=lambda: False)

@@ -1,0 +1,68 @@
+"""Both sides of a Zenoh link on this machine, for tests."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, layout
+from bus_schema.runtime.clock import MonotonicClock
+from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+
+HANG_S = 60.0
+JOINTS = ("base_yaw", "shoulder", "elbow")
+
+
+@contextmanager
+def plant_on(link: LinkConfiguration) -> Iterator[ZenohPlantLink]:
+    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True, await_recorder=False)
+    try:
+        yield plant
+    finally:
+        plant.close()
+
+
+@contextmanager
+def controller_on(link: LinkConfiguration) -> Iterator[ZenohControllerLink]:
+    controller = ZenohControllerLink(link, lossless=True)
+    try:
+        yield controller
+    finally:
+        controller.close()
+
+
+def fresh_link() -> LinkConfiguration:
+    return LinkConfiguration(
+        plant_endpoint=free_endpoint(),
+        controller_endpoint=free_endpoint(),
+        connect_timeout_s=HANG_S,
+    )
+
+
+def state(stamp_ns: int, **values: tuple[float, ...]) -> bytes:
+    record = Record(layout(JOINT_STATES, JOINTS))
+    record.stamp_ns = stamp_ns
+    for name, value in values.items():
+        record.fields[name][:] = value
+    return record.payload()
+
+
+def status() -> bytes:
+    return layout(PLANT_STATUS, JOINTS).template
+
+
+def await_true(condition: Callable[[], bool]) -> None:
+    give_up_s = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < give_up_s, "waited in vain"
+        time.sleep(0.01)
+
+
+def free_endpoint() -> str:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"

@@ -1,0 +1,204 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from bus_schema.configuration import ConfigurationError
+from controller.configuration import FunnelConfiguration
+from controller.funnel import (
+    Funnel,
+    inverse_transform,
+    performance_function,
+    transform,
+    transformation_accelerations,
+    transformation_rates,
+)
+
+BOUND = st.floats(1e-3, 2.0)
+INSIDE = st.floats(-0.97, 0.97)  # share of the bound on the side of the error
+STEP_S = 2e-5
+
+
+def slope(function, at):
+    """Sixth-order central difference; at our time scales (3 ms at the least) good to 1e-9."""
+    weights = ((1, 45.0), (2, -9.0), (3, 1.0))
+    differences = (
+        weight * (function(at + k * STEP_S) - function(at - k * STEP_S)) for k, weight in weights
+    )
+    return math.fsum(differences) / (60.0 * STEP_S)
+
+
+def error_at(share, upper, lower):
+    return share * (upper if share > 0.0 else lower)
+
+
+@given(share=INSIDE, upper=BOUND, lower=BOUND)
+def test_inverse_undoes_the_transformation(share, upper, lower):
+    error = error_at(share, upper, lower)
+    back = inverse_transform(transform(error, upper, lower), upper, lower)
+    # Rounding of ln and exp alone, relative to the wider bound.
+    assert back == pytest.approx(error, abs=1e-14 * max(upper, lower) / min(upper, lower))
+
+
+@given(epsilon=st.floats(-15.0, 15.0), upper=BOUND, lower=BOUND)
+def test_inverse_maps_every_number_into_the_funnel(epsilon, upper, lower):
+    assert -lower < inverse_transform(epsilon, upper, lower) < upper
+
+
+@given(shares=st.tuples(INSIDE, INSIDE), upper=BOUND, lower=BOUND)
+def test_transformation_is_strictly_increasing(shares, upper, lower):
+    smaller, larger = sorted(error_at(share, upper, lower) for share in shares)
+    assume(larger - smaller > 1e-12)
+    assert transform(smaller, upper, lower) < transform(larger, upper, lower)
+    assert transformation_rates(smaller, upper, lower, 0.0, 0.0)[0] > 0.0
+
+
+@given(upper=BOUND, lower=BOUND, d_upper=st.floats(-9.0, 0.0), d_lower=st.floats(-9.0, 0.0))
+def test_zero_error_is_zero_and_stays_so_however_unequal_the_bounds(upper, lower, d_upper, d_lower):
+    assert transform(0.0, upper, lower) == 0.0
+    assert inverse_transform(0.0, upper, lower) == 0.0
+    assert transformation_rates(0.0, upper, lower, d_upper, d_lower)[1] == 0.0
+
+
+@given(
+    initial=st.floats(0.02, 2.0), final=st.floats(1e-3, 0.02),
+    rate=st.floats(0.1, 10.0), time_s=st.floats(0.0, 5.0),
+)  # fmt: skip
+def test_performance_function_and_its_derivatives(initial, final, rate, time_s):
+    value, first, second = performance_function(time_s, initial, final, rate)
+    assert final <= value <= initial
+    assert first <= 0.0
+    assert performance_function(0.0, initial, final, rate)[0] == pytest.approx(initial, rel=1e-15)
+    assert performance_function(1e3, initial, final, rate)[0] == pytest.approx(final, rel=1e-15)
+    for index, analytic in ((0, first), (1, second)):
+        numeric = slope(lambda t, i=index: performance_function(t, initial, final, rate)[i], time_s)
+        assert analytic == pytest.approx(numeric, rel=1e-7, abs=1e-9)
+
+
+class Motion:
+    """An error that swings smoothly between fractions of two bounds that shrink at unlike rates."""
+
+    def __init__(self, initial_upper, initial_lower, rate, swing, frequency, phase):
+        self.initial = (initial_upper, initial_lower)
+        self.rate, self.swing, self.frequency, self.phase = rate, swing, frequency, phase
+
+    def bounds(self, time_s):
+        upper = performance_function(time_s, self.initial[0], 0.01, self.rate)
+        lower = performance_function(time_s, self.initial[1], 0.01, 0.7 * self.rate)
+        return upper, lower
+
+    def error(self, time_s):
+        """Error and error rate."""
+        (u, d_u, _), (lo, d_lo, _) = self.bounds(time_s)
+        angle = self.frequency * time_s + self.phase
+        sine, cosine = self.swing * math.sin(angle), self.swing * self.frequency * math.cos(angle)
+        error = 0.5 * (u - lo) + 0.5 * (u + lo) * sine
+        rate = 0.5 * (d_u - d_lo) + 0.5 * (d_u + d_lo) * sine + 0.5 * (u + lo) * cosine
+        return error, rate
+
+    def transformed(self, time_s):
+        upper, lower = self.bounds(time_s)
+        return transform(self.error(time_s)[0], upper[0], lower[0])
+
+    def rates(self, time_s):
+        (u, d_u, _), (lo, d_lo, _) = self.bounds(time_s)
+        return transformation_rates(self.error(time_s)[0], u, lo, d_u, d_lo)
+
+    def accelerations(self, time_s):
+        (u, d_u, dd_u), (lo, d_lo, dd_lo) = self.bounds(time_s)
+        return transformation_accelerations(*self.error(time_s), u, lo, d_u, d_lo, dd_u, dd_lo)
+
+
+MOTIONS = st.builds(
+    Motion,
+    initial_upper=st.floats(0.02, 1.5),
+    initial_lower=st.floats(0.02, 1.5),
+    rate=st.floats(0.1, 10.0),
+    swing=st.floats(0.0, 0.95),
+    frequency=st.floats(0.1, 20.0),
+    phase=st.floats(0.0, 2.0 * math.pi),
+)
+TIMES = st.floats(0.01, 3.0)
+# Finite differences of a value x are good to 1e-9 of it per time scale; 1e-6 leaves a margin, and a
+# wrong sign or a forgotten term is off by the order of x.
+ACCURACY = 1e-6
+
+
+@given(motion=MOTIONS, time_s=TIMES)
+def test_rate_of_the_transformed_error_is_r_times_error_rate_minus_v(motion, time_s):
+    r, v = motion.rates(time_s)
+    error_rate = motion.error(time_s)[1]
+    scale = r * (abs(error_rate) + abs(v)) + 1.0
+    numeric = slope(motion.transformed, time_s)
+    assert r * (error_rate - v) == pytest.approx(numeric, abs=ACCURACY * scale)
+
+
+@given(motion=MOTIONS, time_s=TIMES)
+def test_rates_of_r_and_v_along_a_motion(motion, time_s):
+    d_r, d_v = motion.accelerations(time_s)
+    numeric_r = slope(lambda t: motion.rates(t)[0], time_s)
+    numeric_v = slope(lambda t: motion.rates(t)[1], time_s)
+    r, v = motion.rates(time_s)
+    assert d_r == pytest.approx(numeric_r, abs=ACCURACY * (abs(d_r) + r))
+    assert d_v == pytest.approx(numeric_v, abs=ACCURACY * (abs(d_v) + abs(v) + 1.0))
+
+
+@given(
+    upper=st.floats(0.02, 2.0), lower=st.floats(0.02, 2.0),
+    rate=st.floats(0.1, 10.0), time_s=st.floats(0.0, 20.0),
+)  # fmt: skip
+def test_funnel_bounds_agree_with_the_performance_function(upper, lower, rate, time_s):
+    final = np.array([0.01, 0.02])
+    funnel = Funnel(np.array([upper, 0.5]), np.array([lower, 0.5]), final, rate)
+    above, below = funnel.bounds(np.array([0.0, time_s]))
+    assert above.shape == below.shape == (2, 2)
+    # exp of numpy and of the C library may differ in the last bit.
+    assert above[1, 0] == pytest.approx(
+        performance_function(time_s, upper, 0.01, rate)[0], rel=1e-14
+    )
+    assert -below[1, 0] == pytest.approx(
+        performance_function(time_s, lower, 0.01, rate)[0], rel=1e-14
+    )
+    assert -below[1, 1] == pytest.approx(
+        performance_function(time_s, 0.5, 0.02, rate)[0], rel=1e-14
+    )
+    assert above[0].tolist() == pytest.approx([upper, 0.5], rel=1e-15)
+
+
+def test_funnel_opens_wide_to_the_side_of_the_error():
+    funnel = FunnelConfiguration(final_rad=0.01).build(np.array([0.5, -0.5, 0.0]))
+    near, far = 1.2 * 0.5 + 0.05, 0.4 * 0.5 + 0.03
+    assert funnel.initial_upper_rad.tolist() == pytest.approx([near, far, 0.05])
+    assert funnel.initial_lower_rad.tolist() == pytest.approx([far, near, 0.03])
+    assert funnel.final_rad.tolist() == [0.01, 0.01, 0.01]
+    assert funnel.rate_per_s == 4.0
+
+
+@given(offset=st.floats(-1.4, 1.4))
+def test_error_starts_inside_the_default_funnel(offset):
+    funnel = FunnelConfiguration().build(np.array([offset]))
+    above, below = funnel.bounds(np.zeros(1))
+    assert below[0, 0] < offset < above[0, 0]
+    assert max(above[0, 0], -below[0, 0]) <= 1.5
+
+
+def test_initial_error_beyond_the_widest_bound_is_refused_with_the_joint():
+    with pytest.raises(ConfigurationError, match="joint 2") as caught:
+        FunnelConfiguration().build(np.array([0.0, -1.6, 0.1]))
+    assert caught.value.key == "robot.initial_offset_rad"
+    assert caught.value.value == [0.0, -1.6, 0.1]
+
+
+@pytest.mark.parametrize("final", [0.031, [0.01, 0.5]])
+def test_funnel_that_would_have_to_widen_is_refused(final):
+    # Without an initial error the far side opens to 0.03 rad.
+    with pytest.raises(ConfigurationError) as caught:
+        FunnelConfiguration(final_rad=final).build(np.zeros(2))
+    assert caught.value.key == "funnel.final_rad"
+
+
+def test_wrong_number_of_final_bounds_is_refused():
+    with pytest.raises(ConfigurationError, match="each of the 3 joints"):
+        FunnelConfiguration(final_rad=[0.01, 0.02]).build(np.zeros(3))

@@ -1,0 +1,134 @@
+"""`funnel-hil drives`: as a process, on a bus that any other process can join."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import can
+import canopen
+import pytest
+from canopen.profiles.p402 import BaseNode402
+
+from bus_schema.link.can_files import CIA402_EDS
+from deploy.cli import main
+
+GROUP = "239.74.163.9"
+PATIENCE_S = 30.0
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return probe.getsockname()[1]
+
+
+def on_bus(port):
+    return [
+        "--set", "link.can.interface=udp_multicast", "--set", f"link.can.channel={GROUP}",
+        "--set", f"link.can.port={port}", "--set", "rate_hz=250",
+    ]  # fmt: skip
+
+
+def started(*options):
+    command = [sys.executable, "-u", "-m", "deploy.cli", "drives", "paper_arm", *options]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
+    )
+
+
+def refused(capsys, monkeypatch, *options):
+    """What a command says that ends with exit code 2."""
+    monkeypatch.setattr(sys, "argv", ["funnel-hil", "drives", "paper_arm", *options])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_client_in_another_process_hears_and_drives_them():
+    port = free_port()
+    process = started(*on_bus(port), "--verbose")
+    network = canopen.Network()
+    network.connect(interface="udp_multicast", channel=GROUP, port=port)
+    try:
+        node = BaseNode402(2, str(CIA402_EDS))
+        network.add_node(node)
+        node.nmt.wait_for_bootup(PATIENCE_S)
+        node.setup_402_state_machine()
+        for pdo in node.rpdo.values():
+            if pdo.enabled:  # a multicast group echoes: canopen would take its own for periodic
+                network.unsubscribe(pdo.cob_id)
+        node.nmt.state = "OPERATIONAL"
+        node.op_mode = "CYCLIC SYNCHRONOUS TORQUE"
+        node.state = "OPERATION ENABLED"
+    finally:
+        network.disconnect()
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said  # without --duration this is how it ends
+    for words in (
+        "cia402 drives 1, 2, 3 on udp_multicast",
+        "node 2 heartbeat INITIALISING",
+        "NMT START node 2",
+        "node 2 SDO upload request 0x6502:00 Supported drive modes",
+        "node 2 RPDO Controlword 0x000F, Target torque 0",
+        "node 2: OPERATION_ENABLED",
+        "frames heard",
+    ):
+        assert words in said, words
+
+
+def test_it_ends_by_itself_and_names_each_identifier_it_hears_once():
+    port = free_port()
+    process = started(
+        *on_bus(port), "--duration", "1", "--set", "link.can.protocol=cansimple",
+        "--fault", "over-temperature:2@500ms",
+    )  # fmt: skip
+    with can.Bus(interface="udp_multicast", channel=GROUP, port=port) as bus:
+        while process.poll() is None:
+            bus.send(can.Message(arbitration_id=1 << 5 | 0x02, is_extended_id=False))
+            bus.send(can.Message(arbitration_id=0x7FF, data=bytes(8), is_extended_id=False))
+            time.sleep(0.05)
+    said = process.stdout.read()
+    assert process.returncode == 0, said
+    assert len(re.findall(r"heard 022 .*axis 1 Estop", said)) == 1
+    assert len(re.findall(r"heard 7FF .*not for these drives", said)) == 1
+    assert "node 1: IDLE, ESTOP_REQUESTED" in said
+    assert "over-temperature injected at node 2" in said
+    assert "node 2: IDLE, MOTOR_OVER_TEMP" in said
+    assert re.search(r"rejected: \{'unknown_identifier': \d+\}", said)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("drive:9@1s", "one of the nodes 1, 2, 3"),
+        ("drive:2", "kind:node@time"),
+        ("drive:2@1", "kind:node@time"),
+        ("drive:2@-1s", "kind:node@time"),
+        ("fire:2@1s", "drive, silent, encoder-frozen, over-temperature"),
+    ],
+)
+def test_faults_that_cannot_be_are_refused(capsys, monkeypatch, fault, words):
+    said = refused(capsys, monkeypatch, *on_bus(1), "--fault", fault)
+    assert f"--fault = '{fault}'" in said
+    assert words in said
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("link.can.interface=carrier_pigeon", "python-can knows"),
+        ("link.can.protocol=canasta", "'cia402' or 'cansimple'"),
+        ("link.can.node_ids=[1, 1, 2]", "all different"),
+        ("link.can.node_ids=[1, 2]", "one for each of the 3 joints"),
+        ("link.can.rated_torque_nm=[1, 2]", "one for each of the 3 joints"),
+    ],
+)
+def test_buses_and_drives_that_cannot_be_are_refused(capsys, monkeypatch, setting, words):
+    said = refused(capsys, monkeypatch, *on_bus(free_port()), "--set", setting)
+    assert setting.split("=")[0] in said
+    assert words in said

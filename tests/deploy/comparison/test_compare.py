@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from controller.laws import LAWS
+from controller.laws.pid import Pid
+from deploy.comparison.compare import load_setups, parse_laws
+from deploy.runs.run_folder import load_run
+from deploy.runs.run_rows import row, write_rows
+from deploy.runs.simulate import attempt, simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
+
+
+@pytest.fixture
+def compared(funnel_hil, tmp_path):
+    """A comparison of two laws: exit code, output and folder."""
+    code, output = funnel_hil(
+        "compare", "--laws", "pid, fixed_time_neural", *SHORT, "--out", tmp_path
+    )
+    return code, output, tmp_path
+
+
+def test_all_registered_laws_are_compared_by_default():
+    assert parse_laws(None) == list(LAWS)
+
+
+def test_laws_are_named_once_and_in_the_order_asked_for():
+    assert parse_laws("smc, pid,smc ,,fixed_time_neural") == ["smc", "pid", "fixed_time_neural"]
+
+
+@pytest.mark.parametrize("text", ["", " , "])
+def test_no_law_at_all_is_refused_with_the_names_of_all(text):
+    with pytest.raises(ScenarioError, match=", ".join(LAWS)):
+        parse_laws(text)
+
+
+def test_an_unknown_law_is_refused_before_anything_is_written(funnel_hil, tmp_path):
+    out = tmp_path / "out"
+    code, output = funnel_hil("compare", "--laws", "pid,magic", "--out", out)
+    assert code == 2
+    assert "'magic'" in output
+    assert all(law in output for law in LAWS)
+    assert not out.exists()
+
+
+def test_a_comparison_leaves_rows_summary_manifest_and_report(compared):
+    code, output, folder = compared
+    assert code == 0
+    assert output.index("pid") < output.index("fixed_time_neural")
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["kind"] == "comparison"
+    assert list(summary["laws"]) == ["pid", "fixed_time_neural"]
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert set(manifest["gains"]) == {"pid", "fixed_time_neural"}
+    assert (folder / "report.html").stat().st_size > 10_000
+    rows = parquet.read_table(folder / "comparison.parquet").to_pylist()
+    assert [row["law"] for row in rows] == ["pid", "fixed_time_neural"]
+    for one in rows:
+        expected = summary["laws"][one["law"]]
+        assert one["rms_rad"] == expected["tracking"]["rms_rad"]
+        assert one["bounds_kept"] == expected["bounds"]["kept"]
+        assert one["digest"] == expected["digest"]
+        assert one["error"] is None
+        assert len(one["total_variation_nm_per_s"]) == 3
+
+
+def test_a_law_is_run_as_simulate_runs_it(compared):
+    _, _, folder = compared
+    setup = load_setup("paper_arm", ["duration_s=0.3", "controller.law=pid"])
+    data, _ = load_run(folder / "pid")
+    assert data.digest == simulate(setup).data().digest
+
+
+def test_report_renders_a_comparison_again_from_its_recordings(compared, funnel_hil):
+    _, _, folder = compared
+    before = json.loads((folder / "summary.json").read_text())
+    manifest = (folder / "manifest.json").read_bytes()
+    (folder / "report.html").unlink()
+    (folder / "comparison.parquet").unlink()
+    code, output = funnel_hil("report", folder)
+    assert code == 0
+    assert "fixed_time_neural" in output
+    assert json.loads((folder / "summary.json").read_text()) == before
+    assert (folder / "manifest.json").read_bytes() == manifest
+    assert (folder / "report.html").is_file()
+    assert parquet.read_table(folder / "comparison.parquet").num_rows == 2
+
+
+def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
+    _, _, folder = compared
+    (folder / "pid" / "run.mcap").unlink()
+    code, output = funnel_hil("report", folder)
+    assert code == 2
+    assert "holds no run.mcap" in output
+
+
+@pytest.mark.parametrize(
+    "failing",
+    [lambda: np.full(3, np.nan), lambda: np.zeros(2), lambda: [][1]],
+    ids=["not finite", "wrong shape", "raises"],
+)
+def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, funnel_hil, tmp_path, failing):
+    working = Pid.torque
+
+    def torque(law, tracking):
+        return failing() if tracking.time_s >= 0.1 else working(law, tracking)
+
+    monkeypatch.setattr(Pid, "torque", torque)
+    code, output = funnel_hil(
+        "compare", "--laws", "pid,fixed_time_neural", *SHORT, "--out", tmp_path
+    )
+    assert code == 1
+    first, second = parquet.read_table(tmp_path / "comparison.parquet").to_pylist()
+    assert first["error"]
+    assert not first["completed"]
+    assert second["error"] is None
+    assert second["completed"]
+    assert "fault" in output
+    assert "did not finish" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_law_that_fails_before_the_first_tick_is_a_row_with_its_error(monkeypatch, tmp_path):
+    monkeypatch.setattr(Pid, "torque", lambda *_: [][1])
+    (setup,) = load_setups("paper_arm", ["duration_s=0.3"], ["pid"])
+    data = attempt(setup).data()
+    assert "IndexError" in data.faults()[0]
+
+
+def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_path):
+    short = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
+    words = ["compare", "--laws", "pid", "--settling", *short, "--out", tmp_path]
+    code, output = funnel_hil(*words)
+    assert code == 0
+    assert "of 9 starts of up to 1 rad" in output
+    starts = json.loads((tmp_path / "summary.json").read_text())["settling"]
+    assert [len(test["starts"]) for test in starts] == [9]
+    assert funnel_hil("report", tmp_path)[0] == 0
+    assert json.loads((tmp_path / "summary.json").read_text())["settling"] == starts
+    assert 'id="settling-from-afar"' in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path):
+    narrow = ["--set", "funnel.rate_per_s=200", "--require-bounds"]
+    code, _ = funnel_hil("compare", "--laws", "pid", *SHORT, *narrow, "--out", tmp_path)
+    assert code == 3
+
+
+def test_rows_of_runs_with_and_without_bounds_share_their_columns(tmp_path):
+    from deploy.runs.metrics import summarise
+
+    setup = load_setup("paper_arm", ["duration_s=0.1", "controller.law=pid"])
+    summary = summarise(simulate(setup).data())
+    rows = []
+    for bound in (None, 1.5, [1.0, 2.0, 3.0]):
+        summary["tracking"]["settling_bound_s"] = bound
+        rows.append(row(summary, seed=7))
+    write_rows(rows, tmp_path / "rows.parquet")
+    read = parquet.read_table(tmp_path / "rows.parquet").to_pylist()
+    assert [r["settling_bound_s"] for r in read] == [None, [1.5] * 3, [1.0, 2.0, 3.0]]
+    assert [r["seed"] for r in read] == [7, 7, 7]

@@ -1,0 +1,141 @@
+"""What the project claims of its laws on `paper_arm`, and what it does not.
+
+Minutes of evidence with more gains: controller/README.md, "How the laws were tuned".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.laws import LAWS
+from deploy.comparison.settling import settling_test
+from deploy.experiments.equal_travel import AS_SHIPPED_PER_S, AT_EQUAL_TRAVEL, rivals_as_smooth
+from deploy.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, judge, load_gains
+from deploy.experiments.tuning import tuning_setup
+from deploy.runs.metrics import summarise
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import read_yaml
+
+SWITCHING = ("smc", "tsmc", "ftsmc")
+
+
+def setup_of(law, duration_s, overrides=()):
+    return load_setup(
+        "paper_arm", [*overrides, f"controller.law={law}", f"duration_s={duration_s}"]
+    )
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    """Every law with the gains of the scenario, over all of it."""
+    return {law: judge(setup_of(law, 20)) for law in LAWS}
+
+
+@pytest.fixture(scope="module")
+def brief():
+    """The neural law and its rivals with the gains of the scenario, over 5 s."""
+    return {law: judge(setup_of(law, 5)) for law in (PROPOSED, *RIVALS)}
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    """Every law with the gains that the one procedure found for it, over as long as it looked."""
+    return {law: judge(setup_of(law, 8, load_gains(EQUALLY_TUNED))) for law in (PROPOSED, *RIVALS)}
+
+
+@pytest.fixture(scope="module")
+def rivals_gains():
+    """Overrides: the rivals tuned for the least error under one limit on their torques' travel."""
+    return rivals_as_smooth(read_yaml(AT_EQUAL_TRAVEL))
+
+
+def test_fixed_time_laws_keep_their_bounds_and_the_pid_does_not(shipped, tuned):
+    assert shipped[PROPOSED].kept
+    assert shipped["fixed_time_model_based"].kept
+    assert not shipped["pid"].kept
+    assert tuned[PROPOSED].kept  # the model-based law's tuned gains do not, over 20 s
+    assert not tuned["pid"].kept
+
+
+@pytest.mark.parametrize("rival", RIVALS)
+def test_neural_law_has_at_most_half_the_error_of_each_rival_as_shipped(shipped, rival):
+    assert (shipped[PROPOSED].rms_mrad <= 0.5 * shipped[rival].rms_mrad).all()
+
+
+@pytest.mark.parametrize("rival", SWITCHING)
+def test_and_of_each_rival_tuned_for_the_least_error_that_is_as_smooth(brief, rivals_gains, rival):
+    as_smooth = judge(setup_of(rival, 5, rivals_gains))
+    assert (brief[PROPOSED].rms_mrad <= 0.5 * as_smooth.rms_mrad).all()
+
+
+@pytest.mark.parametrize("law", [PROPOSED, *SWITCHING])
+def test_all_of_them_keep_the_limit_on_travel(rivals_gains, law):
+    setup = tuning_setup("paper_arm", law, rivals_gains)
+    travel_per_s = judge(setup).variation_nm_per_s / setup.robot.effort_limits_nm
+    # The law as shipped, which nobody tuned to it, exceeds it by 0.7 % on the shoulder.
+    assert travel_per_s.max() <= AS_SHIPPED_PER_S * (1.01 if law == PROPOSED else 1.0)
+
+
+def test_equally_tuned_the_best_rival_has_less_error_on_the_elbow_and_more_elsewhere(tuned):
+    best = np.min([tuned[rival].rms_mrad for rival in RIVALS], axis=0)
+    assert (tuned[PROPOSED].rms_mrad < best).tolist() == [True, True, False]
+
+
+def test_neural_law_is_as_smooth_as_claimed(shipped):
+    neural = shipped[PROPOSED].variation_nm_per_s
+    assert (neural <= 0.01 * shipped["smc"].variation_nm_per_s).all()
+    assert (neural <= 8.0 * shipped["pid"].variation_nm_per_s).all()
+
+
+@pytest.mark.parametrize("rival", SWITCHING)
+def test_no_equally_tuned_switching_law_is_nearly_as_smooth(tuned, rival):
+    # 2.2 % of SMC's on the elbow, and far less on the other joints.
+    ratios = tuned[PROPOSED].variation_nm_per_s / tuned[rival].variation_nm_per_s
+    assert ratios.max() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("rival", RIVALS)
+def test_moderate_changes_of_a_rivals_shipped_gains_do_not_reverse_the_result(brief, rival, seed):
+    changed = judge(drawn(setup_of(rival, 5), seed))
+    assert (brief[PROPOSED].rms_mrad < changed.rms_mrad).all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nor_do_moderate_changes_of_the_neural_laws_gains(brief, seed):
+    changed = judge(drawn(setup_of(PROPOSED, 5), seed))
+    assert changed.kept
+    assert (changed.rms_mrad < np.min([brief[rival].rms_mrad for rival in RIVALS], axis=0)).all()
+
+
+@pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
+def test_settling_time_stays_below_one_bound_from_near_and_far(law):
+    result = settling_test(setup_of(law, 4), offsets_rad=(0.01, 0.1, 0.5, 1.0))
+    assert result.holds, result
+    assert all(row.bounds_kept for row in result.rows)
+    assert max(row.settling_time_s for row in result.rows) < 1.0 < result.bound_s < 5.0
+
+
+@pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
+@pytest.mark.parametrize("scenario", ["iiwa", "panda"])
+def test_arms_with_weaker_actuators_settle_below_it_too(scenario, law):
+    # On the way they leave the funnel, which then opens again.
+    setup = load_setup(scenario, [f"controller.law={law}", "duration_s=4"])
+    result = settling_test(setup, offsets_rad=(0.1, 1.0))
+    assert result.holds, result
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("scenario", ["paper_arm", "iiwa", "panda"])
+def test_every_law_runs_on_every_arm_with_derived_gains(scenario, law):
+    overrides = [f"controller.law={law}", f"controller.gains.{law}=null", "duration_s=3"]
+    summary = summarise(simulate(load_setup(scenario, overrides)).data())
+    assert summary["completed"]
+    assert not summary["faults"]
+    rms_rad = max(summary["tracking"]["rms_rad"])
+    if law != "pid":  # which has nothing against gravity but its integral
+        assert summary["bounds"]["kept"]
+        assert rms_rad < 5e-3
+    assert rms_rad < 0.1

@@ -1,0 +1,174 @@
+"""The recorder counts what it did not get, by the numbers that each sender gave its messages."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic
+from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.recording.record_file import RecordFile
+from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
+from bus_schema.zenoh.session import ZenohSession
+from deploy.processes import recorder as recorder_module
+from deploy.processes.recorder import Recorder, stamp_of
+from deploy.scenario.scenario import Setup, load_setup
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
+
+OURS, FOREIGN = b"o" * 16, b"f" * 16
+
+
+class Bench:
+    """A recorder at work, and a session that speaks as the plant."""
+
+    def __init__(self, setup: Setup, path: Path) -> None:
+        self.path = path
+        self.session = ZenohSession([setup.scenario.link.plant_endpoint], [], low_latency=True)
+        self.session.announce(node_token(0, self.session.identifier, "funnel_hil_plant"))
+        recorder_is_there = threading.Event()
+        self.session.watch_tokens(
+            node_tokens(0, Role.RECORDER), lambda _token, _alive: recorder_is_there.set()
+        )
+        self.recorder = Recorder(setup, path)
+        self._publishers = {
+            topic.name: self.session.publisher(topic.key_expression(0))
+            for topic in (JOINT_STATES, JOINT_COMMANDS, RUN_EVENTS)
+        }
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.recorder.run, args=(self._stop.is_set,))
+        self._thread.start()
+        assert recorder_is_there.wait(HANG_S)
+
+    def send(self, topic: Topic, payload: bytes, attachment: bytes) -> None:
+        self._publishers[topic.name].put(payload, attachment)
+
+    def await_messages(self, count: int) -> None:
+        await_true(lambda: self.recorder.messages >= count)
+
+    def leave(self) -> LogContents:
+        """The plant leaves; the recorder ends of itself."""
+        self.session.close()
+        self._thread.join(HANG_S)
+        assert not self._thread.is_alive()
+        self.recorder.close()
+        return read_log(self.path)
+
+    def give_up(self) -> None:
+        self._stop.set()
+        self._thread.join(HANG_S)
+        self.session.close()
+
+
+@pytest.fixture
+def setup() -> Setup:
+    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
+    return load_setup("paper_arm", endpoints)
+
+
+@pytest.fixture
+def bench(setup: Setup, tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(setup, tmp_path / "run.mcap")
+    yield bench
+    bench.give_up()
+
+
+def number(sequence: int, gid: bytes = OURS, source_time_ns: int = 0) -> bytes:
+    return Attachment(sequence, source_time_ns, gid).encode()
+
+
+def test_gaps_in_the_numbers_of_each_sender_are_losses(bench: Bench) -> None:
+    sent = [
+        *((JOINT_STATES, sequence, OURS) for sequence in (1, 2, 5, 6, 10)),  # 3 4 7 8 9 missing
+        *((JOINT_COMMANDS, sequence, OURS) for sequence in (1, 2, 3)),  # counted for itself
+        *((JOINT_STATES, sequence, FOREIGN) for sequence in (1, 3)),  # 2 missing
+        (JOINT_STATES, 10, OURS),  # once more: no loss, and no gain
+        (JOINT_STATES, 9, OURS),  # late
+        (JOINT_STATES, 11, OURS),
+    ]
+    for topic, sequence, gid in sent:
+        bench.send(topic, state(sequence), number(sequence, gid))
+    bench.await_messages(len(sent))
+    log = bench.leave()
+    assert bench.recorder.lost == {"joint_states": 5 + 1}
+    assert bench.recorder.messages == len(sent)
+    assert log.metadata["recorder"] == {"messages": str(len(sent)), "lost": "6"}
+    assert log.metadata["lost"] == {"joint_states": "6"}
+    assert log.sequences["joint_states"] == [1, 2, 5, 6, 10, 1, 3, 10, 9, 11]
+    assert log.complete
+
+
+def test_first_messages_that_never_came_are_losses_too(bench: Bench) -> None:
+    bench.send(JOINT_STATES, state(0), number(4))
+    bench.await_messages(1)
+    assert bench.recorder.lost == {"joint_states": 3}
+
+
+def test_message_without_a_number_is_recorded_and_counts_as_no_loss(bench: Bench) -> None:
+    for attachment in (b"", b"not an attachment", number(0)):
+        bench.send(JOINT_STATES, state(0), attachment)
+    bench.await_messages(3)
+    log = bench.leave()
+    assert bench.recorder.lost == {}
+    assert log.sequences["joint_states"] == [0, 0, 0]
+
+
+def test_payloads_are_written_as_they_came_whatever_they_are(bench: Bench) -> None:
+    payloads = [state(7_000_000_001), b"", b"\xff" * 5, bytes(70_000)]
+    for index, payload in enumerate(payloads, start=1):
+        bench.send(JOINT_STATES, payload, number(index))
+    bench.await_messages(len(payloads))
+    assert bench.leave().payloads["joint_states"] == payloads
+
+
+def test_scenario_and_robot_travel_with_the_recording(bench: Bench, setup: Setup) -> None:
+    bench.send(JOINT_STATES, state(0), number(1))
+    bench.await_messages(1)
+    log = bench.leave()
+    assert yaml.safe_load(log.attachments["scenario.yaml"])["name"] == "paper_arm"
+    assert b"<robot" in log.attachments["robot.urdf"]
+    assert log.metadata["run"] == {
+        "scenario": "paper_arm", "law": "fixed_time_neural",
+        "clock": setup.scenario.clock, "link": "zenoh",
+    }  # fmt: skip
+
+
+def test_disk_that_hangs_holds_up_no_sender_and_costs_the_oldest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In real time: the backlog is bounded, and what does not fit in is counted."""
+    monkeypatch.setattr(recorder_module, "_LARGEST_BACKLOG", 100)
+    disk_works = threading.Event()
+    disk_works.set()
+    write = RecordFile.write
+
+    def write_when_possible(file: RecordFile, data: bytes) -> int:
+        assert disk_works.wait(HANG_S)
+        return write(file, data)
+
+    monkeypatch.setattr(RecordFile, "write", write_when_possible)
+    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
+    bench = Bench(load_setup("paper_arm", ["clock=realtime", *endpoints]), tmp_path / "run.mcap")
+    disk_works.clear()
+    count, padding = 3000, bytes(20_000)  # 60 MB: more than all buffers on the way would hold
+    for index in range(1, count + 1):
+        bench.send(JOINT_STATES, state(index) + padding, number(index))
+    disk_works.set()
+    await_true(lambda: bench.recorder.messages + bench.recorder.lost.total() == count)
+    log = bench.leave()
+    bench.give_up()
+    kept = log.sequences["joint_states"]
+    assert log.complete
+    assert kept[-1] == count
+    assert bench.recorder.lost == {"joint_states": count - len(kept)}
+    assert len(kept) < count // 2
+
+
+def test_stamp_stands_behind_the_encapsulation_header() -> None:
+    assert stamp_of(state(7_000_000_001)) == 7_000_000_001
+    assert stamp_of(b"\0\1\0\0" + b"\2\0\0\0" + b"\3\0\0\0") == 2_000_000_003
+    assert stamp_of(b"\0\1\0\0" + b"\xff\xff\xff\xff" + b"\0\0\0\0") is None  # before the start
+    assert stamp_of(b"\0\1\0\0\2\0\0\0\3\0\0") is None

@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plotly.offline import get_plotlyjs
+
+from bus_schema.messages.run_event import EventKind, RunEvent
+from deploy.reports.figures import run as figures
+from deploy.reports.figures import timing as figures_timing
+from deploy.reports.figures.arm_pictures import encode_png
+from deploy.reports.figures.decimation import decimate
+from deploy.reports.run_report import write_report
+from deploy.runs.metrics import summarise
+from deploy.runs.run_data import build_run_data
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from plant_emulator.arm.pybullet_arm import PybulletArm
+
+FIGURES = ("timeline", "error-in-funnel", "error-first-second", "transformed-error", "torques",
+           "tip-path", "tip-error", "arm", "network-output", "timing-percentiles")  # fmt: skip
+
+HOSTILE = "</script><script>alert(1)</script>"
+
+
+def run_of(*overrides):
+    return simulate(load_setup("paper_arm", ["duration_s=1.5", *overrides])).data()
+
+
+@pytest.fixture(scope="module")
+def run():
+    return run_of("metrics.from_s=0.5")
+
+
+@pytest.fixture(scope="module")
+def late_run():
+    return run_of("controller.law=pid", "link.deadline_ms=0.5")
+
+
+@pytest.fixture
+def page_of(tmp_path):
+    def write(run, summary=None):
+        """The report without plotly.js, which is not ours."""
+        path = tmp_path / "report.html"
+        write_report(run, summary or summarise(run), path)
+        page = path.read_text(encoding="utf-8")
+        assert page.count(get_plotlyjs()) == 1
+        return page.replace(get_plotlyjs(), "")
+
+    return write
+
+
+def test_the_page_needs_nothing_from_outside(run, page_of):
+    page = page_of(run)
+    sources = re.findall(r"""(?:src|href|action)\s*=\s*["']([^"']*)""", page)
+    assert len(sources) == 3
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert not re.search(r"https?://|@import|url\(", page)
+    assert "default-src 'none'" in page
+    assert "showSendToCloud: false" in page  # plotly's button that uploads a figure
+
+
+def test_a_report_has_every_figure_with_a_caption(run, page_of):
+    page = page_of(run)
+    for name in FIGURES:
+        assert f'<figure class="card" id="{name}">' in page
+    assert page.count("<figcaption>") == len(FIGURES)
+
+
+def test_what_a_law_does_not_have_is_left_out(late_run, page_of):
+    page = page_of(late_run)
+    assert 'id="torques"' in page
+    assert 'id="network-output"' not in page
+    assert 'id="transformed-error"' not in page
+
+
+def test_the_verdict_on_a_run_that_kept_its_bounds(run, page_of):
+    page = page_of(run)
+    assert "<h1>Bounds kept</h1>" in page
+    assert "inside its bounds at all 1,500 ticks" in page
+    assert run.digest[:12] in page
+
+
+def test_the_verdict_on_a_run_that_left_its_bounds(run, page_of):
+    summary = summarise(run)
+    summary["bounds"] |= {"kept": False, "violation_fraction": 0.25, "first_violation_s": 0.125}
+    page = page_of(run, summary)
+    assert "<h1>Bounds not kept</h1>" in page
+    assert "outside its bounds at 25 % of the ticks, for the first time at 0.125 s" in page
+
+
+def test_a_partial_recording_is_called_partial(run, page_of):
+    page = page_of(replace(run, complete=False))
+    assert "<h1>Run incomplete, bounds kept until then</h1>" in page
+    assert "recording is partial" in page
+
+
+def test_texts_from_a_run_are_shown_and_never_executed(run, page_of):
+    fault = RunEvent(10**9, "plant", EventKind.FAULT, HOSTILE)
+    hostile_run = replace(run, events=[*run.events, fault])
+    summary = summarise(hostile_run)
+    summary["scenario"] = HOSTILE
+    summary["tracking"]["joint_names"][0] = HOSTILE
+    summary["transport"]["uplink"]["rejected"] = {HOSTILE: 3}
+    page = page_of(hostile_run, summary)
+    assert "<h1>Run faulted, bounds kept until then</h1>" in page
+    assert "<script>alert" not in page
+    assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 6
+
+
+def test_joint_names_are_plain_text_in_figures(run):
+    robot = replace(run.setup.robot, joint_names=(HOSTILE, "shoulder", "elbow"))
+    figure = figures.torques(replace(run, setup=replace(run.setup, robot=robot)))
+    assert "<" not in figure.to_json()
+
+
+def test_a_run_without_any_data_still_has_a_report(run, page_of):
+    empty = build_run_data(run.setup, {}, clock="realtime", link="zenoh", complete=False)
+    page = page_of(empty)
+    assert "<h1>Run incomplete</h1>" in page
+    assert "No tick was recorded" in page
+    assert "Nothing was recorded that could be drawn" in page
+
+
+def test_a_picture_shows_the_whole_arm(run):
+    arm = PybulletArm(run.setup.robot, run.setup.grid.substep_s)
+    picture = arm.render(run.setup.start_position_rad, 160, 120)
+    arm.close()
+    assert picture.shape == (120, 160, 3)
+    is_arm = (picture < 255).any(axis=2)
+    assert is_arm.sum() > 500
+    assert not np.concatenate([is_arm[0], is_arm[-1], is_arm[:, 0], is_arm[:, -1]]).any()
+
+
+def test_every_deadline_missed_fills_its_figure(run, late_run):
+    assert figures_timing.deadline_misses(run) is None
+    figure = figures_timing.deadline_misses(late_run)
+    assert max(figure.data[0].y) == pytest.approx(100.0)
+
+
+def test_the_network_learns_what_the_report_compares_it_with(run):
+    truth = figures.unknown_dynamics_nm(run)
+    status = run.tables["control_status"]["network_output"]
+    assert np.abs(status[-100:] - truth[-101:-1]).max() < 0.1 * np.abs(truth[-100:]).max()
+
+
+@pytest.mark.parametrize("points", [3, 4000, 4001, 20_001])
+def test_decimation_keeps_order_and_extremes(points):
+    random = np.random.default_rng(points)
+    x, y = np.arange(points, dtype=float), random.standard_normal(points)
+    y[points // 2] = np.nan
+    few_x, few_y = decimate(x, y)
+    assert len(few_x) <= 4000
+    assert np.all(np.diff(few_x) > 0)
+    assert np.array_equal(y[few_x.astype(int)], few_y, equal_nan=True)
+    assert np.nanmin(few_y) == np.nanmin(y)
+    assert np.nanmax(few_y) == np.nanmax(y)
+
+
+def test_decimation_keeps_gaps():
+    _, few = decimate(np.arange(100.0), np.full(100, np.nan), 10)
+    assert np.isnan(few).all()
+
+
+def test_a_png_holds_the_pixels():
+    pixels = np.random.default_rng(1).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+    png = encode_png(pixels)
+    assert png[:8] == b"\x89PNG\r\n\x1a\n"
+    chunks, rest = {}, png[8:]
+    while rest:
+        length, kind = struct.unpack(">I4s", rest[:8])
+        chunks[kind] = rest[8 : 8 + length]
+        (checksum,) = struct.unpack(">I", rest[8 + length : 12 + length])
+        assert checksum == zlib.crc32(rest[4 : 8 + length])
+        rest = rest[12 + length :]
+    assert list(chunks) == [b"IHDR", b"IDAT", b"IEND"]
+    assert struct.unpack(">IIBBBBB", chunks[b"IHDR"]) == (7, 5, 8, 2, 0, 0, 0)
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(5, 22)
+    assert not rows[:, 0].any()
+    assert np.array_equal(rows[:, 1:].reshape(pixels.shape), pixels)

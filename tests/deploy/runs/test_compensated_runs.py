@@ -1,0 +1,114 @@
+"""What delay compensation achieves on the shipped arm, in virtual time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bus_schema.recording.mcap_log import read_log
+from controller.laws import LAWS
+from deploy.runs.metrics import summarise
+from deploy.runs.replay import replay
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+ON = "controller.delay_compensation.enabled=true"
+
+
+def run(*overrides, up_ms=0.0, down_ms=0.0, duration_s=4):
+    delays = [f"link.uplink.delay_ms={up_ms}", f"link.downlink.delay_ms={down_ms}"]
+    return simulate(load_setup("paper_arm", [f"duration_s={duration_s}", *delays, *overrides]))
+
+
+def judged(*overrides, **settings):
+    return summarise(run(*overrides, **settings).data())
+
+
+@pytest.mark.parametrize(
+    ("up_ms", "down_ms"),
+    [(24, 24), (48, 0), (0, 48), (40, 8), (16, 16), (11.3, 9.4), (0.5, 0.5)],
+)
+def test_compensated_neural_law_keeps_its_bounds(up_ms, down_ms):
+    summary = judged(ON, up_ms=up_ms, down_ms=down_ms)
+    assert summary["bounds"]["kept"]
+    if up_ms + down_ms <= 32:
+        assert max(summary["tracking"]["rms_rad"]) <= 1e-3
+
+
+def test_uncompensated_neural_law_loses_its_bounds_at_8_ms():
+    assert not judged(up_ms=4, down_ms=4, duration_s=2)["bounds"]["kept"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 18])
+def test_play_out_and_compensation_withstand_jitter_and_bursts_of_loss(seed):
+    burst = "burst_loss: {mean_loss: 0.02, mean_burst: 3}"
+    jitter = "delay_ms: 8, jitter_ms: 3, distribution: normal"
+    channels = [f"link.{way}={{{jitter}, {burst}}}" for way in ("uplink", "downlink")]
+    overrides = [ON, *channels, f"seed={seed}", "link.playout_ms=24", "duration_s=3"]
+    summary = summarise(simulate(load_setup("paper_arm", overrides)).data())
+    assert min(summary["transport"][way]["lost"] for way in ("uplink", "downlink")) >= 10
+    assert summary["bounds"]["kept"]
+
+
+def test_from_other_offsets_too():
+    for offset in ([-0.15, 0.12, -0.1], [0.3, -0.3, 0.3]):
+        assert judged(ON, f"robot.initial_offset_rad={offset}", up_ms=24, down_ms=24, duration_s=2)[
+            "bounds"
+        ]["kept"]
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if law not in ("fixed_time_neural", "pid")])
+def test_every_law_that_keeps_its_bounds_keeps_them_at_48_ms(law):
+    overrides = [f"controller.law={law}"]
+    assert judged(ON, *overrides, up_ms=24, down_ms=24, duration_s=3)["bounds"]["kept"]
+    assert not judged(*overrides, up_ms=24, down_ms=24, duration_s=1)["bounds"]["kept"]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_without_delay_compensation_changes_no_bit(law):
+    with_it, without = (
+        run(*overrides, f"controller.law={law}", duration_s=0.3).data().digest
+        for overrides in ([ON], [])
+    )
+    assert with_it == without
+
+
+def test_replay_gives_the_same_bits_with_compensation(tmp_path):
+    simulation = run(ON, up_ms=10, down_ms=10, duration_s=0.5)
+    simulation.write_log(tmp_path / "run.mcap")
+    again = replay(simulation.setup, read_log(tmp_path / "run.mcap"))
+    assert again.replayed > 450
+    assert again.is_identical
+
+
+def test_control_status_tells_what_was_foreseen():
+    data = run(ON, up_ms=10, down_ms=10, duration_s=1.0).data()
+    status = data.tables["control_status"]
+    assert set(status["horizon_ns"][60:].tolist()) == {20_000_000}
+    # the error foreseen against the one measured 20 ticks later, while the arm comes in
+    foreseen, then = status["foreseen_error"][100:300], status["error"][120:320]
+    change = np.abs(then - status["error"][100:300]).max()
+    assert np.abs(foreseen - then).max() < 0.1 * change
+    assert np.isfinite(status["learned_disturbance"]).all()
+    assert np.isfinite(status["learned_friction"]).all()
+
+
+def test_control_status_without_compensation_has_nothing_foreseen():
+    status = run(duration_s=0.1).data().tables["control_status"]
+    assert not status["horizon_ns"].any()
+    assert np.isnan(status["foreseen_error"]).all()
+
+
+@pytest.mark.parametrize(
+    ("override", "reason"),
+    [
+        ("observer_bandwidth_rad_s=0", "greater than 0"),
+        ("observer_bandwidth_rad_s=.nan", "finite"),
+        ("enabled=perhaps", "a valid boolean"),
+        ("horizon=3", "no such key"),
+    ],
+)
+def test_bad_settings_are_refused(override, reason):
+    with pytest.raises(ScenarioError, match=reason):
+        load_setup("paper_arm", [f"controller.delay_compensation.{override}"])

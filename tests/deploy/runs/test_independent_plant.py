@@ -1,0 +1,94 @@
+"""The laws on physics of another make: pinocchio's forward dynamics instead of pybullet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.laws import LAWS
+from controller.manipulator_model import ManipulatorModel
+from deploy.runs.metrics import summarise
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from plant_emulator.arm import arm_plant
+from plant_emulator.arm.joint_torques import act
+
+SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
+
+
+class PinocchioArm:
+    """What `ArmPlant` asks of its physics, by RK4 (pybullet: semi-implicit Euler)."""
+
+    def __init__(self, robot, grid, torques, *, payload_kg=0.0, gui=False):
+        self._model = ManipulatorModel(robot, payload_kg=payload_kg)
+        self._grid, self._torques = grid, torques
+        self.motion = np.zeros((2, robot.joints))
+        self.position, self.velocity = self.motion
+
+    def place(self, position):
+        self.position[:], self.velocity[:] = position, 0.0
+
+    def set_brakes(self, *, engaged):
+        pass
+
+    def advance(self, first, end):
+        torques = self._torques
+        for number in range(first, end):
+            time_s = self._grid.substep_ns(number) * 1e-9
+            torques.saturated, hits = act(self.motion, time_s, torques.tables)
+            torques.hits |= hits
+            self._step(torques.tables.torques[3])
+
+    def _step(self, torque_nm):
+        def rate(state):
+            acceleration = self._model.forward_dynamics(state[0], state[1], torque_nm)
+            return np.stack([state[1], acceleration])
+
+        step_s, state = self._grid.substep_s, np.stack([self.position, self.velocity])
+        k_1 = rate(state)
+        k_2 = rate(state + 0.5 * step_s * k_1)
+        k_3 = rate(state + 0.5 * step_s * k_2)
+        k_4 = rate(state + step_s * k_3)
+        state += step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
+        self.position[:], self.velocity[:] = state
+
+    def coast(self, substeps):
+        self.velocity[:] = 0.0
+
+    def close(self):
+        pass
+
+
+def rms_rad(law):
+    setup = load_setup("paper_arm", [f"controller.law={law}", "duration_s=6"])
+    return np.array(summarise(simulate(setup).data())["tracking"]["rms_rad"])
+
+
+@pytest.fixture(scope="module")
+def both():
+    """RMS errors by law on pybullet and on pinocchio, shape (joints,) each."""
+    pybullet = {law: rms_rad(law) for law in LAWS}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arm_plant, "BulletArm", PinocchioArm)
+        pinocchio = {law: rms_rad(law) for law in LAWS}
+    return pybullet, pinocchio
+
+
+@pytest.mark.parametrize("law", SMOOTH)
+def test_errors_agree_for_laws_that_do_not_chatter(both, law):
+    pybullet, pinocchio = both
+    np.testing.assert_allclose(pinocchio[law], pybullet[law], rtol=0.2)
+
+
+def test_ranking_is_the_same(both):
+    def ranking(errors):
+        return sorted(errors, key=lambda law: np.log(errors[law]).mean())
+
+    assert ranking(both[0]) == ranking(both[1])
+    assert ranking(both[0])[0] == "fixed_time_neural"
+
+
+def test_every_law_is_in_the_same_league_on_both(both):
+    pybullet, pinocchio = both
+    for law in LAWS:
+        np.testing.assert_allclose(np.log(pinocchio[law] / pybullet[law]), 0.0, atol=np.log(1.5))

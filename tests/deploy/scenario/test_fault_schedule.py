@@ -1,0 +1,292 @@
+"""Every shipped fault, in virtual time: what it does to the arm, to the messages and to the run.
+
+Expected numbers: the run is 2 s at 1 kHz, faults begin at 1 s, the command timeout is 200 ms and
+the arm is watched for 0.5 s after a safe stop.
+"""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.recording.mcap_log import read_log
+from bus_schema.runtime.modes import Mode
+from deploy.experiments.fault_table import (
+    BEGIN,
+    END,
+    fault_scenarios,
+    measure,
+    needs_processes,
+    to_safe_state_ms,
+)
+from deploy.reports.figures.faults import fault_spans_s, with_faults
+from deploy.reports.figures.run import error_in_funnel
+from deploy.reports.figures.style import ALARM
+from deploy.runs.metrics import summarise
+from deploy.runs.replay import replay
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+SIMULATED = [name for name in fault_scenarios() if not needs_processes(load_setup(name))]
+STRUCK_TICK, TIMEOUT_MS = 1000, 200.0
+measured = cache(measure)
+
+
+@cache
+def healthy():
+    return simulate(load_setup("paper_arm", ["duration_s=2"]))
+
+
+# What becomes of the run: exit code, and whether the arm is stopped.
+RIDES_THROUGH = {
+    "actuator_dead", "actuator_weak", "downlink_duplicated", "encoder_biased", "encoder_noisy",
+    "encoder_stuck", "payload_dropped", "second_commander", "torque_offset", "uplink_corrupted",
+    "uplink_cut", "uplink_duplicated", "uplink_slowed",
+}  # fmt: skip
+# What the plant counts: direction, reason (or what became of it), number.
+COUNTED = {
+    "controller_clock_step": ("downlink", "stale", 300),
+    "downlink_corrupted": ("downlink", "malformed", 300),
+    "downlink_duplicated": ("downlink", "overtaken", 300),
+    "non_finite_command": ("downlink", "not_finite", 300),
+    "plant_clock_step": ("downlink", "from_the_future", 300),
+    "uplink_duplicated": ("downlink", "stale", 300),
+}
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_fault_has_the_outcome_stated(name):
+    outcome = measured(name)
+    truth = outcome.run.tables[topics.PLANT_TRUTH.name]
+    limits = outcome.run.setup.robot.effort_limits_nm
+    assert np.isfinite(truth["torque"]).all()
+    assert (np.abs(truth["torque"]) <= limits).all()
+    if name.removeprefix("faults/") in RIDES_THROUGH:
+        assert (outcome.code, outcome.to_safe_state_ms) == (0, None)
+        assert len(truth) == 2001
+        return
+    assert outcome.code == 1
+    # The last torque came into force at the tick before the fault, or at that tick.
+    assert TIMEOUT_MS - 2.0 <= outcome.to_safe_state_ms <= outcome.allowed_ms == TIMEOUT_MS + 2.0
+    stopped = np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))
+    assert (np.diff(stopped.astype(int)) >= 0).all()  # there is no way back
+    assert np.argmax(stopped) <= STRUCK_TICK + TIMEOUT_MS + 2
+    assert np.abs(truth["velocity"][-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", COUNTED)
+def test_what_is_kept_out_is_counted(name):
+    direction, reason, count = COUNTED[name]
+    summary = measured(f"faults/{name}").summary
+    rejected = summary["transport"][direction]["rejected"]
+    rejected.pop("after_stop", None)  # what goes on coming once the arm is stopped
+    assert rejected == {reason: count}
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_fault_is_told_and_begins_on_time(name):
+    run = measured(name).run
+    told = [event for event in run.events if event.kind == EventKind.INJECTED]
+    fault = run.setup.scenario.faults[0]
+    assert told[0].stamp_ns == fault.start_ns == 1_000_000_000
+    assert told[0].detail == f"{fault}: begins"
+    states = run.tables[topics.JOINT_STATES.name]
+    before = healthy().data().tables[topics.JOINT_STATES.name]
+    if name != "faults/payload_dropped":  # its arm is heavier from the start
+        assert states[:STRUCK_TICK].tobytes() == before[:STRUCK_TICK].tobytes()
+
+
+OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500", "duration_s=1.5"]
+ARM_FAULTS = {
+    "actuator_dead", "actuator_weak", "encoder_biased", "encoder_noisy", "encoder_stuck",
+    "payload_dropped", "torque_offset",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(ARM_FAULTS))
+def test_fault_of_the_arm_does_the_same_over_can(name):
+    outcomes = []
+    for overrides in (OVER_CAN, [*OVER_CAN, "link.kind=in_process"]):
+        run = simulate(load_setup(f"faults/{name}", overrides)).data()
+        told = [event.stamp_ns for event in run.events if event.kind == EventKind.INJECTED]
+        assert told[0] == 1_000_000_000
+        assert run.faults() == []
+        assert to_safe_state_ms(run) is None
+        outcomes.append(summarise(run)["bounds"])
+    over_can, in_process = outcomes
+    assert over_can["kept"] == in_process["kept"]
+    if not over_can["kept"]:  # a tick of 2 ms, and what quantisation does to the error
+        delayed_s = over_can["first_violation_s"] - in_process["first_violation_s"]
+        assert abs(delayed_s) <= 0.004
+
+
+@pytest.mark.parametrize(
+    "name", sorted({name.removeprefix("faults/") for name in SIMULATED} - ARM_FAULTS)
+)
+def test_fault_of_messages_or_processes_is_refused_over_can_with_a_way_out(name):
+    with pytest.raises(ScenarioError, match=r"link\.can\.faults|run strikes processes"):
+        simulate(load_setup(f"faults/{name}", OVER_CAN))
+
+
+def test_cut_link_loses_all_that_is_sent_meanwhile():
+    uplink = measured("faults/uplink_cut").summary["transport"]["uplink"]
+    assert (uplink["lost"], uplink["loss_burst"]["longest"]) == (50, 50)
+
+
+def test_slowed_link_delays_by_what_it_says():
+    delays = measured("faults/uplink_slowed").summary["transport"]["uplink"]["delay_ms"]
+    assert (delays["p50"], delays["max"]) == (0.0, 20.0)
+
+
+def test_stuck_encoder_shows_one_position_and_no_velocity():
+    run = measured("faults/encoder_stuck").run
+    states = run.tables[topics.JOINT_STATES.name][STRUCK_TICK : STRUCK_TICK + 300]
+    assert len(set(states["position"][:, 2])) == 1
+    assert (states["velocity"][:, 2] == 0.0).all()
+    assert len(set(states["position"][:, 1])) == 300
+
+
+def test_biased_encoder_is_off_by_its_bias():
+    run = measured("faults/encoder_biased").run
+    seen = run.tables[topics.JOINT_STATES.name]["position"][:2000, 2]
+    true = run.tables[topics.PLANT_TRUTH.name]["position"][:2000, 2]
+    expected = np.zeros(2000)
+    expected[STRUCK_TICK : STRUCK_TICK + 300] = 0.005
+    np.testing.assert_allclose(seen - true, expected, atol=1e-15)
+
+
+def test_noisy_encoder_has_the_noise_asked_for():
+    run = measured("faults/encoder_noisy").run
+    states = run.tables[topics.JOINT_STATES.name]
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    noise = (states["position"] - truth["position"][:2000])[:, 2]
+    assert not noise[:STRUCK_TICK].any()
+    assert not noise[STRUCK_TICK + 300 :].any()
+    # 300 draws tell a standard deviation to 4 %; four times that is no accident.
+    assert np.std(noise[STRUCK_TICK : STRUCK_TICK + 300]) == pytest.approx(1e-4, rel=0.16)
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "delivered"),
+    [
+        ("actuator_dead", 2, lambda asked: 0.0 * asked),
+        ("actuator_weak", 1, lambda asked: 0.7 * asked),
+        ("torque_offset", 1, lambda asked: asked + 10.0),
+    ],
+)
+def test_faulty_actuator_delivers_another_torque(name, joint, delivered):
+    run = measured(f"faults/{name}").run
+    asked = run.tables[topics.JOINT_COMMANDS.name]["effort"]
+    torque = run.tables[topics.PLANT_TRUTH.name]["torque"]
+    during = np.arange(STRUCK_TICK, STRUCK_TICK + 300)
+    # The answer to the state of a tick is what acts until the next one.
+    np.testing.assert_array_equal(torque[during + 1, joint], delivered(asked[during, joint]))
+    after = np.arange(STRUCK_TICK + 300, 1999)
+    np.testing.assert_array_equal(torque[after + 1], asked[after])
+
+
+def test_arm_without_its_payload_falls_like_one_that_never_had_it():
+    dropped = "faults=[{kind: payload_dropped, at_s: 0}]"
+    fallen = {}
+    for kind, overrides in (
+        ("light", []),
+        ("loaded", ["plant.payload_kg=2"]),
+        ("dropped", ["plant.payload_kg=2", dropped]),
+    ):
+        arm = load_setup("paper_arm", overrides).arm()
+        arm.begin()
+        arm.command(np.zeros(3))
+        arm.advance(0, 40)
+        fallen[kind] = arm.velocity.copy()
+        arm.close()
+    assert np.abs(fallen["loaded"] - fallen["light"]).max() > 1e-3
+    np.testing.assert_allclose(fallen["dropped"], fallen["light"], rtol=1e-9, atol=1e-12)
+
+
+def test_second_commander_moves_nothing():
+    assert measured("faults/second_commander").run.digest == healthy().data().digest
+
+
+def test_leap_of_a_clock_that_is_short_is_survived():
+    fault = "faults=[{kind: clock_step, side: plant, step_ms: 500, at_s: 1, for_s: 0.1}]"
+    run = simulate(load_setup("paper_arm", ["duration_s=2", fault])).data()
+    assert to_safe_state_ms(run) is None
+    # The controller takes what comes after for late, and keeps the torque in force for 0.4 s.
+    rejected = summarise(run)["transport"]["downlink"]["rejected"]
+    assert rejected == {"from_the_future": 100}
+
+
+@pytest.mark.parametrize(
+    "name", ["controller_killed", "encoder_noisy", "plant_clock_step", "uplink_corrupted"]
+)
+def test_same_bits_in_every_run_and_in_replay(tmp_path, name):
+    again = simulate(load_setup(f"faults/{name}"))
+    assert again.data().digest == measured(f"faults/{name}").run.digest
+    again.write_log(tmp_path / "run.mcap")
+    repeated = replay(again.setup, read_log(tmp_path / "run.mcap"))
+    assert repeated.is_identical
+    assert repeated.recorded > STRUCK_TICK - 1
+
+
+@pytest.mark.parametrize("target", ["plant", "recorder"])
+def test_simulation_refuses_to_strike_what_it_has_not(target):
+    fault = f"faults=[{{kind: process_killed, target: {target}, at_s: 1}}]"
+    with pytest.raises(ScenarioError, match=f"target = '{target}': must be controller"):
+        simulate(load_setup("paper_arm", [fault]))
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("{kind: gremlin, at_s: 1}", "faults.0 = .*does not match any of the expected tags"),
+        ("{kind: link_cut, direction: uplink}", "faults.0.link_cut.at_s: is missing"),
+        ("{kind: link_cut, direction: up, at_s: 1}", "'up': must be 'uplink' or 'downlink'"),
+        ("{kind: link_cut, direction: uplink, at_s: -1}", "at_s = -1: must be greater than"),
+        ("{kind: link_cut, direction: uplink, at_s: 30}", "faults.0.at_s = 30.0: below duration"),
+        ("{kind: actuator_dead, joint: knee, at_s: 1}", "joint = 'knee': one of base_yaw, should"),
+        ("{kind: actuator_weak, joint: elbow, share: 1.5, at_s: 1}", "share = 1.5: must be less"),
+        ("{kind: payload_dropped, at_s: 1}", "plant.payload_kg must be above 0"),
+        ("{kind: process_killed, target: moon, at_s: 1}", "target = 'moon': must be 'controller'"),
+        ("{kind: process_frozen, target: plant, at_s: 1}", "process_frozen.for_s: is missing"),
+    ],
+)
+def test_fault_that_makes_no_sense_is_refused(fault, told):
+    with pytest.raises(ScenarioError, match=told):
+        load_setup("paper_arm", [f"faults=[{fault}]"])
+
+
+def test_scenario_that_extends_another_says_only_what_is_different(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("extends: paper_arm\nplant: {payload_kg: 1}\n")
+    mine, base = load_setup(str(file)).scenario, load_setup("paper_arm").scenario
+    assert mine.plant.payload_kg == 1.0
+    assert mine.plant.friction.coulomb_nm.tolist() == base.plant.friction.coulomb_nm.tolist()
+    file.write_text("extends: faults/encoder_stuck\n")
+    with pytest.raises(ScenarioError, match="must be a scenario that extends no other"):
+        load_setup(str(file))
+
+
+def test_table_in_the_readme_is_what_is_measured():
+    readme = (Path(__file__).resolve().parents[3] / "README.md").read_text()
+    shown = readme.split(BEGIN)[1].split(END)[0]
+    assert shown.count("\n") == 2 + len(fault_scenarios())
+
+
+def test_report_shades_the_time_of_a_fault():
+    figure = with_faults(error_in_funnel)(measured("faults/encoder_stuck").run)
+    shades = [(shape.x0, shape.x1) for shape in figure.layout.shapes if shape.fillcolor == ALARM]
+    assert shades == [(1.0, 1.3)] * 3  # one for each joint
+    assert fault_spans_s(measured("faults/payload_dropped").run) == [(1.0, 2.0)]
+
+
+@pytest.mark.parametrize("kind", ["link_cut", "link_corrupted"])
+def test_over_can_the_bus_has_faults_of_its_own(kind):
+    fault = f"faults=[{{kind: {kind}, direction: uplink, at_s: 1}}]"
+    with pytest.raises(
+        ScenarioError, match=r"without link\.kind can, where link\.can\.faults says"
+    ):
+        load_setup("paper_arm_can", [fault])

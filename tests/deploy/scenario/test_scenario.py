@@ -1,0 +1,94 @@
+"""Shipped scenarios load, overrides take the schema's types, the effective scenario is whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import SHIPPED, load_setup
+from deploy.scenario.scenario_text import effective_scenario, plain
+from deploy.scenario.yaml_files import ScenarioError
+
+NAMES = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+
+
+def test_what_is_shipped() -> None:
+    assert {"paper_arm", "iiwa"} <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_scenario_loads_under_its_own_name(name: str) -> None:
+    setup = load_setup(name)
+    assert setup.scenario.name == name
+    # 5 s at 500 Hz fit three drives on a bus of 1 Mbit/s; the others run 20 s at 1 kHz.
+    assert setup.ticks == (2_500 if name == "paper_arm_can" else 20_000)
+    assert setup.start_position_rad.shape == (setup.robot.joints,)
+    assert np.all(setup.start_position_rad > setup.robot.lower_rad)
+    assert np.all(setup.start_position_rad < setup.robot.upper_rad)
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "expected"),
+    [
+        ("duration_s", "2", 2.0),
+        ("seed", "7", 7),
+        ("clock", "lockstep", "lockstep"),
+        ("plant.friction.enabled", "false", False),
+        ("link.deadline_ms", "3", 3.0),
+        ("link.deadline_ms", "null", None),
+        ("plant.friction.coulomb_nm", "3", [3.0]),
+        ("plant.friction.coulomb_nm", "1e1", [10.0]),  # for YAML 1.1 alone, this is a string
+        ("robot.initial_offset_rad", "[0, 0.1, 0]", [0.0, 0.1, 0.0]),
+        ("link.uplink", "{delay_ms: 1}", {"delay_ms": 1.0}),
+        ("controller.gains.pid.proportional", "5", [5.0]),
+        (
+            "plant.disturbance.terms",
+            "[{joint: all, kind: constant, torque_nm: 1}]",
+            [{"joint": "all", "kind": "constant", "torque_nm": 1.0}],
+        ),
+    ],
+)
+def test_override_takes_the_type_of_its_key(key: str, given: str, expected: object) -> None:
+    value: Any = plain(load_setup("paper_arm", [f"{key}={given}"]).scenario)
+    for part in key.split("."):
+        value = value.get(part)
+    if isinstance(expected, dict):
+        value = {name: value[name] for name in expected}  # the rest are defaults
+    assert repr(value) == repr(expected)  # 2 is not 2.0
+
+
+def test_override_leaves_the_keys_beside_it_alone() -> None:
+    before = plain(load_setup("paper_arm").scenario)
+    after = plain(load_setup("paper_arm", ["plant.friction.viscous_nm_s=0"]).scenario)
+    assert after["plant"]["friction"].pop("viscous_nm_s") == [0.0]
+    before["plant"]["friction"].pop("viscous_nm_s")
+    assert after == before
+
+
+def test_later_override_wins() -> None:
+    setup = load_setup("paper_arm", ["seed=3", "seed=4"])
+    assert setup.scenario.seed == 4
+
+
+def test_all_mistakes_are_told_at_once() -> None:
+    with pytest.raises(ScenarioError) as refused:
+        load_setup("paper_arm", ["duration=1", "seed=-1"])
+    assert "duration: there is no such key" in str(refused.value)
+    assert "seed = -1: must be" in str(refused.value)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_effective_scenario_says_all_that_was_in_force(name: str, tmp_path: Path) -> None:
+    setup = load_setup(name, ["duration_s=0.05", "plant.encoder.velocity_noise_rad_s=0.001"])
+    file = tmp_path / "elsewhere.yaml"
+    file.write_text(effective_scenario(setup))
+    again = load_setup(str(file))
+    assert plain(again.scenario) == plain(setup.scenario) | {
+        "robot": plain(setup.scenario.robot) | {"urdf": str(setup.robot.path)}
+    }
+    assert effective_scenario(again) == effective_scenario(setup)
+    assert simulate(again).data().digest == simulate(setup).data().digest

@@ -1,0 +1,195 @@
+"""Sweeps on Dask: a cluster of separate processes, killed workers, killed commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+from pyarrow import parquet
+
+from deploy.study.study import carry_out
+from deploy.study.study_folder import StudyFolder
+from deploy.study.sweep import load_sweep
+from tests.deploy.study.studies import Here, Silent
+
+DEADLY_LAW = """
+import os
+from controller.control_law import Diagnostics
+
+class Deadly:
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        os._exit(1)
+"""
+WAIT_S = 120.0
+
+
+def wait_for(condition):
+    deadline_s = time.monotonic() + WAIT_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline_s, "what was waited for did not come"
+        time.sleep(0.05)
+    return found
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """A scheduler and two workers, each a process of its own: its address, and the worker that
+    nobody starts again when it dies.
+    """
+    folder = tmp_path_factory.mktemp("cluster")
+    (folder / "deadly.py").write_text(DEADLY_LAW)
+    place = folder / "scheduler.json"
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([*sys.path, str(folder)]),
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
+    }
+
+    def start_part(part, *words):
+        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words]
+        with (folder / f"{part}.log").open("a") as log:
+            return subprocess.Popen(
+                [*command, "--scheduler-file", str(place), "--no-dashboard"],
+                env=environment, cwd=folder, stdout=log, stderr=log,
+            )  # fmt: skip
+
+    processes = [start_part("scheduler", "--host", "127.0.0.1", "--port", "0")]
+    wait_for(place.exists)
+    wait_for(lambda: place.read_text().endswith("}"))
+    processes += [
+        start_part("worker", "--nthreads", "1"),
+        start_part("worker", "--nthreads", "1", "--no-nanny"),
+    ]
+    yield json.loads(place.read_text())["address"], processes[-1]
+    for process in reversed(processes):
+        process.terminate()
+    for process in processes:
+        process.wait()
+
+
+@pytest.fixture
+def definition(tmp_path):
+    """A sweep of 12 short runs."""
+    return write_sweep(tmp_path / "short.yaml", {"link.uplink.delay_ms": [0, 1, 2]}, seeds=4)
+
+
+def write_sweep(file, grid, **more):
+    fixed = {"duration_s": 0.2, "metrics.from_s": 0.1, **more.pop("set", {})}
+    values = {"name": "short", "scenario": "paper_arm", "set": fixed, "grid": grid, **more}
+    file.write_text(yaml.safe_dump(values))
+    return file
+
+
+def start(definition, out, *words, cwd=None):
+    """`sweep` in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", "sweep", definition, "--out", out, *words],
+        env=environment, cwd=cwd, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def parts_of(out):
+    """Parts that are complete; the one that is being written has a longer name."""
+    return list(out.glob("rows/??????.parquet"))
+
+
+def done_here(definition, folder):
+    """The table of a sweep that was done in this process, one run after another."""
+    sweep = load_sweep(str(definition))
+    folder.mkdir()
+    table, workers = StudyFolder(folder, "sweep", sweep.columns, sweep.seeds[0]), Here()
+    carry_out(sweep, workers, table, Silent(), workers.stop)
+    table.put_together()
+    return table.rows_file.read_bytes()
+
+
+def test_a_sweep_on_a_cluster_gives_the_rows_of_one_process(
+    funnel_hil, cluster, definition, tmp_path
+):
+    address, _ = cluster
+    out = tmp_path / "out"
+    code, output = funnel_hil("sweep", definition, "--scheduler", address, "--out", out)
+    assert code == 0
+    assert "12 of 12 runs" in output
+    assert (out / "sweep.parquet").read_bytes() == done_here(definition, tmp_path / "here")
+
+
+def test_a_scheduler_that_does_not_answer_is_refused(funnel_hil, definition, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        code, output = funnel_hil(
+            "sweep", definition, "--scheduler", address, "--out", tmp_path / "out"
+        )
+    assert code == 2
+    assert output.startswith(f"error: --scheduler {address}: must be")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_address_that_is_none_is_refused(funnel_hil, definition, tmp_path):
+    code, output = funnel_hil("sweep", definition, "--scheduler", "here", "--out", tmp_path / "out")
+    assert code == 2
+    assert "--scheduler here: must be" in output
+
+
+def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil, cluster, tmp_path):
+    address, worker = cluster
+    definition = write_sweep(tmp_path / "long.yaml", {"link.uplink.delay_ms": [0, 1]}, seeds=30)
+    out = tmp_path / "out"
+    command = start(definition, out, "--scheduler", address)
+    wait_for(lambda: parts_of(out) or (out / "sweep.parquet").exists())
+    assert not (out / "sweep.parquet").exists(), "too late to kill a worker in the middle"
+    worker.kill()
+    assert command.wait(timeout=WAIT_S) == 0
+    rows = parquet.read_table(out / "sweep.parquet").to_pylist()
+    assert [(row["point"], row["seed"]) for row in rows] == [
+        (point, seed) for point in ("00000", "00001") for seed in range(1, 31)
+    ]
+    assert all(row["error"] is None for row in rows)
+
+
+def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_path):
+    definition = write_sweep(tmp_path / "long.yaml", {"link.uplink.delay_ms": [0, 1]}, seeds=12)
+    out = tmp_path / "out"
+    words = (definition, out, "--workers", "1")
+    killed = start(*words)
+    wait_for(lambda: parts_of(out) or (out / "sweep.parquet").exists())
+    killed.kill()
+    killed.wait()
+    kept = sum(parquet.read_table(part).num_rows for part in parts_of(out))
+    assert 0 < kept < 24
+    stopped = start(*words)
+    wait_for(lambda: len(parts_of(out)) > 1 or stopped.poll() is not None)
+    stopped.send_signal(signal.SIGINT)
+    output = stopped.communicate(timeout=WAIT_S)[0]
+    assert stopped.returncode == 130, output
+    assert f"{kept} runs were there from before" in output
+    assert "goes on from here" in output
+    assert 0 < parquet.read_table(out / "sweep.parquet").num_rows < 24
+    last = start(definition, out, "--scheduler", cluster[0])  # who does the rest does not matter
+    assert last.wait(timeout=WAIT_S) == 0
+    assert (out / "sweep.parquet").read_bytes() == done_here(definition, tmp_path / "here")
+
+
+def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):
+    (tmp_path / "deadly.py").write_text(DEADLY_LAW)
+    definition = write_sweep(tmp_path / "d.yaml", {"controller.law": ["pid", "deadly:Deadly"]})
+    command = start(definition, tmp_path / "out", "--scheduler", cluster[0], cwd=tmp_path)
+    assert command.wait(timeout=WAIT_S) == 0
+    survivor, deadly = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pylist()
+    assert survivor["error"] is None
+    assert "ended the process of every worker" in deadly["error"]
+    assert deadly["controller.law"] == "deadly:Deadly"

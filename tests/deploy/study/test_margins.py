@@ -1,0 +1,134 @@
+"""Margins: those of the worst start and seed, in whatever order workers deliver."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from controller.laws import LAWS
+from deploy.reports.study_report import write_study_report
+from deploy.reports.study_text import margin_table
+from deploy.scenario.scenario import load_setup
+from deploy.study.margin import Margin, MarginDefinition
+from deploy.study.study import retrace
+from deploy.study.study_definition import find_study, read_definition
+from deploy.study.study_folder import create_folder, study_text
+from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--laws", "pid,magic"], ["'magic'", "smc"]),
+        (["--quantity", "colour"], ["quantity", "'colour'", "'delay', 'jitter' or 'loss'"]),
+        (["--seeds", "0"], ["seeds", "0", "from 1"]),
+        (["--offsets", "1,1"], ["offsets", "different"]),
+        (["--offsets", "x"], ["offsets", "'x'", "number"]),
+        (["--offsets", "20"], ["robot.initial_offset_rad"]),
+        (["--duration", "-1"], ["duration_s", "-1", "greater than 0"]),
+        (["--compensation", "maybe"], ["compensation", "'maybe'"]),
+        (["--set", "link.nonsense=1"], ["link.nonsense", "no such key"]),
+        (["--study", "none"], ["none", "shipped studies", "delay_margin"]),
+        (["--workers", "1", "--scheduler", "tcp://127.0.0.1:1"], ["--workers", "--scheduler"]),
+        (["--workers", "0"], ["--workers"]),
+    ],
+)
+def test_impossible_margins_are_refused_with_the_reason(funnel_hil, tmp_path, words, said):
+    code, output = funnel_hil("margin", *words, "--out", tmp_path / "out")
+    assert code == 2
+    assert [word for word in said if word not in output] == []
+    assert not (tmp_path / "out").exists()
+
+
+def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
+    margin = margin_of()
+    whole, folder = conduct(margin, tmp_path / "out", Here(limits, seed=5))
+    assert whole
+    summary = margin.summary(folder.rows)
+    assert [case["margin"] for case in summary["cases"]] == [3.0, 7.0]
+    assert [case["first_failure"] for case in summary["cases"]] == [3.5, 7.5]
+    assert margin.expected == len(folder.rows)
+    probe = next(probe for probe in summary["cases"][1]["probes"] if probe["value"] == 8.0)
+    assert not probe["held"]
+    # Of the 4 runs at 8 ms, the two from the second start are outside at 1 % of their ticks.
+    assert probe["violation_fraction"] == {"mean": 0.005, "lowest": 0.0, "highest": 0.01}
+    assert (probe["runs"], probe["runs_kept"]) == (4, 2)
+
+
+def test_half_of_a_round_trip_goes_each_way():
+    run = next(iter(margin_of(limit=12, resolution=12).first()))
+    point = Margin._overrides(margin_of(), margin_of().cases[0], 12.0, 1.0)
+    link = load_setup(run.scenario, point).scenario.link
+    assert (link.uplink.delay_ms, link.downlink.delay_ms) == (6.0, 6.0)
+
+
+def test_a_search_goes_on_where_it_stopped(tmp_path):
+    _, folder = conduct(margin_of(), tmp_path / "a", Here(limits, seed=1))
+    workers = Here(limits, seed=2, at_most=17)
+    assert not conduct(margin_of(), tmp_path / "b", workers)[0]
+    workers = Here(limits, seed=3)
+    assert conduct(margin_of(), tmp_path / "b", workers)[0]
+    assert len(workers.submitted) == len(folder.rows) - 17
+    rows = [(tmp_path / name / "margin.parquet").read_bytes() for name in "ab"]
+    assert rows[0] == rows[1]
+    again = margin_of()
+    retrace(again, folder_of(again, tmp_path / "b"))
+    assert [search.margin for search in again.searches] == [6, 14]
+
+
+def test_a_run_that_fails_does_not_hold(tmp_path):
+    margin = margin_of(laws=["pid"])
+    broken = Here(lambda run: made_up(run, error="it broke" if run.columns["value"] > 2 else None))
+    _, folder = conduct(margin, tmp_path / "out", broken)
+    assert margin.summary(folder.rows)["cases"][0]["margin"] == 2.0
+
+
+def test_margins_as_a_table_for_documents(tmp_path):
+    margin = margin_of(limit=8)
+    _, folder = conduct(margin, tmp_path / "out", Here(lambda run: made_up(run) | {
+        "bounds_kept": "pid" not in str(run.overrides)}))  # fmt: skip
+    assert margin_table(margin.summary(folder.rows)).splitlines() == [
+        "| law | paper_arm |",
+        "| --- | --- |",
+        "| `pid` | none |",
+        "| `smc` | ≥ 8 ms |",
+    ]
+
+
+def test_margins_have_a_report_with_bars_and_curves(tmp_path):
+    margin = margin_of()
+    _, folder = conduct(margin, tmp_path / "out", Here(limits))
+    write_study_report(margin.summary(folder.rows), folder)
+    page = folder.report.read_text(encoding="utf-8")
+    for name in ("margins", "outside", "rms"):
+        assert f'id="{name}-paper_arm"' in page
+
+
+def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
+    margin = margin_of()
+    text = study_text("margin", margin.definition_values(), margin.bases)
+    path = create_folder("margin", "m", tmp_path / "out", text)
+    conduct(margin, path, Here(limits))
+    code, output = funnel_hil("report", path)
+    assert code == 0
+    assert "7 ms" in output
+    assert json.loads((path / "summary.json").read_text())["cases"][0]["margin"] == 3.0
+    assert "| `smc` | 7 ms |" in (path / "table.md").read_text()
+
+
+def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp_path):
+    margin = margin_of(laws=["fixed_time_model_based"], compensation=[False, True], limit=128)
+    text = study_text("margin", margin.definition_values(), margin.bases)
+    path = create_folder("margin", "m", tmp_path / "out", text)
+    conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))
+    _, output = funnel_hil("report", path)
+    assert "paper_arm   fixed_time_model_based   without   none" in output
+    assert "…" not in output
+
+
+def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compensation():
+    definition = read_definition(find_study("delay_margin"), MarginDefinition)
+    assert definition.laws == list(LAWS)
+    assert definition.scenarios == ["paper_arm", "iiwa"]
+    assert definition.compensation == [False, True]

@@ -1,0 +1,45 @@
+"""The folder of a study: one study, one command at a time."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from deploy.reports.study_report import write_study_report
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.study_folder import create_folder, find_folder, study_text
+from tests.deploy.study.studies import TIED, folder_of, make_sweep, margin_of
+
+
+def test_an_unfinished_study_of_nothing_has_a_report(tmp_path):
+    for study in (make_sweep(tmp_path, {TIED: [0, 1]}), margin_of()):
+        folder = folder_of(study, tmp_path / study.kind)
+        write_study_report(study.summary([]), folder)
+        assert folder.report.is_file()
+        assert not study.summary([])["completed"]
+
+
+def test_a_folder_holds_one_study(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one, other = (
+        study_text("sweep", sweep.definition_values(), sweep.bases)
+        for sweep in (make_sweep(tmp_path, {TIED: [0]}), make_sweep(tmp_path, {TIED: [1]}))
+    )
+    path = create_folder("sweep", "s", tmp_path / "out", one)
+    assert find_folder("sweep", "s", path, one) == path
+    with pytest.raises(ScenarioError, match=r"study\.yaml"):
+        find_folder("sweep", "s", path, other)
+    assert find_folder("sweep", "s", None, one) is None
+    begun = create_folder("sweep", "s", None, one)
+    assert find_folder("sweep", "s", None, one) == begun
+    (begun / "summary.json").write_text(json.dumps({"completed": True}))
+    assert find_folder("sweep", "s", None, one) is None
+
+
+def test_two_commands_do_not_write_to_one_folder(tmp_path):
+    sweep = make_sweep(tmp_path, {TIED: [0]})
+    first, second = (folder_of(sweep, tmp_path / "out") for _ in range(2))
+    first.lock()
+    with pytest.raises(ScenarioError, match="another command"):
+        second.lock()

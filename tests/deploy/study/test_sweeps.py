@@ -1,0 +1,158 @@
+"""Sweeps: every combination, once, in whatever order workers deliver it."""
+
+from __future__ import annotations
+
+import pytest
+import yaml
+
+from controller.laws import LAWS
+from deploy.reports.study_report import write_study_report
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.study.study import execute
+from deploy.study.sweep import load_sweep
+from tests.deploy.study.studies import TIED, Here, conduct, folder_of, made_up, make_sweep, sweep_of
+
+IMPOSSIBLE = [
+    ({"link.uplink.delay": [1]}, {}, ["link.uplink.delay", "there is no such key"]),
+    ({"link.uplink.delay_ms": [1, -1]}, {}, ["link.uplink.delay_ms", "-1", "greater than or eq"]),
+    ({"controller.law": ["pid", "magic"]}, {}, ["controller.law", "'magic'", *LAWS]),
+    ({TIED: []}, {}, [TIED, "[]", "a list of values"]),
+    ({TIED: [1, 1]}, {}, [TIED, "different values"]),
+    ({TIED: {"from": 0, "to": 1, "step": 0}}, {}, [TIED, "a step above 0"]),
+    ({TIED: {"from": 0, "to": 1}}, {}, [TIED, "{from, to, step}"]),
+    ({"seed": [1]}, {}, ["seed", "under seeds"]),
+    ({TIED: [1]}, {"set": {"link.uplink.delay_ms": 1}}, ["link.uplink.delay_ms", "once"]),
+    ({TIED: [1]}, {"seeds": 0}, ["seeds", "0", "from 1"]),
+    ({TIED: [1]}, {"seeds": [1, 1]}, ["seeds", "different"]),
+    ({TIED: [1]}, {"scenario": "no_arm"}, ["no_arm", "paper_arm"]),
+    ({TIED: [1]}, {"grids": {}}, ["grids", "no such key"]),
+]
+
+
+def test_a_grid_is_every_combination_with_every_seed(tmp_path):
+    grid = {TIED: {"from": 0, "to": 1, "step": 0.5}, "controller.law": ["pid", "smc"]}
+    sweep = make_sweep(tmp_path, grid, seeds=[4, 9])
+    runs = list(sweep.first())
+    assert len(runs) == sweep.expected == 3 * 2 * 2
+    assert len({run.key for run in runs}) == 12
+    last = load_setup(runs[-1].scenario, runs[-1].overrides).scenario
+    assert (last.link.uplink.delay_ms, last.link.downlink.delay_ms) == (1.0, 1.0)
+    assert last.controller.law == "smc"
+    assert [run.seed for run in runs[:2]] == [4, 9]
+
+
+def test_ranges_include_both_ends_and_do_not_drift(tmp_path):
+    sweep = make_sweep(tmp_path, {"link.uplink.delay_ms": {"from": 0, "to": 0.3, "step": 0.1}})
+    assert list(sweep.axes.values()) == [[0.0, 0.1, 0.2, 0.3]]
+
+
+def test_values_of_any_type_are_swept(tmp_path):
+    grid = {
+        "robot.initial_offset_rad": [[0.1, 0.0, 0.0], 0.05],
+        "plant.friction.enabled": [True, False],
+    }
+    sweep = make_sweep(tmp_path, grid)
+    assert sweep.columns == {
+        "robot.initial_offset_rad": "string",
+        "plant.friction.enabled": "bool",
+    }
+    first = next(iter(sweep.first()))
+    assert load_setup(first.scenario, first.overrides).start_position_rad.shape == (3,)
+
+
+def test_a_row_of_a_sweep_is_what_simulate_gives(tmp_path):
+    sweep = make_sweep(tmp_path, {TIED: [1]}, set={"duration_s": 0.2}, seeds=[3])
+    (run,) = sweep.first()
+    setup = load_setup(
+        "paper_arm",
+        ["duration_s=0.2", "seed=3", "link.uplink.delay_ms=1", "link.downlink.delay_ms=1"],
+    )
+    assert execute(run)["digest"] == simulate(setup).data().digest
+
+
+def test_rows_do_not_depend_on_order_nor_on_interruptions(tmp_path):
+    sweep = make_sweep(tmp_path, {TIED: [0, 1, 2]}, seeds=4)
+    whole, _ = conduct(sweep, tmp_path / "a", Here(made_up, seed=1))
+    assert whole
+    workers = Here(made_up, seed=2, at_most=5)
+    whole, folder = conduct(sweep, tmp_path / "b", workers)
+    assert not whole
+    assert len(folder.rows) == 5
+    workers = Here(made_up, seed=3)
+    whole, folder = conduct(sweep, tmp_path / "b", workers)
+    assert whole
+    assert len(workers.submitted) == 12 - 5
+    rows = [(tmp_path / name / "sweep.parquet").read_bytes() for name in "ab"]
+    assert rows[0] == rows[1]
+    assert not (tmp_path / "b" / "rows").exists()
+
+
+def test_rows_are_safe_before_they_are_put_together(tmp_path):
+    sweep = make_sweep(tmp_path, {TIED: [0, 1]}, seeds=2)
+    folder = folder_of(sweep, tmp_path / "out")
+    runs = list(sweep.first())
+    for run in runs[:2]:
+        folder.add(run, made_up(run))
+        folder.flush()
+    (tmp_path / "out" / "rows" / "000003.unfinished").write_bytes(b"cut off by a kill")
+    again = folder_of(sweep, tmp_path / "out")
+    assert [again.find(run) is not None for run in runs] == [True, True, False, False]
+
+
+def test_every_point_has_its_scenario(tmp_path):
+    sweep = make_sweep(tmp_path, {TIED: [0, 1.5]}, seeds=[7, 8])
+    _, folder = conduct(sweep, tmp_path / "out", Here(made_up))
+    assert sorted(file.name for file in folder.scenarios.iterdir()) == ["00000.yaml", "00001.yaml"]
+    command = folder.rerun_command("00001")
+    again = load_setup(command.removeprefix("funnel-hil simulate "))
+    assert again.scenario.link.uplink.delay_ms == 1.5
+    assert again.scenario.seed == 7
+
+
+def test_a_run_that_fails_is_a_row_and_not_the_end(tmp_path):
+    sweep = make_sweep(tmp_path, {"duration_s": [0.1, 0.2]})
+    first, _ = sweep.first()
+    missing = execute(type(first)(first.point, "gone.yaml", (), 1, first.columns))
+    assert "gone.yaml" in missing["error"]
+    workers = Here(lambda run: missing if run == first else made_up(run))
+    whole, folder = conduct(sweep, tmp_path / "out", workers)
+    assert whole
+    assert [row["error"] is None for row in folder.rows] == [False, True]
+    summary = sweep.summary(folder.rows)
+    assert summary["completed"]
+    assert summary["runs_failed"] == 1
+
+
+@pytest.mark.parametrize(("grid", "more", "said"), IMPOSSIBLE)
+def test_impossible_sweeps_are_refused_with_the_reason(funnel_hil, tmp_path, grid, more, said):
+    file = tmp_path / "bad.yaml"
+    file.write_text(yaml.safe_dump(sweep_of(grid, **more)))
+    code, output = funnel_hil("sweep", file, "--out", tmp_path / "out")
+    assert code == 2
+    assert output.startswith(f"error: {file}")
+    assert [word for word in said if word not in output] == []
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [
+        {},
+        {"controller.law": ["pid", "smc"]},
+        {TIED: [0, 1, 2], "controller.model_scale": [0.9, 1.0], "controller.law": ["pid", "smc"]},
+    ],
+)
+def test_every_sweep_has_a_report_that_names_reruns(tmp_path, grid):
+    sweep = make_sweep(tmp_path, grid, seeds=2)
+    _, folder = conduct(sweep, tmp_path / "out", Here(made_up))
+    write_study_report(sweep.summary(folder.rows), folder)
+    page = folder.report.read_text(encoding="utf-8")
+    assert 'href="scenarios/00000.yaml"' in page
+    assert f"funnel-hil simulate {tmp_path / 'out' / 'scenarios' / '00000'}.yaml" in page
+    assert ('id="curve-violation_fraction"' in page) == bool(grid)
+    assert page.count('<figure class="card" id="field-worst_rms_rad-') == 2 * (len(grid) == 3)
+
+
+def test_the_shipped_sweep_can_be_run():
+    assert load_sweep("delay_sweep").expected == 11 * 5 * 2

@@ -1,0 +1,130 @@
+import math
+
+import numpy as np
+import pytest
+
+from bus_schema.configuration import ConfigurationError
+from plant_emulator.arm.disturbance import add_disturbance, disturbance_table
+from plant_emulator.configuration import DisturbanceConfiguration
+
+NAMES = ("yaw", "shoulder", "elbow")
+
+
+def table_of(*terms, enabled=True, seed=0):
+    configuration = DisturbanceConfiguration(enabled=enabled, terms=list(terms))
+    return disturbance_table(configuration, NAMES, np.random.default_rng(seed))
+
+
+def torque(table, time_s):
+    out = np.full(3, np.nan)
+    add_disturbance(time_s, table, out)
+    return out
+
+
+def series(table, times_s, joint=0):
+    return np.array([torque(table, float(time_s))[joint] for time_s in times_s])
+
+
+def test_without_terms_there_is_no_torque():
+    assert torque(table_of(), 1.0).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_constant_acts_always_on_its_joint_alone():
+    table = table_of({"joint": "shoulder", "kind": "constant", "torque_nm": -2.5})
+    for time_s in (0.0, 1.0, 1e6):
+        assert torque(table, time_s).tolist() == [0.0, -2.5, 0.0]
+
+
+def test_sine_follows_its_formula():
+    table = table_of(
+        {
+            "joint": "elbow",
+            "kind": "sine",
+            "amplitude_nm": 3.0,
+            "frequency_rad_s": 2.0,
+            "phase_rad": 0.4,
+        }
+    )
+    for time_s in np.linspace(0.0, 20.0, 50):
+        expected = 3.0 * math.sin(2.0 * time_s + 0.4)
+        assert torque(table, time_s)[2] == pytest.approx(expected, abs=1e-12)
+
+
+def test_step_acts_from_its_start_on():
+    table = table_of({"joint": "yaw", "kind": "step", "torque_nm": 4.0, "start_s": 1.5})
+    assert series(table, [0.0, 1.499999, 1.5, 1e6]).tolist() == [0.0, 0.0, 4.0, 4.0]
+
+
+def test_pulse_acts_from_its_start_up_to_its_end():
+    table = table_of(
+        {"joint": "yaw", "kind": "pulse", "torque_nm": 4.0, "start_s": 1.5, "duration_s": 0.5}
+    )
+    assert series(table, [1.499999, 1.5, 1.999999, 2.0]).tolist() == [0.0, 4.0, 4.0, 0.0]
+
+
+def test_terms_add_up_and_all_means_all():
+    table = table_of(
+        {"joint": "all", "kind": "constant", "torque_nm": 1.0},
+        {"joint": "shoulder", "kind": "constant", "torque_nm": 2.0},
+        {"joint": "shoulder", "kind": "step", "torque_nm": 4.0, "start_s": 1.0},
+    )
+    assert torque(table, 0.5).tolist() == [1.0, 3.0, 1.0]
+    assert torque(table, 1.0).tolist() == [1.0, 7.0, 1.0]
+
+
+def test_disabled_disturbance_is_none_at_all():
+    table = table_of({"joint": "all", "kind": "constant", "torque_nm": 1.0}, enabled=False)
+    assert torque(table, 1.0).tolist() == [0.0, 0.0, 0.0]
+
+
+NOISE = {"joint": "all", "kind": "noise", "rms_nm": 2.0, "lowest_hz": 5.0, "highest_hz": 45.0}
+
+
+def test_noise_has_its_strength():
+    values = series(table_of(NOISE), np.arange(20_000) * 2e-3)
+    # 48 sinusoids of equal power: over 40 s their cross terms average out to about 1 %.
+    assert np.sqrt(np.mean(values**2)) == pytest.approx(2.0, rel=0.04)
+    assert abs(np.mean(values)) < 0.05
+
+
+def test_noise_stays_within_its_band_and_fills_it():
+    values = series(table_of(NOISE), np.arange(20_000) * 2e-3)
+    power = np.abs(np.fft.rfft(values * np.hanning(values.size))) ** 2
+    frequency = np.fft.rfftfreq(values.size, 2e-3)
+    inside = (frequency > 4.9) & (frequency < 45.1)
+    # What leaks out of a Hann window over 40 s falls off with the sixth power of the distance.
+    assert power[~inside].sum() < 1e-6 * power.sum()
+    for low in range(5, 45, 10):  # 12 of 48 sinusoids, one per 0.83 Hz, in each quarter
+        part = power[(frequency >= low) & (frequency < low + 10)].sum() / power.sum()
+        assert part == pytest.approx(0.25, abs=0.05)
+
+
+def test_noise_is_a_function_of_seed_and_time_alone():
+    times = np.linspace(0.0, 3.0, 200)
+    first = series(table_of(NOISE, seed=1), times)
+    assert series(table_of(NOISE, seed=1), times[::-1])[::-1].tolist() == first.tolist()
+    assert np.abs(series(table_of(NOISE, seed=2), times) - first).max() > 1.0
+
+
+def test_noise_differs_from_joint_to_joint():
+    table = table_of(NOISE)
+    times = np.arange(5_000) * 4e-3
+    yaw, elbow = series(table, times, 0), series(table, times, 2)
+    # Sinusoids of unequal frequencies: uncorrelated but for one part in √(20 s × 40 Hz).
+    assert abs(np.corrcoef(yaw, elbow)[0, 1]) < 0.2
+
+
+def test_unknown_joint_is_refused_with_what_there_is():
+    with pytest.raises(ConfigurationError, match="all, or one of yaw, shoulder, elbow") as caught:
+        table_of(
+            {"joint": "all", "kind": "constant", "torque_nm": 1.0},
+            {"joint": "wrist", "kind": "constant", "torque_nm": 1.0},
+        )
+    assert caught.value.key == "plant.disturbance.terms.1.joint"
+
+
+@pytest.mark.parametrize("highest_hz", [4.0, 5.0])
+def test_band_upside_down_is_refused(highest_hz):
+    with pytest.raises(ConfigurationError, match=r"above lowest_hz = 5\.0") as caught:
+        table_of({**NOISE, "highest_hz": highest_hz})
+    assert caught.value.key == "plant.disturbance.terms.0.highest_hz"

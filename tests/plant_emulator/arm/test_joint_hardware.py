@@ -1,0 +1,157 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.robot_description import load_robot
+from deploy.scenario.robot_files import find_urdf
+from plant_emulator.arm.joint_hardware import ActuatorLimits, Encoders
+from plant_emulator.arm.joint_torques import JointTorques, act
+from plant_emulator.configuration import (
+    ActuatorConfiguration,
+    EncoderConfiguration,
+    PlantConfiguration,
+)
+
+ROBOT = load_robot(find_urdf("paper_arm", Path()))
+SUBSTEP_S = 2.5e-4
+
+
+def read(encoders, position, velocity):
+    seen = np.empty((2, 3))
+    encoders.onto(np.array([position, velocity], dtype=float), seen)()
+    return seen
+
+
+def encoders_of(seed=0, **values):
+    return Encoders(EncoderConfiguration(**values), 3, np.random.default_rng(seed))
+
+
+def torques_of(**values):
+    configuration = PlantConfiguration(actuator=ActuatorConfiguration(**values))
+    return JointTorques(
+        configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration()
+    )
+
+
+def acted(torques, commanded, velocity=(0.0, 0.0, 0.0)):
+    """Total torque of a substep, and whether actuators saturate."""
+    motion = np.array([np.zeros(3), velocity])
+    torques.asked[:] = commanded
+    saturated, _ = act(motion, 0.0, torques.tables)
+    return torques.tables.torques[3].tolist(), saturated
+
+
+@given(
+    st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    st.tuples(*[st.floats(-9.0, 9.0)] * 3),
+)
+def test_ideal_encoders_show_the_truth(position, velocity):
+    seen_position, seen_velocity = read(encoders_of(), position, velocity)
+    assert seen_position.tolist() == list(position)
+    assert seen_velocity.tolist() == list(velocity)
+
+
+@given(st.tuples(*[st.floats(-3.0, 3.0)] * 3))
+def test_positions_are_the_nearest_multiple_of_the_resolution(position):
+    resolution = np.array([1e-3, 0.0, 2.0 * np.pi / 4096])
+    seen, _ = read(encoders_of(resolution_rad=resolution), position, np.zeros(3))
+    assert seen[1] == position[1]
+    for joint in (0, 2):
+        assert abs(seen[joint] - position[joint]) <= 0.5 * resolution[joint] * (1.0 + 1e-9)
+        counts = seen[joint] / resolution[joint]
+        assert counts == pytest.approx(round(counts), abs=1e-9)
+
+
+def test_velocity_noise_is_white_gaussian_and_unbiased():
+    deviation = np.array([0.1, 0.0, 0.02])
+    encoders = encoders_of(velocity_noise_rad_s=deviation)
+    count = 20_000
+    seen = np.empty((2, 3))
+    show = encoders.onto(np.array([np.ones(3), np.full(3, 5.0)]), seen)
+    noise = np.empty((count, 3))
+    for row in noise:
+        show()
+        row[:] = seen[1] - 5.0
+    assert (noise[:, 1] == 0.0).all()
+    for joint in (0, 2):
+        share = noise[:, joint] / deviation[joint]
+        # Five standard errors: of the mean 1/√n, of the deviation 1/√2n, of a correlation 1/√n.
+        assert abs(share.mean()) < 5.0 / np.sqrt(count)
+        assert abs(share.std() - 1.0) < 5.0 / np.sqrt(2 * count)
+        assert abs(np.corrcoef(share[1:], share[:-1])[0, 1]) < 5.0 / np.sqrt(count)
+        assert np.mean(np.abs(share) < 1.0) == pytest.approx(0.683, abs=0.017)
+    assert abs(np.corrcoef(noise[:, 0], noise[:, 2])[0, 1]) < 5.0 / np.sqrt(count)
+
+
+def test_noise_is_the_same_for_the_same_seed():
+    def run(seed):
+        encoders = encoders_of(seed, velocity_noise_rad_s=0.1)
+        return [read(encoders, np.zeros(3), np.zeros(3))[1].tolist() for _ in range(5)]
+
+    assert run(1) == run(1)
+    assert run(1) != run(2)
+
+
+def test_noise_leaves_positions_and_the_truth_alone():
+    motion, seen = np.ones((2, 3)), np.empty((2, 3))
+    encoders_of(velocity_noise_rad_s=0.1).onto(motion, seen)()
+    assert seen[0].tolist() == [1.0, 1.0, 1.0]
+    assert (seen[1] != 1.0).all()
+    assert (motion == 1.0).all()
+
+
+def test_saturation_defaults_to_the_limits_of_the_urdf():
+    torques = torques_of()
+    assert acted(torques, [1e6, -1e6, 299.0]) == ([400.0, -700.0, 299.0], True)
+    assert acted(torques, [399.0, -699.0, 299.0]) == ([399.0, -699.0, 299.0], False)
+
+
+def test_saturation_can_be_set():
+    torques = torques_of(saturation_nm=[10.0, 20.0, 30.0])
+    assert acted(torques, [25.0, 25.0, 25.0]) == ([10.0, 20.0, 25.0], True)
+
+
+def test_without_lag_the_torque_is_there_at_once():
+    limits = ActuatorLimits(ActuatorConfiguration(), ROBOT, SUBSTEP_S)
+    assert limits.lag_factor == 0.0
+
+
+@pytest.mark.parametrize("lag_ms", [0.1, 2.0, 50.0])
+def test_lag_is_the_exact_discretisation_of_a_first_order_filter(lag_ms):
+    torques, command = torques_of(lag_ms=lag_ms), np.array([100.0, -200.0, 50.0])
+    for step in range(1, 200):
+        acted(torques, command)
+        expected = command * -np.expm1(-step * SUBSTEP_S / (1e-3 * lag_ms))
+        # Only rounding: the exponential is exact at any ratio of substep to time constant.
+        np.testing.assert_allclose(torques.actuator, expected, rtol=1e-12)
+
+
+def test_lag_filters_what_is_left_after_saturation():
+    torques = torques_of(lag_ms=1.0)
+    for _ in range(40):  # ten time constants
+        acted(torques, np.full(3, 1e9))
+    np.testing.assert_allclose(torques.actuator, ROBOT.effort_limits_nm, rtol=1e-4)
+    assert (torques.actuator < ROBOT.effort_limits_nm).all()
+
+
+def test_total_is_actuator_less_friction_less_disturbance():
+    configuration = PlantConfiguration.model_validate(
+        {
+            "friction": {"viscous_nm_s": [1.0, 2.0, 3.0]},
+            "disturbance": {"terms": [{"joint": "elbow", "kind": "constant", "torque_nm": 7.0}]},
+        }
+    )
+    torques = JointTorques(
+        configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration()
+    )
+    total, _ = acted(torques, [10.0, 20.0, 30.0], velocity=[1.0, -1.0, 2.0])
+    assert torques.actuator.tolist() == [10.0, 20.0, 30.0]
+    assert torques.friction.tolist() == [1.0, -2.0, 6.0]
+    assert torques.disturbance.tolist() == [0.0, 0.0, 7.0]
+    assert total == [9.0, 22.0, 17.0]
+    torques.rest()
+    assert not np.any([torques.actuator, torques.friction, torques.disturbance])
