@@ -1,8 +1,8 @@
 """Compilation of the numerical kernels with numba.
 
 numba's own cache looks only at the file a function stands in, not at the functions it calls in
-other files. So that an edited helper can never leave a stale caller behind, each package's kernels
-are cached under a folder named by a hash of the package's sources.
+other files. So that an edited helper can never leave a stale caller behind, kernels are cached
+under a folder named by a hash of all sources that have kernels.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ def _cache_folder() -> Path:
     sources = Path(__file__).resolve().parents[2]
     for package in ("controller", "plant_emulator", "bus_schema"):
         for source in sorted((sources / package).rglob("*.py")):
-            digest.update(source.read_bytes())
+            text = source.read_bytes()
+            if b"\n@compiled" in text:
+                digest.update(text)
     return root / "funnel-hil" / "numba" / digest.hexdigest()[:16]
 
 
