@@ -1,14 +1,27 @@
-"""Array types shared by every room."""
+"""Array types shared by every room, and tables that are read by name."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Vector: TypeAlias = NDArray[np.float64]
 """One value per joint, shape (joints,)."""
 
 Matrix: TypeAlias = NDArray[np.float64]
 """Two axes of float64."""
+
+Records: TypeAlias = NDArray[np.void]
+"""Rows with named fields, which compiled code reads as ``records[i].name``."""
+
+
+def records(rows: int, columns: Mapping[str, ArrayLike]) -> Records:
+    """A table from its columns, each with one value per row or one for all; shape (rows,)."""
+    kinds = [(name, np.asarray(values).dtype) for name, values in columns.items()]
+    table = np.zeros(rows, np.dtype(kinds, align=True))
+    for name, values in columns.items():
+        table[name] = values
+    return table

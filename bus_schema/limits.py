@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.configuration import (
     PerJointNonNegative,
     PerJointPositive,
@@ -131,17 +131,14 @@ class JointLimits:
         none = np.full(torque_nm.size, np.inf)
         return JointLimits(torque_nm, torque_rate_nm_s, -none, none, none)
 
-    def table(self, step_s: float = 1.0) -> Matrix:
-        """The limits as `limit_torques` takes them, shape (7, joints).
+    def packed(self, step_s: float = 1.0) -> Records:
+        """The limits as `limit_torques` takes them: fields named as here, shape (joints,).
 
         Args:
             step_s: time between two torques, where it is always the same.
         """
-        ones = np.ones(self.torque_nm.size)
-        return np.array([
-            self.torque_nm, self.torque_rate_nm_s * step_s, self.lower_rad, self.upper_rad,
-            self.velocity_rad_s, ones * self.cuts_position, ones * self.cuts_velocity,
-        ])  # fmt: skip
+        per_step = {"torque_rate_nm_s": self.torque_rate_nm_s * step_s}
+        return records(self.torque_nm.size, vars(self) | per_step)
 
 
 class LimitCounts:
@@ -175,9 +172,13 @@ def name_of(hit: Hit) -> str:
     return ", ".join(str(single.name).lower() for single in hit)
 
 
+_TORQUE, _TORQUE_RATE, _POSITION, _VELOCITY = (hit.value for hit in Hit)
+"""For compiled code, which takes no flags."""
+
+
 @compiled
 def limit_torques(
-    wanted: Vector, motion: Matrix, table: Matrix, previous_and_out: Vector, step_s: float
+    wanted: Vector, motion: Matrix, limits: Records, previous_and_out: Vector, step_s: float
 ) -> int:
     """Write torques within the limits; which limits were hit.
 
@@ -187,30 +188,31 @@ def limit_torques(
     Args:
         wanted: torques asked for, N m, shape (joints,).
         motion: positions and velocities as rows, shape (2, joints).
-        table: `JointLimits.table`.
+        limits: `JointLimits.packed`.
         previous_and_out: the torques before, replaced by those to send, shape (joints,).
         step_s: time since the torques before; 0 for the first.
     """
     hits = 0
     for i in range(wanted.size):
-        torque = min(max(wanted[i], -table[0, i]), table[0, i])
+        limit = limits[i]
+        torque = min(max(wanted[i], -limit.torque_nm), limit.torque_nm)
         if torque != wanted[i]:
-            hits |= 1
+            hits |= _TORQUE
         if step_s > 0.0:
-            change, previous = table[1, i] * step_s, previous_and_out[i]
+            change, previous = limit.torque_rate_nm_s * step_s, previous_and_out[i]
             slower = min(max(torque, previous - change), previous + change)
             if slower != torque:
-                hits |= 2
+                hits |= _TORQUE_RATE
             torque = slower
         position, velocity = motion[0, i], motion[1, i]
-        if position > table[3, i] or position < table[2, i]:
-            hits |= 4
-            pushes_out = torque > 0.0 if position > table[3, i] else torque < 0.0
-            if pushes_out and table[5, i] > 0.0:
+        if position > limit.upper_rad or position < limit.lower_rad:
+            hits |= _POSITION
+            pushes_out = torque > 0.0 if position > limit.upper_rad else torque < 0.0
+            if pushes_out and limit.cuts_position:
                 torque = 0.0
-        if abs(velocity) > table[4, i]:
-            hits |= 8
-            if torque * velocity > 0.0 and table[6, i] > 0.0:
+        if abs(velocity) > limit.velocity_rad_s:
+            hits |= _VELOCITY
+            if torque * velocity > 0.0 and limit.cuts_velocity:
                 torque = 0.0
         previous_and_out[i] = torque
     return hits

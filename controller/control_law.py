@@ -18,93 +18,118 @@ UPPER, D_UPPER, DD_UPPER, LOWER, D_LOWER, DD_LOWER = 0, 1, 2, 3, 4, 5
 class Tracking:
     """The situation a law has to answer.
 
-    Arrays have shape (joints,) and are reused every cycle. They can be replaced before the first
-    `update`; from then on compiled code keeps hold of them.
+    Arrays have shape (joints,), are reused every cycle and never replaced: compiled code keeps hold
+    of them. `position` and `velocity` are written before `update`, all else by it.
 
     Attributes:
         time_s: time of measurement since the start of the run.
         step_s: time since the previous measurement; 0 at the first.
         position: rad; velocity: rad/s; as measured.
+        motion: both as rows, shape (2, joints).
         reference_position: rad; reference_velocity: rad/s; reference_acceleration: rad/s².
         error: position minus reference, rad; error_rate: its rate, rad/s.
         bounds: shape (6, joints): the funnel −lower < error < upper with first and second
             derivatives, rows `UPPER` to `DD_LOWER`.
         upper_bound: rad; lower_bound: rad; the ends of the funnel, the lower one negative.
+        published: what goes into a control status, rows named by `PUBLISHED`.
     """
+
+    PUBLISHED = (
+        "reference_position", "reference_velocity", "error", "error_rate",
+        "upper_bound", "lower_bound",
+    )  # fmt: skip
 
     def __init__(self, joints: int) -> None:
         self.time_s = 0.0
         self.step_s = 0.0
-        self.position: Vector = np.zeros(joints)
-        self.velocity: Vector = np.zeros(joints)
-        self.reference_position: Vector = np.zeros(joints)
-        self.reference_velocity: Vector = np.zeros(joints)
+        self.motion: Matrix = np.zeros((2, joints))
+        self.position: Vector
+        self.velocity: Vector
+        self.position, self.velocity = self.motion
+        self.published: Matrix = np.zeros((len(self.PUBLISHED), joints))
+        self.reference_position: Vector = self.published[_POSITION]
+        self.reference_velocity: Vector = self.published[_VELOCITY]
         self.reference_acceleration: Vector = np.zeros(joints)
-        self.error: Vector = np.zeros(joints)
-        self.error_rate: Vector = np.zeros(joints)
+        self.error: Vector = self.published[_ERROR]
+        self.error_rate: Vector = self.published[_ERROR_RATE]
+        self.upper_bound: Vector = self.published[_UPPER]
+        self.lower_bound: Vector = self.published[_LOWER]
         self.bounds: Matrix = np.zeros((6, joints))
-        self.upper_bound: Vector = np.zeros(joints)
-        self.lower_bound: Vector = np.zeros(joints)
         self._reference: Reference | None = None
         self._funnel: Funnel | None = None
 
     def update(self, time_s: float, step_s: float, reference: Reference, funnel: Funnel) -> None:
-        """Take stock at `time_s`, with `position` and `velocity` already set."""
+        """Work out errors and bounds at `time_s`."""
         if funnel is not self._funnel or reference is not self._reference:
             self._bind(reference, funnel)
         self.time_s, self.step_s = time_s, step_s
         self._follow(time_s)
-        self._take_stock(time_s)
+        self._compare(time_s)
 
     def _bind(self, reference: Reference, funnel: Funnel) -> None:
         self._reference, self._funnel = reference, funnel
         self._follow = reference.onto(
             self.reference_position, self.reference_velocity, self.reference_acceleration
         )
-        self._take_stock = bind(
-            _errors_and_bounds,
-            self.position,
-            self.velocity,
-            self.reference_position,
-            self.reference_velocity,
-            np.array([funnel.initial_upper_rad, funnel.initial_lower_rad, funnel.final_rad]),
-            float(funnel.rate_per_s),
-            self.error,
-            self.error_rate,
-            self.bounds,
-            self.upper_bound,
-            self.lower_bound,
-            free=["float64"],
-        )
+        ends = np.array([funnel.initial_upper_rad, funnel.initial_lower_rad, funnel.final_rad])
+        self._compare = bind(
+            _errors_and_bounds, self.motion, self.published, self.bounds, ends,
+            float(funnel.rate_per_s), free=["float64"],
+        )  # fmt: skip
+
+
+_POSITION, _VELOCITY, _ERROR, _ERROR_RATE, _UPPER, _LOWER = range(6)
+"""Rows of `Tracking.published`."""
 
 
 @compiled
 def _errors_and_bounds(
-    position: Vector, velocity: Vector,
-    reference_position: Vector, reference_velocity: Vector,
-    funnel: Matrix, rate: float,
-    error: Vector, error_rate: Vector, bounds: Matrix,
-    upper_bound: Vector, lower_bound: Vector, time_s: float,
+    motion: Matrix, published: Matrix, bounds: Matrix, funnel: Matrix, rate_per_s: float,
+    time_s: float,
 ) -> None:  # fmt: skip
-    for i in range(position.size):
-        error[i] = position[i] - reference_position[i]
-        error_rate[i] = velocity[i] - reference_velocity[i]
+    initial_upper, initial_lower, final = funnel[0], funnel[1], funnel[2]
+    for i in range(motion.shape[1]):
+        published[_ERROR, i] = motion[0, i] - published[_POSITION, i]
+        published[_ERROR_RATE, i] = motion[1, i] - published[_VELOCITY, i]
         bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i] = performance_function(
-            time_s, funnel[0, i], funnel[2, i], rate
+            time_s, initial_upper[i], final[i], rate_per_s
         )
         bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i] = performance_function(
-            time_s, funnel[1, i], funnel[2, i], rate
+            time_s, initial_lower[i], final[i], rate_per_s
         )
-        upper_bound[i], lower_bound[i] = bounds[UPPER, i], -bounds[LOWER, i]
+        published[_UPPER, i], published[_LOWER, i] = bounds[UPPER, i], -bounds[LOWER, i]
+
+
+class _Row:
+    """A row of a table as an attribute: what is assigned to it is copied into the row."""
+
+    def __set_name__(self, owner: type[Diagnostics], name: str) -> None:
+        self._index = owner.PUBLISHED.index(name)
+
+    def __get__(self, owner: Diagnostics, _kind: type[Diagnostics]) -> Vector:
+        row: Vector = owner.published[self._index]
+        return row
+
+    def __set__(self, owner: Diagnostics, values: Vector) -> None:
+        owner.published[self._index] = values
 
 
 class Diagnostics:
-    """What a law lets out about its inner state, shape (joints,) each; NaN for what it has not."""
+    """What a law lets out about its inner state, shape (joints,) each; NaN for what it has not.
+
+    Attributes:
+        transformed_error: ε; sliding_variable: s, rad/s; network_output: N m.
+        network_norm: norm of the network's weights, shape (1,).
+        published: the first three as rows, named by `PUBLISHED`, for the control status.
+    """
+
+    PUBLISHED = ("transformed_error", "sliding_variable", "network_output")
+    transformed_error = _Row()
+    sliding_variable = _Row()
+    network_output = _Row()
 
     def __init__(self, joints: int) -> None:
-        self.transformed_error: Vector = np.full(joints, np.nan)
-        self.sliding_variable: Vector = np.full(joints, np.nan)
-        self.network_output: Vector = np.full(joints, np.nan)
+        self.published: Matrix = np.full((len(self.PUBLISHED), joints), np.nan)
         self.network_norm: Vector = np.full(1, np.nan)
 
 

@@ -12,23 +12,23 @@ import logging
 import time
 from dataclasses import dataclass
 
-import numpy as np
-
 from bus_schema.errors import InvalidMessageError
-from bus_schema.limits import name_of
+from bus_schema.limits import JointLimits, name_of
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages import topics
+from bus_schema.messages.header import join_stamp
 from bus_schema.messages.layout import Record
 from bus_schema.messages.rejections import Rejections
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.compiled import bind
+from bus_schema.runtime.compiled import bind, copying
 from bus_schema.runtime.finite import all_finite
-from bus_schema.runtime.modes import COMMANDABLE, Cue, Mode, follow, mode_event
-from controller.compensation.command_timeline import Echo
+from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
+from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
+from controller.control_status import ControlStatus
 from controller.funnel import Funnel
 from controller.reference import Reference
 from controller.torque_guard import ControllerError, TorqueGuard
@@ -38,13 +38,20 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ControlTask:
-    """What the controller has to do: this arm, along this reference, inside this funnel."""
+    """What the controller has to do: this arm, along this reference, inside this funnel.
+
+    Attributes:
+        law_name: name of the law, for error messages.
+        limits: what torques and motion are kept within.
+        compensation: predicts the state in which a torque will act; None for none.
+    """
 
     robot: RobotDescription
     reference: Reference
     funnel: Funnel
     law: ControlLaw
-    guard: TorqueGuard
+    law_name: str
+    limits: JointLimits
     compensation: DelayCompensation | None = None
 
 
@@ -62,31 +69,28 @@ class ControlLoop:
 
     def __init__(self, task: ControlTask, link: ControllerLink) -> None:
         names = task.robot.joint_names
-        self._task = task
+        self._task, self._link = task, link
         self._compensation = task.compensation
-        self._link = link
         self._state_layout = topics.layout(topics.JOINT_STATES, names)
-        self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
         self._state = Record(self._state_layout)
+        self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
         self._plant_status = Record(self._plant_status_layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
-        self._status = Record(topics.layout(topics.CONTROL_STATUS, names))
-        motion = self._state.matrix("position", "velocity")
-        self._is_finite = bind(all_finite, motion)
-        self._effort = self._command.fields["effort"]
-        self.tracking = self._tracking_in_status()
+        self.tracking = Tracking(task.robot.joints)
+        self._take_motion = copying(self._state.rows("position", "velocity"), self.tracking.motion)
+        self._is_finite = bind(all_finite, self.tracking.motion)
+        self._guard = TorqueGuard(task.law_name, task.limits, self.tracking.motion)
+        self._take_torque = copying(self._guard.torque_nm, self._command.fields["effort"])
+        self._status = ControlStatus(names, self.tracking, task.law, task.compensation)
         self._start_ns: int | None = None
-        self._echo: Echo | None = None
-        self._horizon_ns = 0
+        self._feedback: CommandFeedback | None = None
         self.stamp_ns = -1
-        self._cycle_started_ns = 0
         self.cycles = 0
         self.late = 0
         self.rejections = Rejections("joint state", logger)
         self.mode = Mode.IDLE
-        self._to_announce: list[tuple[EventKind, str]] = []
-        task.guard.attach(motion, self._effort)
-        self._change_mode(Cue.BEGIN, "waiting for the first joint state")
+        self._events: list[tuple[EventKind, str]] = []
+        self._change_mode(Trigger.BEGIN, "waiting for the first joint state")
         link.serve(self.cycle)
 
     def warm_up(self) -> None:
@@ -95,9 +99,9 @@ class ControlLoop:
         self.tracking.update(0.0, 0.0, reference, funnel)
         if self._compensation is not None:
             self._compensation.warm_up(self.tracking, reference, funnel)
-        self._task.guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
+        self._guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
         self._task.law.reset()
-        self._task.guard.reset()
+        self._guard.reset()
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
         RunEvent(0, Role.CONTROLLER, EventKind.STARTED, "").encode()
 
@@ -114,8 +118,7 @@ class ControlLoop:
         try:
             if self._read(state, plant_status):
                 self._update()
-                self._command.stamp[0] = self._state.stamp[0]
-                sequence = self._send()
+                sequence = self._write()
                 self._report(sequence, started_ns)
         except Exception as error:
             self.stop(reason_of(error))
@@ -125,44 +128,44 @@ class ControlLoop:
         """Stop for a fault: the last torque that is sent is zero, whatever the rate limits say."""
         if self.mode not in COMMANDABLE:
             return
-        self._change_mode(Cue.FAIL, "zero torque")
+        self._change_mode(Trigger.FAIL, "zero torque")
         self._command.stamp_ns = max(self.stamp_ns, 0)
-        self._effort[:] = 0.0
+        self._command.fields["effort"][:] = 0.0
         with contextlib.suppress(Exception):  # the bus may be what has failed
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        self._change_mode(Cue.STOPPED, "gives no more torques")
-        self._to_announce.append((EventKind.FAULT, reason))
+        self._change_mode(Trigger.STOPPED, "gives no more torques")
+        self._events.append((EventKind.FAULT, reason))
         with contextlib.suppress(Exception):
-            self._announce()
+            self._publish_events()
 
     def end(self) -> dict[str, object]:
-        """Say goodbye; what was counted."""
+        """End the run; what was counted."""
         if self.mode in COMMANDABLE:
-            self._change_mode(Cue.END, "gives no more torques")
+            self._change_mode(Trigger.END, "gives no more torques")
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
-            "limits": self._task.guard.counts.summary(),
+            "limits": self._guard.counts.summary(),
         }  # fmt: skip
-        self._to_announce.append((EventKind.ENDED, json.dumps(counts)))
-        self._announce()
+        self._events.append((EventKind.ENDED, json.dumps(counts)))
+        self._publish_events()
         return counts
 
     def _read(self, state: bytes, plant_status: bytes | None) -> bool:
         """Take in a state; whether it calls for a new torque."""
         try:
             stamp_ns = self._state_layout.decode(state, self._state)
+            self._take_motion()
             if not self._is_finite():
                 raise InvalidMessageError("not_finite", "a position or velocity is not finite")
         except InvalidMessageError as error:
             self.rejections.note(error)
             return False
         if self._start_ns is None or self._compensation is not None:
-            start_ns = self._heed(plant_status, stamp_ns)
+            start_ns = self._read_plant_status(plant_status, stamp_ns)
             self._start_ns = start_ns if self._start_ns is None else self._start_ns
         if stamp_ns <= self.stamp_ns:
             self.late += 1
-            self._command.stamp_ns = stamp_ns
-            self._send()
+            self._send(stamp_ns)
             return False
         step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
         self.stamp_ns = stamp_ns
@@ -172,99 +175,73 @@ class ControlLoop:
         )  # fmt: skip
         return True
 
-    def _update(self) -> None:
-        situation = self.tracking
-        if self._compensation is not None:
-            situation = self._compensation.foresee(
-                situation, self.stamp_ns, self._echo, self._task.reference, self._task.funnel
-            )
-            self._horizon_ns = self._compensation.timeline.horizon_ns
-        torque = self._task.law.torque(situation)
-        self._task.guard.admit(torque, self.cycles, self.tracking.step_s)  # into the command
-
-    def _send(self) -> int:
-        """Send the command as it stands; its number."""
-        sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
-        if self._compensation is not None:
-            self._compensation.note_command(sequence, self._command.stamp_ns, self._effort)
-        return sequence
-
-    def _report(self, sequence: int, started_ns: int) -> None:
-        """Publish what the law thought and how long it took; the torque is already on its way."""
-        step_ns = time.perf_counter_ns() - started_ns
-        period_ns = started_ns - self._cycle_started_ns if self.cycles else 0
-        status = self._status
-        status.stamp[0] = self._state.stamp[0]
-        status.put_scalars(self.cycles, period_ns, 0, step_ns, 0, sequence, self._horizon_ns)
-        self._link.publish(topics.CONTROL_STATUS, status.payload())
-        self._cycle_started_ns = started_ns
-        self.cycles += 1
-        if self.mode is Mode.READY:
-            self._change_mode(Cue.COMMAND, "first torque sent")
-        if self._task.guard.hits:
-            self._note_hits(self._task.guard)
-        if self._to_announce:
-            self._announce()
-
-    def _note_hits(self, guard: TorqueGuard) -> None:
-        new = guard.counts.note(guard.hits)
-        if new:
-            detail = f"reached for the first time: {name_of(new)}"
-            self._to_announce.append((EventKind.LIMIT, detail))
-
-    def _change_mode(self, cue: Cue, why: str) -> None:
-        self.mode = follow(self.mode, cue)
-        self._to_announce.append((EventKind.MODE, mode_event(self.mode, why)))
-
-    def _announce(self) -> None:
-        """Send what there is to tell; the torque is already on its way."""
-        told, self._to_announce = self._to_announce, []
-        for kind, detail in told:
-            event = RunEvent(max(self.stamp_ns, 0), Role.CONTROLLER, kind, detail)
-            self._link.publish(topics.RUN_EVENTS, event.encode())
-
-    def _heed(self, plant_status: bytes | None, stamp_ns: int) -> int:
+    def _read_plant_status(self, plant_status: bytes | None, stamp_ns: int) -> int:
         """Take in what the plant says of the command in force; when it says the run began.
 
         For a foreign plant, which says nothing, the run begins with its first state.
         """
-        start_ns, self._echo = stamp_ns, None
+        start_ns, self._feedback = stamp_ns, None
         if plant_status is not None:
             try:
                 self._plant_status_layout.decode(plant_status, self._plant_status)
             except InvalidMessageError as error:
                 self.rejections.note(error)
             else:
-                fields = self._plant_status.fields
-                start_ns = int(fields["start.sec"][0]) * 1_000_000_000
-                start_ns += int(fields["start.nanosec"][0])
-                self._echo = Echo(
-                    int(fields["command_sequence"][0]), int(fields["command_delay_ns"][0])
-                )
+                said = self._plant_status.scalars
+                start_ns = join_stamp(said.start_sec, said.start_nanosec)
+                self._feedback = CommandFeedback(said.command_sequence, said.command_delay_ns)
         return start_ns
 
-    def _tracking_in_status(self) -> Tracking:
-        """The tracking situation and the law's diagnostics, laid into the messages they go by."""
-        tracking, diagnostics = Tracking(self._task.robot.joints), self._task.law.diagnostics
-        tracking.position = self._state.fields["position"]
-        tracking.velocity = self._state.fields["velocity"]
-        for name in (
-            "reference_position", "reference_velocity", "error", "error_rate",
-            "upper_bound", "lower_bound",
-        ):  # fmt: skip
-            setattr(tracking, name, self._status.fields[name])
-        for name, values in vars(diagnostics).items():
-            self._status.fields[name][:] = values
-            setattr(diagnostics, name, self._status.fields[name])
-        foresight = [
-            self._status.fields[name]
-            for name in ("foreseen_error", "learned_disturbance", "learned_friction")
-        ]
-        for values in foresight:
-            values[:] = np.nan
+    def _update(self) -> None:
+        """Work out the torque for the situation, or for the one in which it will act."""
+        situation = self.tracking
         if self._compensation is not None:
-            self._compensation.report_into(*foresight)
-        return tracking
+            situation = self._compensation.predict(
+                situation, self.stamp_ns, self._feedback, self._task.reference, self._task.funnel
+            )
+        torque_nm = self._task.law.torque(situation)
+        self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
+
+    def _write(self) -> int:
+        """Send the torque; its number."""
+        self._take_torque()
+        return self._send(self.stamp_ns)
+
+    def _send(self, stamp_ns: int) -> int:
+        """Send the torque in force in answer to a state; its number."""
+        self._command.stamp_ns = stamp_ns
+        sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
+        if self._compensation is not None:
+            self._compensation.note_command(sequence, stamp_ns, self._command.fields["effort"])
+        return sequence
+
+    def _report(self, sequence: int, started_ns: int) -> None:
+        """Publish the law's inner state and its timing; the torque is already on its way."""
+        payload = self._status.encode(self.stamp_ns, self.cycles, sequence, started_ns)
+        self._link.publish(topics.CONTROL_STATUS, payload)
+        self.cycles += 1
+        if self.mode is Mode.READY:
+            self._change_mode(Trigger.COMMAND, "first torque sent")
+        if self._guard.hits:
+            self._count_limit_hits()
+        if self._events:
+            self._publish_events()
+
+    def _count_limit_hits(self) -> None:
+        new = self._guard.counts.note(self._guard.hits)
+        if new:
+            self._events.append((EventKind.LIMIT, f"reached for the first time: {name_of(new)}"))
+
+    def _change_mode(self, trigger: Trigger, why: str) -> None:
+        self.mode = follow(self.mode, trigger)
+        self._events.append((EventKind.MODE, mode_event(self.mode, why)))
+
+    def _publish_events(self) -> None:
+        """Publish what has happened; the torque is already on its way."""
+        events, self._events = self._events, []
+        for kind, detail in events:
+            event = RunEvent(max(self.stamp_ns, 0), Role.CONTROLLER, kind, detail)
+            self._link.publish(topics.RUN_EVENTS, event.encode())
 
 
 def reason_of(error: Exception) -> str:

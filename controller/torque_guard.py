@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Matrix, Records, Vector
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
 from bus_schema.runtime.compiled import bind, compiled
 from bus_schema.runtime.finite import all_finite
@@ -38,79 +36,64 @@ class TorqueGuard:
     Args:
         law: name of the law, for error messages.
         limits: what the controller keeps within.
+        motion: positions and velocities as rows, shape (2, joints), as they are at each `admit`.
 
     Attributes:
+        torque_nm: the newest torque to send, shape (joints,).
         hits: limits that the newest torque or the motion ran into: a sum of
             `bus_schema.limits.Hit`.
         counts: how often each limit was hit.
     """
 
-    def __init__(self, law: str, limits: JointLimits) -> None:
+    def __init__(self, law: str, limits: JointLimits, motion: Matrix) -> None:
         self._law = law
         joints = limits.torque_nm.size
-        self._table = limits.table()
+        self._shape = limits.torque_nm.shape
         self._wanted: Vector = np.zeros(joints)
+        self.torque_nm: Vector = np.zeros(joints)
+        self._limit = bind(
+            _limit_finite, self._wanted, motion, limits.packed(), self.torque_nm, free=["float64"]
+        )
         self.hits = 0
         self.counts = LimitCounts()
-        self.attach(np.zeros((2, joints)), np.zeros(joints))
-
-    def attach(self, motion: Matrix, out: Vector) -> None:
-        """Go by this motion from now on, and write the torques to send here.
-
-        Args:
-            motion: positions and velocities as rows, shape (2, joints).
-            out: shape (joints,); read again as the torques before.
-        """
-        self._motion, self._out = motion, out
-        self._limit = self._limit_of_law = self._limiting(self._wanted)
-        self._of_law = self._wanted  # until it shows one
 
     def reset(self) -> None:
         """Forget the torque before."""
-        self._out[:] = 0.0
+        self.torque_nm[:] = 0.0
         self.hits = 0
 
     def admit(self, torque: Vector, tick: int, step_s: float) -> Vector:
-        """The torque to send, shape (joints,), N m.
+        """Work out `torque_nm`, and return it.
+
+        Args:
+            torque: what the law asks for.
+            tick: number of the cycle, for error messages.
+            step_s: time since the torque before; 0 for the first.
 
         Raises:
             InvalidTorqueError: the shape is wrong or an entry is not finite.
         """
-        if torque is self._of_law:
-            hits = self._limit_of_law(step_s)
-        else:
-            self._require_vector(torque, tick)
-            self._wanted[:] = torque
-            hits = self._limit(step_s)
-            self._expect(torque)
+        if getattr(torque, "shape", None) != self._shape or torque.dtype != np.float64:
+            raise InvalidTorqueError(self._law, tick, self._mismatch(torque))
+        self._wanted[:] = torque
+        hits = self._limit(step_s)
         if hits == _NOT_FINITE:
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")
         self.hits = hits
-        return self._out
+        return self.torque_nm
 
-    def _require_vector(self, torque: Vector, tick: int) -> None:
-        if not isinstance(torque, np.ndarray) or torque.shape != self._out.shape:
-            shape = getattr(torque, "shape", type(torque).__name__)
-            raise InvalidTorqueError(
-                self._law, tick, f"{shape} where shape {self._out.shape} is expected"
-            )
-        if torque.dtype != np.float64:
-            raise InvalidTorqueError(self._law, tick, f"{torque.dtype} where float64 is expected")
-
-    def _expect(self, torque: Vector) -> None:
-        """Spare the law that returns one array over and over the checks and the copy."""
-        if self._of_law is self._wanted and type(torque) is np.ndarray:
-            self._of_law = torque
-            self._limit_of_law = self._limiting(torque)
-
-    def _limiting(self, wanted: Vector) -> Callable[[float], int]:
-        return bind(_limit_finite, wanted, self._motion, self._table, self._out, free=["float64"])
+    def _mismatch(self, torque: object) -> str:
+        """What a law returned where it should have returned one float64 per joint."""
+        shape = getattr(torque, "shape", type(torque).__name__)
+        if shape == self._shape:
+            return f"{getattr(torque, 'dtype', type(torque).__name__)} where float64 is expected"
+        return f"{shape} where shape {self._shape} is expected"
 
 
 @compiled
 def _limit_finite(
-    wanted: Vector, motion: Matrix, table: Matrix, previous_and_out: Vector, step_s: float
+    wanted: Vector, motion: Matrix, limits: Records, previous_and_out: Vector, step_s: float
 ) -> int:
     if not all_finite(wanted):
         return _NOT_FINITE
-    return limit_torques(wanted, motion, table, previous_and_out, step_s)
+    return limit_torques(wanted, motion, limits, previous_and_out, step_s)

@@ -44,8 +44,6 @@ class CommandGate:
 
     Attributes:
         rejections: what was kept out.
-        awaited_ns: stamp of the state whose answer is waited for; None once it has come, be it
-            new or a repetition.
         newest_ns: stamp answered by the newest command; none that answers an older one comes
             through. -1 before the first.
         commander: session of the one sender that is heard; None before the first valid command.
@@ -62,7 +60,7 @@ class CommandGate:
         self.rejections = Rejections("command", logger)
         self.newest_ns = -1
         self._newest_sequence = 0
-        self.awaited_ns: int | None = None
+        self._awaited_ns: int | None = None
         self.commander: bytes | None = None
 
     def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
@@ -78,6 +76,19 @@ class CommandGate:
             self.rejections.note(error)
             return None
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the answer asked for by `await_answer` has not come, new or as a repetition."""
+        return self._awaited_ns is not None
+
+    def await_answer(self, stamp_ns: int) -> None:
+        """From now on, wait for the answer to the state of this stamp."""
+        self._awaited_ns = stamp_ns
+
+    def stop_waiting(self) -> None:
+        """No answer will come, or what came of it counts as one."""
+        self._awaited_ns = None
+
     def lacks_commander(self) -> bool:
         """Whether the commander has left the bus: the next sender of a command will be heard."""
         return self.commander is not None and self._has_left(self.commander)
@@ -89,8 +100,8 @@ class CommandGate:
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
         self._require_commander(arrival)
-        if stamp_ns == self.awaited_ns:
-            self.awaited_ns = None
+        if stamp_ns == self._awaited_ns:
+            self._awaited_ns = None
         if stamp_ns <= self.newest_ns:
             raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
         self.newest_ns = stamp_ns

@@ -12,11 +12,11 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import Command, CommandGate
-from plant_emulator.telemetry import PlantJournal
+from plant_emulator.telemetry import PlantTelemetry
 from plant_emulator.watchdog import Watchdog
 
 
-class CommandSide:
+class CommandPath:
     """Takes commands in as they arrive, and puts each into force when it takes effect.
 
     Args:
@@ -24,12 +24,11 @@ class CommandSide:
         downlink: the way of commands to the joints.
         watchdog: fed with what comes into force.
         arm: what is commanded.
-        journal: told of each round trip.
-        announce: told of a new commander, and of the arm's release.
+        telemetry: where round trips are noted.
+        announce: called with events: a new commander, the arm's release.
 
     Attributes:
         downlink: commands on their way.
-        newest_sent_ns: stamp of the newest state that was delivered; -1 before the first.
         sequence: number of the command in force; 0 before the first.
         delay_ns: age of the state that the command in force answers, when it came into force; -1
             before the first.
@@ -41,14 +40,14 @@ class CommandSide:
         downlink: Channel[Command] | PlayoutBuffer,
         watchdog: Watchdog,
         arm: ArmPlant,
-        journal: PlantJournal,
+        telemetry: PlantTelemetry,
         announce: Callable[[EventKind, str], None],
     ) -> None:
         self._gate, self.downlink, self._watchdog = gate, downlink, watchdog
-        self._arm, self._journal, self._announce = arm, journal, announce
+        self._arm, self._telemetry, self._announce = arm, telemetry, announce
         self._unused: Counter[str] = Counter()
         self._stamp_ns = -1
-        self.newest_sent_ns = -1
+        self._newest_sent_ns = -1
         self.sequence = 0
         self.delay_ns = -1
 
@@ -61,18 +60,22 @@ class CommandSide:
         """Age of the state that the command in force answers; -1 before the first."""
         return now_ns - self._stamp_ns if self._stamp_ns >= 0 else -1
 
+    def note_delivered(self, stamp_ns: int) -> None:
+        """The state of this stamp was delivered: it can be answered."""
+        self._newest_sent_ns = max(self._newest_sent_ns, stamp_ns)
+
     def take_in(self, arrivals: Iterable[CommandArrival]) -> None:
         """Send what passes the gate on its way to the joints."""
         for arrival in arrivals:
             former = self._gate.commander
-            command = self._gate.admit(arrival, self.newest_sent_ns)
+            command = self._gate.admit(arrival, self._newest_sent_ns)
             if command is not None:
                 if arrival.sender != former:
                     self._announce(EventKind.COMMANDER, _commander(arrival.sender, former))
                 self.downlink.send(command, arrival.arrival_ns, len(arrival.payload))
 
-    def leave_out(self, arrivals: list[CommandArrival]) -> None:
-        """Count what comes from a controller that is taken for lost: the world has moved on."""
+    def reject(self, arrivals: list[CommandArrival]) -> None:
+        """Count what comes from a controller that is taken for lost."""
         self._unused["after_loss"] += len(arrivals)
 
     def put_into_force(self, now_ns: int) -> None:
@@ -85,7 +88,7 @@ class CommandSide:
                 self._unused["after_stop"] += 1
                 continue
             self._watchdog.feed(effective_ns)
-            self._journal.round_trip_ns = effective_ns - command.stamp_ns
+            self._telemetry.note_round_trip(effective_ns - command.stamp_ns)
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
             is_first = self._arm.mode is Mode.READY

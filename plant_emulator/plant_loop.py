@@ -25,11 +25,11 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_path import CommandSide
+from plant_emulator.command_path import CommandPath
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
-from plant_emulator.telemetry import PlantJournal
+from plant_emulator.telemetry import PlantTelemetry
 from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)
@@ -59,11 +59,11 @@ class PlantLoop:
         mean_ns = self._uplink.mean_delay_ns + downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
-        self._journal = PlantJournal(
+        self._telemetry = PlantTelemetry(
             names, arm, task.link.deadline_ns(self._grid.period_ns, round_trip_ns)
         )
-        self._commands = CommandSide(
-            self._gate, downlink, self._watchdog, arm, self._journal, self._announce
+        self._commands = CommandPath(
+            self._gate, downlink, self._watchdog, arm, self._telemetry, self._announce
         )
         self._instruments = Instruments(names, arm, self._commands)
         self._controller_is_lost = False
@@ -78,7 +78,7 @@ class PlantLoop:
     @property
     def deadline_misses(self) -> int:
         """Ticks at which the command in force was too old."""
-        return self._journal.deadline_misses
+        return self._telemetry.deadline_misses
 
     def warm_up(self) -> None:
         """Compile what the loop calls before time counts, and leave no trace of it."""
@@ -97,27 +97,27 @@ class PlantLoop:
         self._arm.begin()
         self._announce_mode("brakes engaged until the first valid command")
         try:
-            self._go()
+            self._run_ticks()
         except Exception as error:  # noqa: BLE001 (whatever happens, the arm is stopped)
-            self._break_off(error)
+            self._stop_after_error(error)
         self._arm.brake()
         self._announce_mode("brakes engaged")
         self._outcome.ticks = self.tick
         self._outcome.completed = self.tick >= self._task.ticks and not self._outcome.faults
         self._outcome.wall_s = time.monotonic() - started_s
         self._outcome.stolen_ms = stolen_ms() - stolen_before_ms
-        self._say_goodbye()
+        self._report_end()
         return self._outcome
 
-    def _go(self) -> None:
-        self._journal.begin_cycle(0)
+    def _run_ticks(self) -> None:
+        self._telemetry.begin_cycle(0)
         self._note_truth(was_skipped=False)
         self._measure()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
         self._exchange_until(self._tick_ns)
 
-    def _break_off(self, error: Exception) -> None:
+    def _stop_after_error(self, error: Exception) -> None:
         """Stop the arm because the loop cannot go on."""
         reason = f"the plant cannot go on: {type(error).__name__}: {error}"
         logger.exception("the plant cannot go on", exc_info=error)
@@ -134,11 +134,11 @@ class PlantLoop:
             self._advance(first, first + self._grid.substeps)
         else:
             self._keep_pace(self._next_tick())
-        self._journal.begin_cycle(self._lateness_ns)
+        self._telemetry.begin_cycle(self._lateness_ns)
         self._complete_tick(was_skipped=False)
         if self.tick < self._end_tick:
             self._measure()
-        self._journal.end_cycle()
+        self._telemetry.end_cycle()
 
     def _keep_pace(self, tick: int) -> None:
         """Reach a tick in real time, with nothing left to do there but to measure."""
@@ -157,7 +157,7 @@ class PlantLoop:
         reached = self._grid.tick_at_or_before(self._clock.now_ns())
         if reached > tick:
             reached = min(reached, self._end_tick)
-            self._journal.skipped += reached - tick
+            self._telemetry.note_skipped(reached - tick)
             tick = reached
         return tick
 
@@ -167,34 +167,32 @@ class PlantLoop:
             due_ns, measurement = self._uplink.receive()
             self._clock.wait_until(due_ns)
             self._deliver(measurement)
-        self._journal.send(self._link)
+        self._telemetry.send(self._link)
         self._lateness_ns = self._clock.wait_until(until_ns)
         self._collect_commands()
         if self._arm.mode in COMMANDABLE and (reason := self._link.fault()) is not None:
             self._begin_stop(reason)
 
     def _deliver(self, measurement: Measurement) -> None:
-        commands = self._commands
-        if measurement.stamp_ns > commands.newest_sent_ns:
-            commands.newest_sent_ns = measurement.stamp_ns
-        self._journal.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
+        self._commands.note_delivered(measurement.stamp_ns)
+        self._telemetry.note_delivered(self._clock.now_ns() - measurement.stamp_ns)
         self._link.send_state(measurement.state, measurement.status)
-        self._journal.send(self._link)
+        self._telemetry.send(self._link)
         if self._task.lockstep and not self._controller_is_lost:
             self._await_reply(measurement)
 
     def _await_reply(self, measurement: Measurement) -> None:
         """Take the reply to one state, at once or when it comes."""
-        self._gate.awaited_ns = measurement.stamp_ns
+        self._gate.await_answer(measurement.stamp_ns)
         self._collect_commands()
-        if self._gate.awaited_ns is not None:
+        if self._gate.is_waiting:
             self._wait_for_reply(measurement)
 
     def _wait_for_reply(self, measurement: Measurement) -> None:
         """If the reply to a state stays out, go on alone until the watchdog acts."""
         timeout_s = self._task.link.reply_timeout_s
         give_up_s = time.monotonic() + timeout_s
-        while self._gate.awaited_ns is not None and not self._stop_requested:
+        while self._gate.is_waiting and not self._stop_requested:
             if self._link.await_command(_PATIENCE_S):
                 self._collect_commands()
             elif self._link.controller_has_left():
@@ -215,7 +213,7 @@ class PlantLoop:
     def _collect_commands(self) -> None:
         arrivals = self._link.take_commands()
         if self._controller_is_lost:
-            self._commands.leave_out(arrivals)
+            self._commands.reject(arrivals)
         elif arrivals:
             self._commands.take_in(arrivals)
 
@@ -242,7 +240,7 @@ class PlantLoop:
             then = end if stays_so else first + 1
             self._arm.advance(first, then)
             first = then
-        self._journal.physics_ns += time.perf_counter_ns() - started_ns
+        self._telemetry.note_physics(time.perf_counter_ns() - started_ns)
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
         self.tick += 1
@@ -251,9 +249,9 @@ class PlantLoop:
             self._commands.put_into_force(now_ns)
         self._note_truth(was_skipped=was_skipped)
 
-    def _heed_limits(self) -> None:
+    def _handle_limit_hits(self) -> None:
         """Count the limits that were hit during a tick, and stop where that is asked for."""
-        hits, self._arm.torques.hits = self._arm.torques.hits, 0
+        hits = self._arm.torques.take_limit_hits()
         new = self._limits.note(hits)
         if new:
             self._announce(EventKind.LIMIT, f"reached for the first time: {name_of(new)}")
@@ -279,10 +277,10 @@ class PlantLoop:
         self._uplink.send(measurement, self._tick_ns, size_bytes)
 
     def _note_truth(self, *, was_skipped: bool) -> None:
-        if self._arm.torques.hits:
-            self._heed_limits()
+        if self._arm.torques.limit_hits:
+            self._handle_limit_hits()
         self._command_age_ns = self._commands.age_ns(self._tick_ns)
-        self._journal.note_truth(
+        self._telemetry.note_truth(
             self._tick_ns, self.tick, self._commands.sequence, self._command_age_ns,
             was_skipped=was_skipped,
         )  # fmt: skip
@@ -296,9 +294,9 @@ class PlantLoop:
         self._announce(EventKind.MODE, mode_event(self._arm.mode, why))
 
     def _announce(self, kind: EventKind, detail: str) -> None:
-        self._journal.note_event(self._tick_ns, kind, detail)
+        self._telemetry.note_event(self._tick_ns, kind, detail)
 
-    def _say_goodbye(self) -> None:
+    def _report_end(self) -> None:
         outcome = self._outcome
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
@@ -311,7 +309,7 @@ class PlantLoop:
         self._announce(EventKind.COUNTS, json.dumps(counts))
         ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
         self._announce(EventKind.ENDED, json.dumps(ended))
-        self._journal.send(self._link)
+        self._telemetry.send(self._link)
 
 
 _PATIENCE_S = 0.1

@@ -18,35 +18,37 @@ from plant_emulator.arm.arm_plant import ArmPlant
 _NO_CYCLE_NS = -1
 
 
-class PlantJournal:
+class PlantTelemetry:
     """Collects and sends the plant's telemetry.
 
+    Args:
+        joint_names: names of the joints.
+        arm: the arm.
+        deadline_ns: largest age of the state that the command in force answers.
+
     Attributes:
-        round_trip_ns: round trip of the newest command since the last tick, -1 without one.
-        state_age_ns: age of the newest state delivered since the last tick, -1 without one.
-        skipped: ticks at which nothing was measured, because the loop came too late.
         deadline_misses: ticks at which the command in force was too old.
-        physics_ns: what the physics have taken since the last cycle ended.
     """
 
     def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
         self._deadline_ns = deadline_ns
         self._truth = Record(topics.layout(topics.PLANT_TRUTH, joint_names))
         self._arm = arm
-        self._note_motion = copying(arm.motion, self._truth.matrix("position", "velocity"))
-        self._note_torques = copying(
-            arm.torques.acting, self._truth.matrix("torque", "disturbance")
+        # A third of what NumPy's copies would take, at every tick.
+        self._take_motion = copying(arm.motion, self._truth.rows("position", "velocity"))
+        self._take_torques = copying(
+            arm.torques.acting, self._truth.rows("torque", "friction", "disturbance")
         )
         self._entries: list[tuple[topics.Topic, bytes]] = []
         self._cycle_started_ns = 0
         self._period_ns = 0
         self._lateness_ns = 0
         self._step_ns = 0
-        self.round_trip_ns = -1
-        self.state_age_ns = -1
-        self.skipped = 0
+        self._round_trip_ns = -1
+        self._state_age_ns = -1
+        self._skipped = 0
+        self._physics_ns = 0
         self.deadline_misses = 0
-        self.physics_ns = 0
 
     def begin_cycle(self, lateness_ns: int) -> None:
         """A cycle begins, so late after the instant it was to begin at."""
@@ -57,8 +59,24 @@ class PlantJournal:
 
     def end_cycle(self) -> None:
         """The work of the cycle is done."""
-        self._step_ns = self.physics_ns + time.perf_counter_ns() - self._cycle_started_ns
-        self.physics_ns = 0
+        self._step_ns = self._physics_ns + time.perf_counter_ns() - self._cycle_started_ns
+        self._physics_ns = 0
+
+    def note_physics(self, took_ns: int) -> None:
+        """The physics took so long, outside of a cycle."""
+        self._physics_ns += took_ns
+
+    def note_skipped(self, ticks: int) -> None:
+        """The loop came too late for some ticks: nothing is measured there."""
+        self._skipped += ticks
+
+    def note_delivered(self, state_age_ns: int) -> None:
+        """A state of this age was delivered."""
+        self._state_age_ns = state_age_ns
+
+    def note_round_trip(self, round_trip_ns: int) -> None:
+        """A command arrived, so long after the state it answers was measured."""
+        self._round_trip_ns = round_trip_ns
 
     def note_truth(
         self,
@@ -84,16 +102,23 @@ class PlantJournal:
         self.deadline_misses += not is_in_time
         truth = self._truth
         truth.stamp_ns = stamp_ns
-        truth.put_scalars(
-            tick, self._period_ns, _NO_CYCLE_NS if was_skipped else self._lateness_ns,
-            self._step_ns, self.skipped,
-            command_sequence, command_age_ns, self.round_trip_ns, self.state_age_ns,
-            self._arm.mode, is_in_time, self._arm.torques.saturated,
-        )  # fmt: skip
-        self._note_motion()
-        self._note_torques()
+        scalars = truth.scalars
+        scalars.timing_cycle = tick
+        scalars.timing_period_ns = self._period_ns
+        scalars.timing_lateness_ns = _NO_CYCLE_NS if was_skipped else self._lateness_ns
+        scalars.timing_step_ns = self._step_ns
+        scalars.timing_skipped = self._skipped
+        scalars.command_sequence = command_sequence
+        scalars.command_age_ns = command_age_ns
+        scalars.round_trip_ns = self._round_trip_ns
+        scalars.state_age_ns = self._state_age_ns
+        scalars.mode = self._arm.mode
+        scalars.deadline_met = is_in_time
+        scalars.saturated = self._arm.torques.saturated
+        self._take_motion()
+        self._take_torques()
         self._entries.append((topics.PLANT_TRUTH, truth.payload()))
-        self.round_trip_ns = self.state_age_ns = -1
+        self._round_trip_ns = self._state_age_ns = -1
 
     def note_event(self, stamp_ns: int, kind: EventKind, detail: str) -> None:
         """Note that something happened."""

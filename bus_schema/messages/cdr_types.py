@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from rosbags.interfaces import Nodetype
 
+from bus_schema.messages.header import ENCAPSULATION_BYTES
 from bus_schema.messages.types import TYPESTORE
 
-ENCAPSULATION_BYTES = 4
 NUMPY_TYPES = {
     "bool": "u1", "octet": "u1", "uint8": "u1", "int8": "i1", "uint16": "<u2", "int16": "<i2",
     "uint32": "<u4", "int32": "<i4", "uint64": "<u8", "int64": "<i8",

@@ -23,7 +23,7 @@ COMMANDABLE = (Mode.TRACKING, Mode.READY)
 """Modes in which a torque is given, or waited for."""
 
 
-class Cue(StrEnum):
+class Trigger(StrEnum):
     """What makes a side change its mode.
 
     Attributes:
@@ -41,42 +41,42 @@ class Cue(StrEnum):
     END = "end"
 
 
-TRANSITIONS: Mapping[tuple[Mode, Cue], Mode] = MappingProxyType({
-    (Mode.IDLE, Cue.BEGIN): Mode.READY,
-    (Mode.READY, Cue.COMMAND): Mode.TRACKING,
-    (Mode.READY, Cue.FAIL): Mode.STOPPING,
-    (Mode.TRACKING, Cue.FAIL): Mode.STOPPING,
-    (Mode.STOPPING, Cue.STOPPED): Mode.FAULT,
-    (Mode.READY, Cue.END): Mode.IDLE,
-    (Mode.TRACKING, Cue.END): Mode.IDLE,
+TRANSITIONS: Mapping[tuple[Mode, Trigger], Mode] = MappingProxyType({
+    (Mode.IDLE, Trigger.BEGIN): Mode.READY,
+    (Mode.READY, Trigger.COMMAND): Mode.TRACKING,
+    (Mode.READY, Trigger.FAIL): Mode.STOPPING,
+    (Mode.TRACKING, Trigger.FAIL): Mode.STOPPING,
+    (Mode.STOPPING, Trigger.STOPPED): Mode.FAULT,
+    (Mode.READY, Trigger.END): Mode.IDLE,
+    (Mode.TRACKING, Trigger.END): Mode.IDLE,
 })  # fmt: skip
 """All that can happen. There is no way to FAULT but through STOPPING, and none out of it."""
 
 
 class IllegalTransitionError(BusError, RuntimeError):
-    """A cue that means nothing in the mode in which it came.
+    """A trigger that means nothing in the mode in which it came.
 
     Attributes:
         mode: the mode.
-        cue: the cue.
+        trigger: the trigger.
     """
 
-    def __init__(self, mode: Mode, cue: Cue) -> None:
-        super().__init__(f"in mode {mode.name} nothing follows from {cue.name}")
+    def __init__(self, mode: Mode, trigger: Trigger) -> None:
+        super().__init__(f"in mode {mode.name} nothing follows from {trigger.name}")
         self.mode = mode
-        self.cue = cue
+        self.trigger = trigger
 
 
-def follow(mode: Mode, cue: Cue) -> Mode:
+def follow(mode: Mode, trigger: Trigger) -> Mode:
     """The mode that follows.
 
     Raises:
         IllegalTransitionError: the table has no such transition.
     """
     try:
-        return TRANSITIONS[mode, cue]
+        return TRANSITIONS[mode, trigger]
     except KeyError:
-        raise IllegalTransitionError(mode, cue) from None
+        raise IllegalTransitionError(mode, trigger) from None
 
 
 def mode_event(mode: Mode, why: str) -> str:

@@ -23,7 +23,7 @@ _PATIENCE = 2.0
 """A command is waited for beyond its time, in mean deviations of the horizon."""
 
 
-class Echo(NamedTuple):
+class CommandFeedback(NamedTuple):
     """What a plant status says about commands.
 
     Attributes:
@@ -35,7 +35,7 @@ class Echo(NamedTuple):
     delay_ns: int
 
 
-class Schedule(NamedTuple):
+class TorqueSchedule(NamedTuple):
     """Torques from an instant on, for compiled code; a command's place is number % `CAPACITY`.
 
     Attributes:
@@ -92,34 +92,34 @@ class CommandTimeline:
         self._first = max(self._first or number, number - CAPACITY + 1)
         self._newest = number
 
-    def explains(self, echo: Echo, now_ns: int) -> bool:
-        """Whether a state that left the plant at `now_ns` can bear this echo."""
-        slot = echo.sequence % CAPACITY
-        return echo.sequence == HELD or (
-            int(self._numbers[slot]) == echo.sequence
-            and 0 <= echo.delay_ns <= now_ns - int(self._stamps_ns[slot])
+    def explains(self, feedback: CommandFeedback, now_ns: int) -> bool:
+        """Whether a state that left the plant at `now_ns` can bear this feedback."""
+        slot = feedback.sequence % CAPACITY
+        return feedback.sequence == HELD or (
+            int(self._numbers[slot]) == feedback.sequence
+            and 0 <= feedback.delay_ns <= now_ns - int(self._stamps_ns[slot])
         )
 
-    def observe(self, echo: Echo, now_ns: int) -> None:
+    def observe(self, feedback: CommandFeedback, now_ns: int) -> None:
         """Learn the horizon from a state that left the plant at `now_ns`."""
-        if echo.sequence == HELD:
+        if feedback.sequence == HELD:
             # Nothing acts yet, so the first command has been on its way for at least as long.
             waited_ns = now_ns - int(self._stamps_ns[self._first % CAPACITY]) if self._first else 0
             self._expect(max(self.horizon_ns, waited_ns))
-        elif echo.sequence != self._in_force:
+        elif feedback.sequence != self._in_force:
             share = _FOLLOW if self._in_force != HELD else 1.0
-            surprise_ns = echo.delay_ns - self._mean_delay_ns
+            surprise_ns = feedback.delay_ns - self._mean_delay_ns
             self._mean_delay_ns += share * surprise_ns
             if self._in_force != HELD:
                 self._spread_ns += share * (abs(surprise_ns) - self._spread_ns)
             self._expect(round(self._mean_delay_ns))
-        self._in_force = echo.sequence
+        self._in_force = feedback.sequence
 
-    def between(self, in_force: int, then: Echo, from_ns: int) -> Schedule:
+    def between(self, in_force: int, then: CommandFeedback, from_ns: int) -> TorqueSchedule:
         """What acted from an instant on, while the command in force gave way to another one."""
         return self._schedule(in_force, then.sequence, then.delay_ns, from_ns)
 
-    def ahead(self, in_force: int, now_ns: int) -> Schedule:
+    def ahead(self, in_force: int, now_ns: int) -> TorqueSchedule:
         """What will act from now on.
 
         A command that should have come by now is just about to, or it is lost if it is overdue by
@@ -129,17 +129,19 @@ class CommandTimeline:
         return self._schedule(in_force, self._newest, self.horizon_ns, now_ns - patience_ns)
 
     def assumed_in_force(self, now_ns: int) -> int:
-        """The command that should have come into force before now, for want of an echo."""
+        """The command that should have come into force before now, for want of an feedback."""
         return self._schedule(HELD, self._newest, self.horizon_ns, now_ns).upcoming - 1
 
     def _expect(self, horizon_ns: int) -> None:
         self.horizon_ns = min(max(horizon_ns, self._least_horizon_ns), LONGEST_HORIZON_NS)
 
-    def _schedule(self, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Schedule:
+    def _schedule(self, in_force: int, newest: int, delay_ns: int, from_ns: int) -> TorqueSchedule:
         upcoming = _first_after(
             self._stamps_ns, max(in_force + 1, self._first), newest, from_ns - delay_ns
         )
-        return Schedule(self._stamps_ns, self._torques_nm, in_force, upcoming, newest, delay_ns)
+        return TorqueSchedule(
+            self._stamps_ns, self._torques_nm, in_force, upcoming, newest, delay_ns
+        )
 
 
 @compiled

@@ -12,7 +12,12 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.runtime.finite import all_finite
-from controller.compensation.command_timeline import HELD, LONGEST_HORIZON_NS, CommandTimeline, Echo
+from controller.compensation.command_timeline import (
+    HELD,
+    LONGEST_HORIZON_NS,
+    CommandFeedback,
+    CommandTimeline,
+)
 from controller.compensation.disturbance_observer import DisturbanceObserver
 from controller.compensation.motion_predictor import SMOOTHING_RAD_S, MotionPredictor
 from controller.control_law import Tracking
@@ -27,12 +32,12 @@ class DelayCompensation:
     Args:
         model: the nominal model.
         observer_bandwidth_rad_s: how fast disturbances are learned.
-        learn_friction: whether Coulomb friction is learned too, so that its flip is foreseen.
+        learn_friction: whether Coulomb friction is learned too, so that its flip is predicted.
         least_horizon_ns: no torque acts sooner than this after the state it answers.
 
     Attributes:
         timeline: the commands sent, and the horizon.
-        foreseen: the situation predicted last.
+        predicted: the situation predicted last.
         missing: what the nominal model was found to miss.
     """
 
@@ -51,17 +56,9 @@ class DelayCompensation:
             joints, observer_bandwidth_rad_s, learn_friction=learn_friction
         )
         self._predictor = MotionPredictor(model, self.missing)
-        self.foreseen = Tracking(joints)
-        self.foreseen.position = self._predictor.position
-        self.foreseen.velocity = self._predictor.velocity
+        self.predicted = Tracking(joints)
         self._last_position: Vector = np.zeros(joints)
         self._last_velocity: Vector = np.zeros(joints)
-        self.reset()
-
-    def report_into(self, error: Vector, disturbance_nm: Vector, friction_nm: Vector) -> None:
-        """Keep foreseen error and what was learned in these arrays, which go by message."""
-        self.foreseen.error = error
-        self.missing.disturbance_nm, self.missing.coulomb_nm = disturbance_nm, friction_nm
         self.reset()
 
     def reset(self) -> None:
@@ -74,18 +71,18 @@ class DelayCompensation:
         """Compile everything before time counts, and leave no trace of it."""
         self.note_command(1, 0, measured.velocity)
         for stamp_ns in (1_000_000, 2_000_000):
-            self.foresee(measured, stamp_ns, Echo(1, stamp_ns), reference, funnel)
+            self.predict(measured, stamp_ns, CommandFeedback(1, stamp_ns), reference, funnel)
         self.reset()
 
     def note_command(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
         """A command was sent in answer to the state of `stamp_ns`; numbers increase."""
         self.timeline.note(number, stamp_ns, torque_nm)
 
-    def foresee(
+    def predict(
         self,
         measured: Tracking,
         stamp_ns: int,
-        echo: Echo | None,
+        feedback: CommandFeedback | None,
         reference: Reference,
         funnel: Funnel,
     ) -> Tracking:
@@ -94,37 +91,39 @@ class DelayCompensation:
         Args:
             measured: the situation at the state; states come in order.
             stamp_ns: stamp of the state.
-            echo: the command in force at it; None if the plant does not say.
+            feedback: the command in force at it; None if the plant does not say.
             reference: the reference of `measured`.
             funnel: the funnel of `measured`.
         """
         timeline = self.timeline
-        if echo is not None and timeline.explains(echo, stamp_ns):
-            timeline.observe(echo, stamp_ns)
+        if feedback is not None and timeline.explains(feedback, stamp_ns):
+            timeline.observe(feedback, stamp_ns)
         else:
-            echo = Echo(timeline.assumed_in_force(stamp_ns), timeline.horizon_ns)
-        is_moving = HELD < self._last_in_force <= echo.sequence
+            feedback = CommandFeedback(timeline.assumed_in_force(stamp_ns), timeline.horizon_ns)
+        is_moving = HELD < self._last_in_force <= feedback.sequence
         if is_moving and stamp_ns - self._last_ns <= LONGEST_HORIZON_NS:
-            self._learn(measured, stamp_ns, echo)
-        self._last_in_force, self._last_ns = echo.sequence, stamp_ns
+            self._learn(measured, stamp_ns, feedback)
+        self._last_in_force, self._last_ns = feedback.sequence, stamp_ns
         self._last_position[:], self._last_velocity[:] = measured.position, measured.velocity
 
         horizon_ns, predictor = timeline.horizon_ns, self._predictor
-        ahead = timeline.ahead(echo.sequence, stamp_ns)
+        ahead = timeline.ahead(feedback.sequence, stamp_ns)
         predictor.predict(
             measured.position, measured.velocity, ahead, stamp_ns, stamp_ns + horizon_ns
         )
         if not (all_finite(predictor.position) and all_finite(predictor.velocity)):
             # no motion of an arm: far beyond its speed, the model's numbers overflow
             predictor.position[:], predictor.velocity[:] = measured.position, measured.velocity
+        self.predicted.position[:] = predictor.position
+        self.predicted.velocity[:] = predictor.velocity
         time_s = measured.time_s + horizon_ns * 1e-9
-        self.foreseen.update(time_s, measured.step_s, reference, funnel)
-        return self.foreseen
+        self.predicted.update(time_s, measured.step_s, reference, funnel)
+        return self.predicted
 
-    def _learn(self, measured: Tracking, stamp_ns: int, echo: Echo) -> None:
+    def _learn(self, measured: Tracking, stamp_ns: int, feedback: CommandFeedback) -> None:
         """Compare how the arm moved since the last state with how it should have moved."""
         predictor, step_s = self._predictor, (stamp_ns - self._last_ns) * 1e-9
-        acted = self.timeline.between(self._last_in_force, echo, self._last_ns)
+        acted = self.timeline.between(self._last_in_force, feedback, self._last_ns)
         predictor.predict(self._last_position, self._last_velocity, acted, self._last_ns, stamp_ns)
         mass = self._model.mass_matrix(measured.position)
         missed_nm = mass @ (measured.velocity - predictor.velocity) / step_s

@@ -2,7 +2,7 @@
 
 The missing torque of a joint is f − c tanh(q̇ / v): a disturbance f that may change at any time, and
 Coulomb friction c, which flips its sign with the velocity. Only with c apart from f can a predictor
-foresee the flip. A Kalman filter per joint tells the two apart: f walks at random, c hardly moves.
+predict the flip. A Kalman filter per joint tells the two apart: f walks at random, c hardly moves.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
-from controller.compensation.command_timeline import HELD, Schedule
+from controller.compensation.command_timeline import HELD, TorqueSchedule
 from controller.compensation.disturbance_observer import DisturbanceObserver
 from controller.manipulator_model import ManipulatorModel
 
@@ -43,7 +43,12 @@ class MotionPredictor:
         self._no_acceleration: Vector = np.zeros(model.joints)
 
     def predict(
-        self, position: Vector, velocity: Vector, schedule: Schedule, from_ns: int, until_ns: int
+        self,
+        position: Vector,
+        velocity: Vector,
+        schedule: TorqueSchedule,
+        from_ns: int,
+        until_ns: int,
     ) -> None:
         """Move from a state at `from_ns` to `until_ns`; until a first command acts, stand still."""
         self.position[:], self.velocity[:] = position, velocity
@@ -73,7 +78,7 @@ class MotionPredictor:
 def _advance(
     position: Vector, velocity: Vector, acceleration: Vector,
     inverse_mass: Matrix, load: Vector, disturbance: Vector, coulomb: Vector,
-    schedule: Schedule, in_force: int, upcoming: int, from_ns: int, until_ns: int,
+    schedule: TorqueSchedule, in_force: int, upcoming: int, from_ns: int, until_ns: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Advance to `until_ns` in place; the mean acceleration, and the command in force then."""
     slots, total, before = schedule.stamps_ns.size, np.empty(position.size), velocity.copy()

@@ -37,7 +37,6 @@ from controller.configuration import (
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
 from controller.reference import Reference, sample_positions
-from controller.torque_guard import TorqueGuard
 from deploy.scenario.faults import ScheduledFault, check_faults, plant_faults
 from deploy.scenario.link_files import find_delay_files
 from deploy.scenario.robot_files import find_urdf
@@ -130,7 +129,8 @@ class Setup:
             reference=self.reference,
             funnel=self.funnel,
             law=controller.build_law(self.gains, self.robot),
-            guard=TorqueGuard(controller.law, limits),
+            law_name=controller.law,
+            limits=limits,
             compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
         )
 

@@ -13,7 +13,7 @@ from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
-from bus_schema.runtime.modes import Cue, Mode, follow
+from bus_schema.runtime.modes import Mode, Trigger, follow
 from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.arm.bullet_server import require_loadable
 from plant_emulator.arm.joint_hardware import Encoders
@@ -42,6 +42,7 @@ class ArmPlant:
         position: true joint positions, rad, shape (joints,).
         velocity: true joint velocities, rad/s, shape (joints,).
         motion: both as rows, shape (2, joints).
+        measured: the same as the encoders showed it last.
     """
 
     def __init__(
@@ -57,13 +58,11 @@ class ArmPlant:
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
         randoms = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)]
-        self._stop_damping, self.torques, self._encoders = _joint_hardware(
-            configuration, robot, grid, limits, *randoms[:2]
-        )
+        self._stop_damping = _stop_damping(configuration, robot)
+        self.torques = JointTorques(configuration, robot, grid.substep_s, randoms[0], limits)
         self._faults = ArmFaults(faults, robot.joint_names, randoms[2]) if faults else None
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
-        self._commanded_memory = self._commanded.data  # written to in a third of the array's time
         self._grid = grid
         self._arm = BulletArm(
             robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
@@ -72,7 +71,8 @@ class ArmPlant:
         self.position: Vector = self._arm.position
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
-        self.attach_encoders(np.zeros_like(self.motion))
+        self._encoders = Encoders(configuration.encoder, self.motion, randoms[1])
+        self.measured: Matrix = self._encoders.shown
         self._set_brakes(engaged=True)
         self.mode = Mode.IDLE
 
@@ -91,30 +91,29 @@ class ArmPlant:
         """
         if configuration.gui and not os.environ.get("DISPLAY"):
             raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
-        _joint_hardware(configuration, robot, grid, limits, *[np.random.default_rng()] * 2)
+        random = np.random.default_rng()
+        _stop_damping(configuration, robot)
+        JointTorques(configuration, robot, grid.substep_s, random, limits)
+        Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
         require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg))
 
-    def attach_encoders(self, seen: Matrix) -> None:
-        """Have what a controller gets to see of the motion written here, shape (2, joints)."""
-        self._seen, self._show = seen, self._encoders.onto(self.motion, seen)
-
     def read_encoders(self, now_ns: int = 0) -> None:
-        """Write what is to be seen at `now_ns`."""
-        self._show()
+        """Bring `measured` up to date; `now_ns` is for faults that come and go."""
+        self._encoders.read()
         if self._faults is not None:
-            self._faults.sense(self._seen, now_ns)
+            self._faults.sense(self.measured, now_ns)
 
     def begin(self) -> None:
         """Take part in a run: the brakes hold until the first torque."""
-        self.mode = follow(self.mode, Cue.BEGIN)
+        self.mode = follow(self.mode, Trigger.BEGIN)
 
     def command(self, torque_nm: Vector) -> None:
         """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
         if self.mode is Mode.READY:
             self._set_brakes(engaged=False)
-            self.mode = follow(self.mode, Cue.COMMAND)
+            self.mode = follow(self.mode, Trigger.COMMAND)
         if self.mode is Mode.TRACKING:
-            self._commanded_memory[:] = torque_nm.data
+            self._commanded[:] = torque_nm
 
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
@@ -126,14 +125,16 @@ class ArmPlant:
 
     def stop(self) -> None:
         """Begin the configured safe stop. There is no way back."""
-        self.mode = follow(self.mode, Cue.FAIL)
+        self.mode = follow(self.mode, Trigger.FAIL)
         self._commanded[:] = 0.0
         if self._safe_stop == "brake":
             self._set_brakes(engaged=True)
 
     def brake(self) -> None:
         """Engage the brakes for good: the run is over."""
-        self.mode = follow(self.mode, Cue.STOPPED if self.mode is Mode.STOPPING else Cue.END)
+        self.mode = follow(
+            self.mode, Trigger.STOPPED if self.mode is Mode.STOPPING else Trigger.END
+        )
         self._commanded[:] = 0.0
         self._set_brakes(engaged=True)
 
@@ -153,15 +154,15 @@ class ArmPlant:
                 np.multiply(self._stop_damping, self.velocity, out=self._commanded)
                 np.negative(self._commanded, out=self._commanded)
             if self._faults is not None:
-                self._suffer(self._faults, self._grid.substep_ns(number))
+                self._apply_faults(self._faults, self._grid.substep_ns(number))
             self._go(number, number + 1)
 
     def close(self) -> None:
         """Free the physics server."""
         self._arm.close()
 
-    def _suffer(self, faults: ArmFaults, now_ns: int) -> None:
-        """Let the faults come between what is commanded and what the actuators are asked for."""
+    def _apply_faults(self, faults: ArmFaults, now_ns: int) -> None:
+        """Change what the actuators are asked for as the faults would."""
         if faults.payload_falls(now_ns):
             self._arm.drop_payload()
         faults.ask(self._commanded, now_ns, self.torques.asked)
@@ -180,15 +181,6 @@ class ArmPlant:
         self._is_braked = engaged
 
 
-def _joint_hardware(
-    configuration: PlantConfiguration,
-    robot: RobotDescription,
-    grid: TickGrid,
-    limits: LimitsConfiguration,
-    disturbance_random: np.random.Generator,
-    encoder_random: np.random.Generator,
-) -> tuple[Vector, JointTorques, Encoders]:
-    """Damping of a safe stop (N m s, shape (joints,)), torques and encoders."""
-    damping = expand(configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
-    torques = JointTorques(configuration, robot, grid.substep_s, disturbance_random, limits)
-    return damping, torques, Encoders(configuration.encoder, robot.joints, encoder_random)
+def _stop_damping(configuration: PlantConfiguration, robot: RobotDescription) -> Vector:
+    """Damping of a safe stop, N m s, shape (joints,)."""
+    return expand(configuration.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")

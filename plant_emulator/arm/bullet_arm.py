@@ -24,7 +24,7 @@ from plant_emulator.arm.bullet_server import (
     step_simulation,
     submit,
 )
-from plant_emulator.arm.joint_torques import JointTorques, Tables, act
+from plant_emulator.arm.joint_torques import TOTAL, JointTorques, TorqueTables, joint_torques
 
 _BRAKE_TO_EFFORT = 10.0
 _BRAKE_TORQUE_NM = 10_000.0
@@ -97,8 +97,6 @@ class BulletArm:
         self._advance = bind(
             _advance, *arm, grid.period_ns, grid.substeps, torques.tables, free=["int64", "int64"]
         )
-        self.drop_payload = server.drop_payload
-        self.close = server.close
         self.set_brakes(engaged=False)
 
     def place(self, position: Vector) -> None:
@@ -130,8 +128,8 @@ class BulletArm:
         Raises:
             ConnectionError: Bullet's physics server is gone, as when its window was closed.
         """
-        is_done, self._torques.saturated, hits = self._advance(first, end)
-        self._torques.hits |= hits
+        is_done, saturated, hits = self._advance(first, end)
+        self._torques.note(saturated=saturated, hits=hits)
         if not is_done:
             raise _no_answer()
 
@@ -144,6 +142,14 @@ class BulletArm:
         if not self._coast(substeps):
             raise _no_answer()
 
+    def drop_payload(self) -> None:
+        """Let the payload fall off."""
+        self._server.drop_payload()
+
+    def close(self) -> None:
+        """Free the physics server."""
+        self._server.close()
+
 
 def _no_answer() -> ConnectionError:
     return ConnectionError("Bullet's physics server does not answer")
@@ -151,20 +157,20 @@ def _no_answer() -> ConnectionError:
 
 @compiled
 def _advance(
-    handles: Handles, motion: Matrix, period_ns: int, substeps: int, tables: Tables,
+    handles: Handles, motion: Matrix, period_ns: int, substeps: int, tables: TorqueTables,
     first: int, end: int,
 ) -> tuple[bool, bool, int]:  # fmt: skip
     server, body, has_window = handles.server, handles.body, handles.has_window
     saturated, hits = False, 0
     for number in range(first, end):
         time_s = (number * period_ns // substeps) * 1e-9
-        saturated, new_hits = act(motion, time_s, tables)
+        saturated, new_hits = joint_torques(motion, time_s, tables)
         hits |= new_hits
         if not can_submit(server):
             return False, saturated, hits
         motors = control(server, body, CONTROL_TORQUE)
         for i in range(motion.shape[1]):
-            set_torque(motors, handles.indices[1, i], tables.torques[3, i])
+            set_torque(motors, handles.indices[1, i], tables.torques_nm[TOTAL, i])
         submit(server, motors, has_window)
         submit(server, step_simulation(server), has_window)
         if not _read(handles, motion):

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Records, Vector
 from bus_schema.configuration import ConfigurationError
 from bus_schema.runtime.compiled import compiled
 from plant_emulator.configuration import (
@@ -28,20 +28,23 @@ from plant_emulator.configuration import (
 NOISE_COMPONENTS = 48
 _QUARTER_TURN = 0.5 * math.pi
 
-Row = tuple[float, float, float, float, float, float]
+_WAVE = np.dtype([
+    ("joint", np.int64), ("amplitude_nm", np.float64), ("frequency_rad_s", np.float64),
+    ("phase_rad", np.float64), ("start_s", np.float64), ("end_s", np.float64),
+])  # fmt: skip
 
 
 def disturbance_table(
     configuration: DisturbanceConfiguration,
     joint_names: tuple[str, ...],
     random: np.random.Generator,
-) -> Matrix:
-    """All terms as rows of joint, amplitude (N m), frequency (rad/s), phase, start, end (s).
+) -> Records:
+    """All terms as windowed sinusoids, shape (sinusoids,).
 
     Raises:
         ConfigurationError: a term names a joint that the arm has not, or a band upside down.
     """
-    rows: list[Row] = []
+    waves: list[tuple[float, ...]] = []
     for index, term in enumerate(configuration.terms if configuration.enabled else []):
         if term.joint != "all" and term.joint not in joint_names:
             raise ConfigurationError(
@@ -54,18 +57,19 @@ def disturbance_table(
             raise ConfigurationError(key, term.highest_hz, f"above lowest_hz = {term.lowest_hz}")
         for joint, name in enumerate(joint_names):
             if term.joint in ("all", name):
-                rows.extend((float(joint), *wave) for wave in _waves(term, random))
-    return np.array(rows, dtype=np.float64).reshape(-1, 6)
+                waves.extend((joint, *wave) for wave in _waves(term, random))
+    return np.array(waves, dtype=_WAVE)
 
 
 @compiled
-def add_disturbance(time_s: float, table: Matrix, out: Vector) -> None:
+def add_disturbance(time_s: float, waves: Records, out: Vector) -> None:
     """Write the torque of all terms at `time_s` into `out`, shape (joints,), N m."""
     out[:] = 0.0
-    for row in range(table.shape[0]):
-        if table[row, 4] <= time_s < table[row, 5]:
-            angle = table[row, 2] * time_s + table[row, 3]
-            out[int(table[row, 0])] += table[row, 1] * math.sin(angle)
+    for i in range(waves.size):
+        wave = waves[i]
+        if wave.start_s <= time_s < wave.end_s:
+            angle = wave.frequency_rad_s * time_s + wave.phase_rad
+            out[wave.joint] += wave.amplitude_nm * math.sin(angle)
 
 
 def _waves(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 
@@ -16,11 +14,21 @@ from plant_emulator.configuration import ActuatorConfiguration, EncoderConfigura
 
 
 class Encoders:
-    """Positions of limited resolution, velocities with noise."""
+    """Positions of limited resolution, velocities with noise.
+
+    Args:
+        configuration: section ``plant.encoder`` of the scenario.
+        motion: true positions and velocities as rows, shape (2, joints), at each `read`.
+        random: source of the noise.
+
+    Attributes:
+        shown: what the encoders show, likewise.
+    """
 
     def __init__(
-        self, configuration: EncoderConfiguration, joints: int, random: np.random.Generator
+        self, configuration: EncoderConfiguration, motion: Matrix, random: np.random.Generator
     ) -> None:
+        joints = motion.shape[1]
         self._resolution = expand(
             configuration.resolution_rad, joints, "plant.encoder.resolution_rad"
         )
@@ -31,26 +39,18 @@ class Encoders:
         self._quantises = bool(self._is_coarse.any())
         self._is_noisy = bool((self._noise > 0.0).any())
         self._random = random
+        self.shown: Matrix = np.zeros_like(motion)
+        self._copy = copying(motion, self.shown)
 
-    def onto(self, motion: Matrix, into: Matrix) -> Callable[[], None]:
-        """A function that writes what the encoders show of the true motion.
-
-        Args:
-            motion: positions and velocities as rows, shape (2, joints).
-            into: the same, as shown.
-        """
-        copy = copying(motion, into)
-        if not self._quantises and not self._is_noisy:
-            return copy
-        return partial(self._show, copy, motion, into)
-
-    def _show(self, copy: Callable[[], None], motion: Matrix, into: Matrix) -> None:
-        copy()
+    def read(self) -> None:
+        """Bring `shown` up to date."""
+        self._copy()
         if self._quantises:
-            counts = np.round(motion[0, self._is_coarse] / self._resolution[self._is_coarse])
-            into[0, self._is_coarse] = counts * self._resolution[self._is_coarse]
+            position = self.shown[0]
+            counts = np.round(position[self._is_coarse] / self._resolution[self._is_coarse])
+            position[self._is_coarse] = counts * self._resolution[self._is_coarse]
         if self._is_noisy:
-            into[1] += self._noise * self._random.standard_normal(motion.shape[1])
+            self.shown[1] += self._noise * self._random.standard_normal(self.shown.shape[1])
 
 
 class ActuatorLimits:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Matrix, Records, Vector
 from bus_schema.limits import LimitsConfiguration, limit_torques
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
@@ -16,29 +16,31 @@ from plant_emulator.arm.friction import friction_table, friction_torque
 from plant_emulator.arm.joint_hardware import ActuatorLimits
 from plant_emulator.configuration import PlantConfiguration
 
+ACTUATOR, FRICTION, DISTURBANCE, TOTAL, LIMITED, ASKED = range(6)
+"""Rows of `TorqueTables.torques_nm`."""
 
-class Tables(NamedTuple):
+
+class TorqueTables(NamedTuple):
     """What the torques of a substep depend on, and where they go, as compiled code takes it.
 
     Attributes:
-        limits: of the torques, `bus_schema.limits.JointLimits.table`.
-        saturation: largest torques of the actuators, N m, shape (joints,).
+        limits: of the torques, `bus_schema.limits.JointLimits.packed`.
+        saturation_nm: largest torques of the actuators, shape (joints,).
         lag_factor: share of the difference to the commanded torque that is left after a substep.
         friction: `friction_table`.
         disturbance: `disturbance_table`.
-        asked: what the actuators are asked for, N m.
         held: joints that their brakes hold, shape (joints,).
-        torques: actuator, friction, disturbance, total, limited and asked torques as rows, N m,
-            shape (6, joints).
+        torques_nm: rows `ACTUATOR` to `ASKED` (the torques asked of the actuators, `LIMITED`: the
+            same within the limits), shape (6, joints).
     """
 
-    limits: Matrix
-    saturation: Vector
+    limits: Records
+    saturation_nm: Vector
     lag_factor: float
-    friction: Matrix
-    disturbance: Matrix
+    friction: Records
+    disturbance: Records
     held: NDArray[np.bool_]
-    torques: Matrix
+    torques_nm: Matrix
 
 
 class JointTorques:
@@ -53,7 +55,7 @@ class JointTorques:
         tables: what compiled code needs to work the torques out.
         acting: actuator, friction and disturbance as rows, shape (3, joints).
         saturated: whether the last command asked for all that an actuator has, or more.
-        hits: limits that commands or motion ran into since this was last set to 0: a sum of
+        limit_hits: limits that commands or motion ran into since `take_limit_hits`: a sum of
             `bus_schema.limits.Hit`.
     """
 
@@ -67,8 +69,8 @@ class JointTorques:
     ) -> None:
         actuators = ActuatorLimits(configuration.actuator, robot, substep_s)
         self._torques: Matrix = np.zeros((6, robot.joints))
-        self.tables = Tables(
-            limits.of_plant(robot).table(substep_s),
+        self.tables = TorqueTables(
+            limits.of_plant(robot).packed(substep_s),
             actuators.saturation_nm,
             actuators.lag_factor,
             friction_table(configuration.friction, robot.joints),
@@ -77,22 +79,32 @@ class JointTorques:
             self._torques,
         )
         self.held = self.tables.held
-        self.actuator: Vector = self._torques[0]
-        self.friction: Vector = self._torques[1]
-        self.disturbance: Vector = self._torques[2]
-        self.acting: Matrix = self._torques[:3]
-        self.asked: Vector = self._torques[5]
+        self.actuator: Vector = self._torques[ACTUATOR]
+        self.friction: Vector = self._torques[FRICTION]
+        self.disturbance: Vector = self._torques[DISTURBANCE]
+        self.acting: Matrix = self._torques[ACTUATOR : DISTURBANCE + 1]
+        self.asked: Vector = self._torques[ASKED]
         self.saturated = False
-        self.hits = 0
+        self.limit_hits = 0
+
+    def note(self, *, saturated: bool, hits: int) -> None:
+        """Take in what `joint_torques` returned."""
+        self.saturated = saturated
+        self.limit_hits |= hits
+
+    def take_limit_hits(self) -> int:
+        """The limits that were hit since the last call: a sum of `bus_schema.limits.Hit`."""
+        hits, self.limit_hits = self.limit_hits, 0
+        return hits
 
     def rest(self) -> None:
         """The brakes hold the joints: nothing else is felt."""
-        self._torques[:5] = 0.0
+        self._torques[:ASKED] = 0.0
         self.saturated = False
 
 
 @compiled
-def act(motion: Matrix, time_s: float, tables: Tables) -> tuple[bool, int]:
+def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[bool, int]:
     """Write the torques of a substep; whether actuators saturate, and the limits that were hit.
 
     Args:
@@ -100,18 +112,18 @@ def act(motion: Matrix, time_s: float, tables: Tables) -> tuple[bool, int]:
         time_s: start of the substep.
         tables: what the torques depend on, and where they go.
     """
-    torques, saturation = tables.torques, tables.saturation
-    actuator, friction, disturbance, total = torques[0], torques[1], torques[2], torques[3]
-    allowed, asked = torques[4], torques[5]
-    hits = limit_torques(asked, motion, tables.limits, allowed, 1.0)
+    torques, saturation = tables.torques_nm, tables.saturation_nm
+    actuator, friction, disturbance = torques[ACTUATOR], torques[FRICTION], torques[DISTURBANCE]
+    total, limited, asked = torques[TOTAL], torques[LIMITED], torques[ASKED]
+    hits = limit_torques(asked, motion, tables.limits, limited, 1.0)
     add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
     for i in range(asked.size):
-        target = min(max(allowed[i], -saturation[i]), saturation[i])
+        target = min(max(limited[i], -saturation[i]), saturation[i])
         saturated = saturated or abs(asked[i]) >= saturation[i]
         actuator[i] = target + tables.lag_factor * (actuator[i] - target)
         friction[i] = friction_torque(motion[1, i], tables.friction, i)
         total[i] = actuator[i] - friction[i] - disturbance[i]
         if tables.held[i]:  # its brake holds it: nothing else is felt there
-            torques[:5, i] = 0.0
+            torques[:ASKED, i] = 0.0
     return saturated, hits

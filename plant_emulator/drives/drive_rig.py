@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.runtime.clock import Clock, TickGrid
 from plant_emulator.arm.arm_plant import ArmPlant
@@ -63,8 +61,6 @@ class DriveRig:
         self._arm, self._bank, self._bus = arm, bank, bus
         self._clock, self._grid, self._plan = clock, grid, plan
         self._on_frame, self._on_event = on_frame, on_event
-        self._motion = np.zeros_like(arm.motion)
-        arm.attach_encoders(self._motion)
         self._told: list[str] = []
         self._stop_requested = False
         self.counts = RigCounts()
@@ -111,7 +107,7 @@ class DriveRig:
 
     def _measure(self) -> None:
         self._arm.read_encoders()
-        position, velocity = self._motion
+        position, velocity = self._arm.measured
         self._bank.measure(position, velocity, self._arm.torques.actuator)
 
     def _tell(self) -> None:

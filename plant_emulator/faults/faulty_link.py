@@ -114,15 +114,15 @@ class FaultyLink:
 
     def await_command(self, timeout_s: float) -> bool:
         if self._was_unreadable:
-            self._gate.awaited_ns = None
+            self._gate.stop_waiting()
             return True
         return self._link.await_command(timeout_s)
 
     def take_commands(self) -> list[CommandArrival]:
         taken: list[CommandArrival] = []
         for arrival in self._link.take_commands():
-            if self._gate.awaited_ns is not None and self._answers_last_state(arrival):
-                self._gate.awaited_ns = None
+            if self._gate.is_waiting and self._answers_last_state(arrival):
+                self._gate.stop_waiting()
             taken.extend(self._intruders(arrival))
             taken.append(arrival._replace(payload=self._spoilt(arrival.payload)))
         return taken

@@ -35,7 +35,7 @@ def limits_of(**changes):
 def limited(wanted, motion=REST, before=(0.0, 0.0, 0.0), step_s=0.001, **changes):
     out = np.array(before, dtype=float)
     motion = np.array(motion, dtype=float)
-    hits = limit_torques(np.array(wanted), motion, limits_of(**changes).table(), out, step_s)
+    hits = limit_torques(np.array(wanted), motion, limits_of(**changes).packed(), out, step_s)
     return out.tolist(), Hit(hits)
 
 

@@ -18,7 +18,7 @@ from bus_schema.runtime.modes import Mode, mode_in
 from controller.configuration import ControllerConfiguration, FunnelConfiguration
 from controller.control_loop import ControlLoop, ControlTask
 from controller.reference import CartesianPath, JointSinusoids
-from controller.torque_guard import InvalidTorqueError, TorqueGuard
+from controller.torque_guard import InvalidTorqueError
 from deploy.scenario.robot_files import find_urdf
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
@@ -36,11 +36,9 @@ class Bench:
         gains = configuration.build_gains(ROBOT, np.zeros((1, 3)))
         self.funnel = FunnelConfiguration().build(OFFSET)
         self.reference = reference
-        guard = TorqueGuard(
-            law, JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))
-        )
+        limits = JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))
         self.law = configuration.build_law(gains, ROBOT)
-        task = ControlTask(ROBOT, reference, self.funnel, self.law, guard)
+        task = ControlTask(ROBOT, reference, self.funnel, self.law, law, limits)
         self.bus = InProcessBus(VirtualClock())
         self.plant = InProcessPlantLink(self.bus)
         self.loop = ControlLoop(task, InProcessControllerLink(self.bus))

@@ -8,19 +8,24 @@ from controller.torque_guard import ControllerError, InvalidTorqueError, TorqueG
 
 LIMITS = np.array([400.0, 700.0, 300.0])
 UNLIMITED = np.full(3, np.inf)
+REST = np.zeros((2, 3))
 TORQUE = st.lists(st.floats(-1e300, 1e300), min_size=3, max_size=3).map(np.array)
+
+
+def guard_of(law, limits):
+    return TorqueGuard(law, limits, REST)
 
 
 @given(torque=TORQUE, step_s=st.floats(0.0, 1.0))
 def test_torque_within_limits_passes_unchanged_and_beyond_them_is_cut(torque, step_s):
     given_torque = torque.copy()
-    out = TorqueGuard("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 0, step_s)
+    out = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 0, step_s)
     assert out.tolist() == np.clip(given_torque, -LIMITS, LIMITS).tolist()
     assert torque.tolist() == given_torque.tolist()
 
 
 def test_infinite_limits_hold_nothing_back():
-    out = TorqueGuard("pid", JointLimits.of_torques(UNLIMITED, UNLIMITED)).admit(
+    out = guard_of("pid", JointLimits.of_torques(UNLIMITED, UNLIMITED)).admit(
         np.array([1e9, -1e9, 0.0]), 0, 1e-3
     )
     assert out.tolist() == [1e9, -1e9, 0.0]
@@ -29,7 +34,7 @@ def test_infinite_limits_hold_nothing_back():
 @given(torques=st.lists(TORQUE, min_size=2, max_size=10), step_s=st.floats(1e-4, 0.1))
 def test_no_torque_changes_faster_than_its_rate_limit(torques, step_s):
     rates = np.array([1000.0, 500.0, np.inf])
-    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, rates))
+    guard = guard_of("pid", JointLimits.of_torques(LIMITS, rates))
     previous = guard.admit(np.zeros(3), 0, 0.0).copy()
     for tick, torque in enumerate(torques):
         out = guard.admit(torque, tick, step_s)
@@ -44,7 +49,7 @@ def test_no_torque_changes_faster_than_its_rate_limit(torques, step_s):
 
 def test_first_torque_is_not_rate_limited():
     # Without a step there is no rate; the brakes held the arm until now.
-    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, np.full(3, 1.0)))
+    guard = guard_of("pid", JointLimits.of_torques(LIMITS, np.full(3, 1.0)))
     assert guard.admit(np.array([100.0, 0.0, 0.0]), 0, 0.0).tolist() == [100.0, 0.0, 0.0]
     assert guard.admit(np.array([200.0, 0.0, 0.0]), 1, 1.0).tolist() == [101.0, 0.0, 0.0]
 
@@ -55,7 +60,7 @@ def test_not_finite_torque_is_refused_by_law_and_tick(bad, joint):
     torque = np.zeros(3)
     torque[joint] = bad
     with pytest.raises(InvalidTorqueError, match=r"law pid .* at tick 17") as caught:
-        TorqueGuard("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 17, 1e-3)
+        guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 17, 1e-3)
     assert (caught.value.law, caught.value.tick) == ("pid", 17)
     assert str(torque.tolist()) in str(caught.value)
     assert isinstance(caught.value, ControllerError)
@@ -67,11 +72,11 @@ def test_not_finite_torque_is_refused_by_law_and_tick(bad, joint):
 )
 def test_wrong_shape_is_refused_by_law_and_tick(wrong):
     with pytest.raises(InvalidTorqueError, match=r"law smc .*shape \(3,\).* at tick 4"):
-        TorqueGuard("smc", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(wrong, 4, 1e-3)
+        guard_of("smc", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(wrong, 4, 1e-3)
 
 
 def test_refused_torque_leaves_the_rate_limit_where_it_was():
-    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, np.full(3, 10.0)))
+    guard = guard_of("pid", JointLimits.of_torques(LIMITS, np.full(3, 10.0)))
     guard.admit(np.full(3, 50.0), 0, 0.0)
     with pytest.raises(InvalidTorqueError):
         guard.admit(np.array([0.0, 0.0, np.nan]), 1, 1.0)
@@ -88,7 +93,7 @@ class Subclass(np.ndarray):
     ids=["plain", "strided", "column", "subclass"],
 )
 def test_law_that_returns_one_array_over_and_over_is_limited_and_checked_each_time(own):
-    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, np.full(3, 100.0)))
+    guard = guard_of("pid", JointLimits.of_torques(LIMITS, np.full(3, 100.0)))
     told = []
     for torque in (0.0, 50.0, 1000.0):
         own[:] = torque
@@ -110,5 +115,5 @@ def test_law_that_returns_one_array_over_and_over_is_limited_and_checked_each_ti
 def test_law_whose_array_cannot_be_written_to_is_heard():
     torque = np.full(3, 5.0)
     torque.setflags(write=False)
-    guard = TorqueGuard("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
+    guard = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
     assert [guard.admit(torque, tick, 1.0).tolist() for tick in range(2)] == [[5.0] * 3] * 2

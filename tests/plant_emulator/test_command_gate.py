@@ -46,11 +46,11 @@ def foreign(names, effort, stamp_ns=5):
 
 def test_valid_command_comes_through():
     bench = Bench()
-    bench.gate.awaited_ns = 5
+    bench.gate.await_answer(5)
     command = bench.admit(payload(5))
     assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
     assert (command.sequence, command.stamp_ns) == (1, 5)
-    assert bench.gate.awaited_ns is None
+    assert not bench.gate.is_waiting
     assert not bench.rejected
 
 
@@ -98,9 +98,9 @@ def test_only_a_repeated_answer_counts_as_an_answer(data, reason):
     # In lockstep the plant waits for an answer to its state: a late one is one, garbage is none.
     bench = Bench()
     bench.admit(payload(5))
-    bench.gate.awaited_ns = 4
+    bench.gate.await_answer(4)
     bench.admit(data)
-    assert bench.gate.awaited_ns == (None if data == payload(4) else 4)
+    assert bench.gate.is_waiting == (data != payload(4))
     assert bench.rejected[reason] == 1
 
 
@@ -128,12 +128,12 @@ def test_only_a_valid_command_makes_a_commander(data, reason):
 
 def test_replayed_number_is_refused_whatever_stamp_it_bears():
     bench = Bench()
-    bench.gate.awaited_ns = 6
+    bench.gate.await_answer(6)
     assert bench.admit(payload(5), sequence=3) is not None
     for sequence in (3, 2, 0, -1):
         assert bench.admit(payload(6), sequence=sequence) is None
     assert bench.rejected == {"replayed": 4}
-    assert bench.gate.awaited_ns == 6  # a replay is no answer
+    assert bench.gate.is_waiting  # a replay is no answer
     assert bench.admit(payload(6), sequence=4) is not None
 
 

@@ -4,9 +4,9 @@ import pytest
 
 from bus_schema.runtime.modes import (
     TRANSITIONS,
-    Cue,
     IllegalTransitionError,
     Mode,
+    Trigger,
     follow,
     mode_event,
     mode_in,
@@ -14,13 +14,15 @@ from bus_schema.runtime.modes import (
 
 
 def test_every_pair_is_in_the_table_or_refused():
-    for mode, cue in itertools.product(Mode, Cue):
-        if (mode, cue) in TRANSITIONS:
-            assert follow(mode, cue) is TRANSITIONS[mode, cue]
+    for mode, trigger in itertools.product(Mode, Trigger):
+        if (mode, trigger) in TRANSITIONS:
+            assert follow(mode, trigger) is TRANSITIONS[mode, trigger]
         else:
-            with pytest.raises(IllegalTransitionError, match=f"{mode.name}.*{cue.name}") as refused:
-                follow(mode, cue)
-            assert (refused.value.mode, refused.value.cue) == (mode, cue)
+            with pytest.raises(
+                IllegalTransitionError, match=f"{mode.name}.*{trigger.name}"
+            ) as refused:
+                follow(mode, trigger)
+            assert (refused.value.mode, refused.value.trigger) == (mode, trigger)
 
 
 def test_fault_is_reached_through_stopping_alone_and_never_left():
@@ -32,7 +34,7 @@ def test_fault_is_reached_through_stopping_alone_and_never_left():
 
 def test_whoever_takes_part_can_stop():
     for mode in (Mode.READY, Mode.TRACKING):
-        assert follow(mode, Cue.FAIL) is Mode.STOPPING
+        assert follow(mode, Trigger.FAIL) is Mode.STOPPING
 
 
 @pytest.mark.parametrize("mode", Mode)

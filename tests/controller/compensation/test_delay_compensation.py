@@ -9,8 +9,8 @@ from bus_schema.robot_description import load_robot
 from controller.compensation.command_timeline import (
     CAPACITY,
     LONGEST_HORIZON_NS,
+    CommandFeedback,
     CommandTimeline,
-    Echo,
 )
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.motion_predictor import SMOOTHING_RAD_S
@@ -42,18 +42,18 @@ class Bench:
         self.lost = lost
         self.measured = Tracking(3)
         self.measured.position[:] = START
-        self.foreseen, self.truth, self.in_force = {}, {}, (0, -1, None)
+        self.predicted, self.truth, self.in_force = {}, {}, (0, -1, None)
         self.sent, self.tick = {}, 0
 
-    def run(self, ticks, delay, *, echoes=True):
-        """Ticks with a state each, which comes with or without an echo."""
+    def run(self, ticks, delay, *, gives_feedback=True):
+        """Ticks with a state each, which comes with or without an feedback."""
         for _ in range(ticks):
             tick, state = self.tick, self.measured
             state.update(tick * 1e-3, 1e-3 if tick else 0.0, SWING, FUNNEL)
-            echo = Echo(*self.in_force[:2]) if echoes else None
-            seen = self.compensation.foresee(state, tick * MS, echo, SWING, FUNNEL)
+            feedback = CommandFeedback(*self.in_force[:2]) if gives_feedback else None
+            seen = self.compensation.predict(state, tick * MS, feedback, SWING, FUNNEL)
             horizon_ms = self.compensation.timeline.horizon_ns / MS
-            self.foreseen[tick] = horizon_ms, seen.position.copy(), seen.velocity.copy()
+            self.predicted[tick] = horizon_ms, seen.position.copy(), seen.velocity.copy()
             swing = np.array([40.0, 60.0, 15.0]) * np.sin(0.02 * tick + np.arange(3))
             self.sent[tick] = MODEL.gravity(state.position) + swing
             self.compensation.note_command(len(self.sent), tick * MS, self.sent[tick])
@@ -88,7 +88,7 @@ class Bench:
         """Largest error of predictions made at these ticks: of positions, of velocities."""
         errors = []
         for tick in ticks:
-            horizon_ms, position, velocity = self.foreseen[tick]
+            horizon_ms, position, velocity = self.predicted[tick]
             truth = self.truth[tick + round(horizon_ms)]
             errors.append((np.abs(position - truth[0]).max(), np.abs(velocity - truth[1]).max()))
         return np.max(errors, axis=0)
@@ -98,7 +98,7 @@ class Bench:
 def test_a_perfect_model_foresees_the_true_motion(delay):
     bench = Bench()
     bench.run(160 + delay, delay)
-    assert bench.foreseen[159][0] == delay
+    assert bench.predicted[159][0] == delay
     position, velocity = bench.prediction_error(range(delay + 2, 160))
     travelled = np.abs(bench.truth[159][0] - bench.truth[159 - max(delay, 1)][0]).max()
     assert position <= 2e-5
@@ -110,7 +110,7 @@ def test_without_delay_the_law_sees_just_what_was_measured():
     bench = Bench(learn_friction=True, missing=lambda velocity: -5.0 * np.tanh(velocity / 0.02))
     bench.run(50, 0)
     for tick in range(50):
-        horizon_ms, position, velocity = bench.foreseen[tick]
+        horizon_ms, position, velocity = bench.predicted[tick]
         assert horizon_ms == 0.0
         np.testing.assert_array_equal(position, bench.truth[tick][0])
         np.testing.assert_array_equal(velocity, bench.truth[tick][1])
@@ -119,7 +119,7 @@ def test_without_delay_the_law_sees_just_what_was_measured():
 def test_reference_and_funnel_are_those_of_the_instant_the_torque_acts():
     bench = Bench()
     bench.run(60, 20)
-    expected, seen = Tracking(3), bench.compensation.foreseen
+    expected, seen = Tracking(3), bench.compensation.predicted
     expected.position[:], expected.velocity[:] = seen.position, seen.velocity
     expected.update(0.059 + 0.020, 1e-3, SWING, FUNNEL)
     np.testing.assert_array_equal(seen.reference_position, expected.reference_position)
@@ -132,7 +132,7 @@ def test_a_held_arm_is_foreseen_at_rest_until_its_first_command_acts():
     bench.run(100, 30)
     for tick in range(31):
         # the state of tick k is answered at k + 30, of which k ticks were in motion
-        _, position, _ = bench.foreseen[tick]
+        _, position, _ = bench.predicted[tick]
         at_rest, moving = START, bench.truth[tick + 30][0]
         np.testing.assert_allclose(position, moving, atol=2e-5)
         if tick < 2:
@@ -143,7 +143,7 @@ def test_a_held_arm_is_foreseen_at_rest_until_its_first_command_acts():
 def test_horizon_is_known_to_be_no_shorter_than_what_was_waited_for_the_first_command():
     bench = Bench()
     bench.run(40, 30)
-    assert [bench.foreseen[tick][0] for tick in range(0, 40, 10)] == [0.0, 10.0, 20.0, 30.0]
+    assert [bench.predicted[tick][0] for tick in range(0, 40, 10)] == [0.0, 10.0, 20.0, 30.0]
 
 
 def test_disturbance_is_learned_at_the_stated_bandwidth():
@@ -183,18 +183,18 @@ def test_coulomb_friction_is_told_apart_from_a_disturbance():
 def test_varying_delay_is_followed():
     bench = Bench()
     bench.run(60, 10)
-    assert bench.foreseen[59][0] == 10.0
+    assert bench.predicted[59][0] == 10.0
     bench.run(100, 25)
-    assert bench.foreseen[159][0] == pytest.approx(25.0, abs=0.01)
+    assert bench.predicted[159][0] == pytest.approx(25.0, abs=0.01)
     bench.run(100, 5)
-    assert bench.foreseen[259][0] == pytest.approx(5.0, abs=0.01)
+    assert bench.predicted[259][0] == pytest.approx(5.0, abs=0.01)
 
 
 def test_lost_command_leaves_its_predecessor_in_force():
     whole, holed = Bench(), Bench(lost=range(60, 66))
     for bench in (whole, holed):
         bench.run(150, 10)
-    # What is lost nobody can know before tick 70; the echo that shows the gap sets it right.
+    # What is lost nobody can know before tick 70; the feedback that shows the gap sets it right.
     surprised = holed.prediction_error(range(60, 66))[1]
     assert surprised > 2.0 * whole.prediction_error(range(60, 66))[1]
     assert holed.prediction_error(range(76, 139))[0] < 1e-5
@@ -212,31 +212,32 @@ def test_lost_states_are_bridged():
 
 def test_plant_that_says_nothing_is_taken_to_act_after_the_least_horizon():
     bench = Bench(least_horizon_ns=20 * MS)
-    bench.run(120, 20, echoes=False)
-    assert bench.foreseen[99][0] == 20.0
+    bench.run(120, 20, gives_feedback=False)
+    assert bench.predicted[99][0] == 20.0
     assert bench.prediction_error(range(25, 99))[0] < 3e-5
 
 
 def test_play_out_is_the_least_horizon():
     bench = Bench(least_horizon_ns=20 * MS)
     bench.run(60, 12)
-    assert {horizon_ms for horizon_ms, *_ in bench.foreseen.values()} == {20.0}
+    assert {horizon_ms for horizon_ms, *_ in bench.predicted.values()} == {20.0}
 
 
 @pytest.mark.parametrize(
-    "echo",
+    "feedback",
     [
-        Echo(2**63, 5 * MS), Echo(7, -1), Echo(7, 2**62), Echo(90, 0), Echo(-3, 0),
+        CommandFeedback(2**63, 5 * MS), CommandFeedback(7, -1), CommandFeedback(7, 2**62),
+        CommandFeedback(90, 0), CommandFeedback(-3, 0),
     ],
 )  # fmt: skip
-def test_an_echo_that_cannot_be_true_changes_nothing(echo):
+def test_an_echo_that_cannot_be_true_changes_nothing(feedback):
     bench, undisturbed = Bench(), Bench()
     for each in (bench, undisturbed):
         each.run(30, 5)
     horizon_ns = bench.compensation.timeline.horizon_ns
-    seen = bench.compensation.foresee(bench.measured, 30 * MS, echo, SWING, FUNNEL)
+    seen = bench.compensation.predict(bench.measured, 30 * MS, feedback, SWING, FUNNEL)
     assert bench.compensation.timeline.horizon_ns == horizon_ns
-    expected = undisturbed.compensation.foresee(bench.measured, 30 * MS, None, SWING, FUNNEL)
+    expected = undisturbed.compensation.predict(bench.measured, 30 * MS, None, SWING, FUNNEL)
     np.testing.assert_array_equal(seen.position, expected.position)
 
 
@@ -246,7 +247,7 @@ def test_a_state_beyond_all_reason_is_answered_and_forgotten(size):
     bench.run(30, 5)
     wild = Tracking(3)
     wild.position[:], wild.velocity[:] = size, -size
-    seen = bench.compensation.foresee(wild, 30 * MS, Echo(26, 5 * MS), SWING, FUNNEL)
+    seen = bench.compensation.predict(wild, 30 * MS, CommandFeedback(26, 5 * MS), SWING, FUNNEL)
     assert np.isfinite(seen.position).all()
     assert np.isfinite(seen.velocity).all()
     assert np.isfinite(bench.compensation.missing.disturbance_nm).all()
@@ -256,15 +257,18 @@ def test_no_prediction_reaches_further_than_half_a_second():
     bench = Bench()
     bench.run(30, 5)
     hour_ns = 3_600_000_000_000
-    bench.compensation.foresee(bench.measured, hour_ns, Echo(1, hour_ns), SWING, FUNNEL)
-    bench.compensation.foresee(bench.measured, 2 * hour_ns, Echo(2, hour_ns), SWING, FUNNEL)
+    feedback = CommandFeedback(1, hour_ns)
+    bench.compensation.predict(bench.measured, hour_ns, feedback, SWING, FUNNEL)
+    bench.compensation.predict(
+        bench.measured, 2 * hour_ns, CommandFeedback(2, hour_ns), SWING, FUNNEL
+    )
     assert bench.compensation.timeline.horizon_ns == LONGEST_HORIZON_NS
 
 
 def test_reset_repeats_itself_bit_for_bit():
     def motion():
         bench.run(80, 10)
-        return [position.tobytes() for _, position, _ in bench.foreseen.values()]
+        return [position.tobytes() for _, position, _ in bench.predicted.values()]
 
     bench = Bench(learn_friction=True)
     first, compensation = motion(), bench.compensation
@@ -279,9 +283,9 @@ def test_timeline_forgets_only_what_is_no_longer_in_flight():
     for number in range(1, CAPACITY + 100):
         timeline.note(number, number * MS, np.array([float(number)]))
     now_ns = (CAPACITY + 100) * MS
-    assert not timeline.explains(Echo(99, 0), now_ns)
-    assert timeline.explains(Echo(100, 0), now_ns)
-    timeline.observe(Echo(CAPACITY, 50 * MS), now_ns)
+    assert not timeline.explains(CommandFeedback(99, 0), now_ns)
+    assert timeline.explains(CommandFeedback(100, 0), now_ns)
+    timeline.observe(CommandFeedback(CAPACITY, 50 * MS), now_ns)
     ahead = timeline.ahead(CAPACITY, now_ns)
     assert (ahead.upcoming, ahead.newest) == (CAPACITY + 50, CAPACITY + 99)
     assert ahead.acts_ns(ahead.upcoming) == now_ns

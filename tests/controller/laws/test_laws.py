@@ -198,7 +198,9 @@ def test_torque_stays_within_the_limits_behind_the_guard(name, motion):
     limits = np.array([400.0, 700.0, 300.0])
     law, guard = (
         law_of(name),
-        TorqueGuard(name, JointLimits.of_torques(limits, np.full(JOINTS, np.inf))),
+        TorqueGuard(
+            name, JointLimits.of_torques(limits, np.full(JOINTS, np.inf)), np.zeros((2, JOINTS))
+        ),
     )
     for tick, (errors, error_rates) in enumerate(motion):
         torque = law.torque(situation(errors, error_rates, 1e-3 * tick))

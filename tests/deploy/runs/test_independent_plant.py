@@ -11,7 +11,7 @@ from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from plant_emulator.arm import arm_plant
-from plant_emulator.arm.joint_torques import act
+from plant_emulator.arm.joint_torques import TOTAL, joint_torques
 
 SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 
@@ -35,9 +35,9 @@ class PinocchioArm:
         torques = self._torques
         for number in range(first, end):
             time_s = self._grid.substep_ns(number) * 1e-9
-            torques.saturated, hits = act(self.motion, time_s, torques.tables)
-            torques.hits |= hits
-            self._step(torques.tables.torques[3])
+            saturated, hits = joint_torques(self.motion, time_s, torques.tables)
+            torques.note(saturated=saturated, hits=hits)
+            self._step(torques.tables.torques_nm[TOTAL])
 
     def _step(self, torque_nm):
         def rate(state):

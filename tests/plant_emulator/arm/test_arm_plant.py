@@ -195,8 +195,7 @@ def test_brake_ends_everything(bench, kind):
 
 def test_encoders_show_the_joints(bench):
     seen = bench(encoder={"resolution_rad": 1e-3})
-    position, velocity = shown = np.empty((2, 3))
-    seen.arm.attach_encoders(shown)
+    position, velocity = seen.arm.measured
     seen.arm.read_encoders()
     np.testing.assert_allclose(position, START, atol=1e-12)  # whole milliradians
     seen.arm.command(PUSH)
@@ -216,10 +215,8 @@ def test_same_seed_same_bits_other_seed_other_noise(bench):
         )
         shaken.arm.command(np.zeros(3))
         positions, _ = shaken.run(0.1)
-        seen = np.empty((2, 3))
-        shaken.arm.attach_encoders(seen)
         shaken.arm.read_encoders()
-        runs.append((positions.tobytes(), seen[1].tobytes()))
+        runs.append((positions.tobytes(), shaken.arm.measured[1].tobytes()))
     assert runs[0] == runs[1]
     assert runs[0][0] != runs[2][0]
     assert runs[0][1] != runs[2][1]

@@ -12,7 +12,7 @@ from bus_schema.runtime.clock import TickGrid
 from deploy.scenario.robot_files import find_urdf
 from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.arm.bullet_server import require_loadable
-from plant_emulator.arm.joint_torques import JointTorques, act
+from plant_emulator.arm.joint_torques import TOTAL, JointTorques, joint_torques
 from plant_emulator.arm.pybullet_arm import PybulletArm
 from plant_emulator.configuration import PlantConfiguration
 
@@ -59,8 +59,8 @@ def thrown_by_pybullet(robot, payload_kg):
         torques.asked[:] = pushes(robot, tick)
         for number in range(4 * tick, 4 * tick + 4):
             motion = np.array([arm.position, arm.velocity])
-            act(motion, GRID.substep_ns(number) * 1e-9, torques.tables)
-            arm.step(torques.tables.torques[3])
+            joint_torques(motion, GRID.substep_ns(number) * 1e-9, torques.tables)
+            arm.step(torques.tables.torques_nm[TOTAL])
         rows.append(np.array([arm.position, arm.velocity]))
     arm.close()
     return np.array(rows)

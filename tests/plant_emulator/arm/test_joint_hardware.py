@@ -9,7 +9,7 @@ from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
 from deploy.scenario.robot_files import find_urdf
 from plant_emulator.arm.joint_hardware import ActuatorLimits, Encoders
-from plant_emulator.arm.joint_torques import JointTorques, act
+from plant_emulator.arm.joint_torques import TOTAL, JointTorques, joint_torques
 from plant_emulator.configuration import (
     ActuatorConfiguration,
     EncoderConfiguration,
@@ -20,14 +20,14 @@ ROBOT = load_robot(find_urdf("paper_arm", Path()))
 SUBSTEP_S = 2.5e-4
 
 
-def read(encoders, position, velocity):
-    seen = np.empty((2, 3))
-    encoders.onto(np.array([position, velocity], dtype=float), seen)()
-    return seen
+def encoders_of(position, velocity, seed=0, **values):
+    motion = np.array([position, velocity], dtype=float)
+    return Encoders(EncoderConfiguration(**values), motion, np.random.default_rng(seed))
 
 
-def encoders_of(seed=0, **values):
-    return Encoders(EncoderConfiguration(**values), 3, np.random.default_rng(seed))
+def read(encoders):
+    encoders.read()
+    return encoders.shown
 
 
 def torques_of(**values):
@@ -41,8 +41,8 @@ def acted(torques, commanded, velocity=(0.0, 0.0, 0.0)):
     """Total torque of a substep, and whether actuators saturate."""
     motion = np.array([np.zeros(3), velocity])
     torques.asked[:] = commanded
-    saturated, _ = act(motion, 0.0, torques.tables)
-    return torques.tables.torques[3].tolist(), saturated
+    saturated, _ = joint_torques(motion, 0.0, torques.tables)
+    return torques.tables.torques_nm[TOTAL].tolist(), saturated
 
 
 @given(
@@ -50,7 +50,7 @@ def acted(torques, commanded, velocity=(0.0, 0.0, 0.0)):
     st.tuples(*[st.floats(-9.0, 9.0)] * 3),
 )
 def test_ideal_encoders_show_the_truth(position, velocity):
-    seen_position, seen_velocity = read(encoders_of(), position, velocity)
+    seen_position, seen_velocity = read(encoders_of(position, velocity))
     assert seen_position.tolist() == list(position)
     assert seen_velocity.tolist() == list(velocity)
 
@@ -58,7 +58,7 @@ def test_ideal_encoders_show_the_truth(position, velocity):
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_positions_are_the_nearest_multiple_of_the_resolution(position):
     resolution = np.array([1e-3, 0.0, 2.0 * np.pi / 4096])
-    seen, _ = read(encoders_of(resolution_rad=resolution), position, np.zeros(3))
+    seen, _ = read(encoders_of(position, np.zeros(3), resolution_rad=resolution))
     assert seen[1] == position[1]
     for joint in (0, 2):
         assert abs(seen[joint] - position[joint]) <= 0.5 * resolution[joint] * (1.0 + 1e-9)
@@ -68,14 +68,9 @@ def test_positions_are_the_nearest_multiple_of_the_resolution(position):
 
 def test_velocity_noise_is_white_gaussian_and_unbiased():
     deviation = np.array([0.1, 0.0, 0.02])
-    encoders = encoders_of(velocity_noise_rad_s=deviation)
+    encoders = encoders_of(np.ones(3), np.full(3, 5.0), velocity_noise_rad_s=deviation)
     count = 20_000
-    seen = np.empty((2, 3))
-    show = encoders.onto(np.array([np.ones(3), np.full(3, 5.0)]), seen)
-    noise = np.empty((count, 3))
-    for row in noise:
-        show()
-        row[:] = seen[1] - 5.0
+    noise = np.array([read(encoders)[1] - 5.0 for _ in range(count)])
     assert (noise[:, 1] == 0.0).all()
     for joint in (0, 2):
         share = noise[:, joint] / deviation[joint]
@@ -89,16 +84,19 @@ def test_velocity_noise_is_white_gaussian_and_unbiased():
 
 def test_noise_is_the_same_for_the_same_seed():
     def run(seed):
-        encoders = encoders_of(seed, velocity_noise_rad_s=0.1)
-        return [read(encoders, np.zeros(3), np.zeros(3))[1].tolist() for _ in range(5)]
+        encoders = encoders_of(np.zeros(3), np.zeros(3), seed, velocity_noise_rad_s=0.1)
+        return [read(encoders)[1].tolist() for _ in range(5)]
 
     assert run(1) == run(1)
     assert run(1) != run(2)
 
 
 def test_noise_leaves_positions_and_the_truth_alone():
-    motion, seen = np.ones((2, 3)), np.empty((2, 3))
-    encoders_of(velocity_noise_rad_s=0.1).onto(motion, seen)()
+    motion = np.ones((2, 3))
+    encoders = Encoders(
+        EncoderConfiguration(velocity_noise_rad_s=0.1), motion, np.random.default_rng(0)
+    )
+    seen = read(encoders)
     assert seen[0].tolist() == [1.0, 1.0, 1.0]
     assert (seen[1] != 1.0).all()
     assert (motion == 1.0).all()
