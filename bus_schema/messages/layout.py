@@ -94,8 +94,9 @@ class Record:
             raise ValueError(f"{', '.join(names)} do not follow one another in the message")
         views = [self.fields[name] for name in names]
         strides = set(np.diff([view.ctypes.data for view in views]).tolist())
-        if len(strides) != 1 or len({view.shape for view in views}) != 1:
-            raise ValueError(f"{', '.join(names)} are not arrays of one length")
+        kinds = {(view.dtype, view.shape) for view in views}
+        if len(strides) != 1 or len(kinds) != 1 or views[0].dtype != np.float64:
+            raise ValueError(f"{', '.join(names)} are not arrays of doubles of one length")
         return np.lib.stride_tricks.as_strided(
             views[0], (len(views), views[0].size), (strides.pop(), views[0].itemsize)
         )

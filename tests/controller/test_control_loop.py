@@ -16,6 +16,7 @@ from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import VirtualClock
 from bus_schema.runtime.modes import Mode, mode_in
 from controller.configuration import ControllerConfiguration, FunnelConfiguration
+from controller.control_law import Diagnostics
 from controller.control_loop import ControlLoop, ControlTask
 from controller.reference import CartesianPath, JointSinusoids
 from controller.torque_guard import InvalidTorqueError
@@ -31,13 +32,13 @@ MS = 1_000_000
 class Bench:
     """A control loop on an in-process bus, with a plant that says what the test says."""
 
-    def __init__(self, law="pid", reference=SWING, rate_limit=np.inf):
+    def __init__(self, law="pid", reference=SWING, rate_limit=np.inf, own_law=None):
         configuration = ControllerConfiguration(law=law)
         gains = configuration.build_gains(ROBOT, np.zeros((1, 3)))
         self.funnel = FunnelConfiguration().build(OFFSET)
         self.reference = reference
         limits = JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))
-        self.law = configuration.build_law(gains, ROBOT)
+        self.law = own_law or configuration.build_law(gains, ROBOT)
         task = ControlTask(ROBOT, reference, self.funnel, self.law, law, limits)
         self.bus = InProcessBus(VirtualClock())
         self.plant = InProcessPlantLink(self.bus)
@@ -332,3 +333,30 @@ def test_law_that_returns_nan_is_told_by_name_and_cycle():
         Mode.READY, Mode.TRACKING, Mode.STOPPING, Mode.FAULT,
     ]  # fmt: skip
     assert [event.detail for event in told if event.kind == EventKind.FAULT] == [str(failure)]
+
+
+class KeepsItsDiagnostics:
+    """A law that keeps hold of an array of its diagnostics, and assigns to another."""
+
+    def __init__(self):
+        self.diagnostics = Diagnostics(3)
+        self._transformed_error = self.diagnostics.transformed_error
+
+    def torque(self, tracking):
+        self._transformed_error[:] = (1.0, 2.0, 3.0)
+        self.diagnostics.sliding_variable = 2.0 * tracking.error
+        self.diagnostics.network_norm[0] = 7.0
+        return np.zeros(3)
+
+    def reset(self):
+        pass
+
+
+def test_diagnostics_are_published_whether_a_law_writes_into_them_or_assigns_them():
+    bench = Bench(own_law=KeepsItsDiagnostics())
+    bench.send(5 * MS)
+    status = bench.last(topics.CONTROL_STATUS)
+    assert status.fields["transformed_error"].tolist() == [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(status.fields["sliding_variable"], 2.0 * OFFSET, rtol=1e-12)
+    assert np.isnan(status.fields["network_output"]).all()
+    assert status.scalars.network_norm == 7.0

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES, Record, parse
-from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, TOPICS, layout
+from bus_schema.messages.topics import (
+    CONTROL_STATUS,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    RUN_EVENTS,
+    TOPICS,
+    layout,
+)
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 
 FIXED_TOPICS = [topic for topic in TOPICS if topic is not RUN_EVENTS]
@@ -279,3 +286,35 @@ def test_table_holds_what_can_be_decoded_one_by_one(payloads):
         rows.append(record.payload())
     table = STATE.tabulate(payloads)
     assert (table.dtype, table.tobytes()) == (STATE.dtype, b"".join(rows))
+
+
+@pytest.mark.parametrize("topic", FIXED_TOPICS, ids=lambda topic: topic.name)
+def test_every_single_value_is_written_and_read_by_its_name(topic):
+    wire_layout = layout(topic, THREE)
+    record = Record(wire_layout)
+    singles = [name for name, values in record.fields.items() if values.shape == (1,)]
+    for value, name in enumerate(singles):
+        setattr(record.scalars, name.replace(".", "_"), value % 2)
+    message = parse(record.payload(), topic.type_name)
+    for value, name in enumerate(singles):
+        found = message
+        for part in name.split("."):
+            found = getattr(found, part)
+        assert found == value % 2
+        assert getattr(record.scalars, name.replace(".", "_")) == value % 2
+
+
+def test_no_value_goes_by_a_name_that_the_message_has_not():
+    with pytest.raises(AttributeError):
+        Record(STATE).scalars.mode = 1
+
+
+def test_rows_are_asked_for_by_name_and_only_as_they_lie():
+    # Whoever reorders a .msg file breaks this, not a recording.
+    record = Record(layout(CONTROL_STATUS, THREE))
+    rows = record.rows("error", "error_rate", "upper_bound")
+    rows[:] = np.arange(9.0).reshape(3, 3)
+    assert record.fields["error_rate"].tolist() == [3.0, 4.0, 5.0]
+    for names in (("error_rate", "error"), ("error", "upper_bound"), ("sequence", "horizon_ns")):
+        with pytest.raises(ValueError, match=names[0]):
+            record.rows(*names)
