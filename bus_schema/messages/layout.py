@@ -49,6 +49,7 @@ class Record:
         scalars: all single values, as attributes named as in the ``.msg`` file, with ``_`` for the
             dots of nested types: ``record.scalars.timing_cycle = 3``. Another name is refused.
         fields: one writable view per numeric field, by dotted name; single values as shape (1,).
+        payload: gives the message as wire bytes.
     """
 
     def __init__(self, layout: MessageLayout) -> None:
@@ -65,7 +66,8 @@ class Record:
             for name in layout.dtype.names or ()
         }
         self.scalars: Any = layout.scalars.from_buffer(self._memory)
-        # Set several times in each cycle; these views take a third of the time of the above.
+        self.payload = self._memory.tobytes  # no method around it: five frames less in each tick
+        # Set several times in each tick; these views take a third of the time of the above.
         stamp = self._memory[ENCAPSULATION_BYTES:]
         self._sec, self._nanosec = stamp[:4].cast("i"), stamp[4:8].cast("I")
 
@@ -77,10 +79,6 @@ class Record:
     @stamp_ns.setter
     def stamp_ns(self, stamp_ns: int) -> None:
         self._sec[0], self._nanosec[0] = divmod(stamp_ns, NANOSECONDS)
-
-    def payload(self) -> bytes:
-        """The message as wire bytes."""
-        return self._memory.tobytes()
 
     def rows(self, *names: str) -> NDArray[np.float64]:
         """Arrays that follow one another as the rows of one writable view, shape (arrays, length).

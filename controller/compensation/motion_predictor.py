@@ -8,6 +8,7 @@ millisecond, implicitly in the velocity.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,22 @@ SMOOTHING_RAD_S = 0.02
 """Velocity at which friction has most of its size; below, it is all but viscous."""
 _STRETCH_NS = 16_000_000
 _STEP_NS = 1_000_000
+
+
+class Forces(NamedTuple):
+    """What acts on the joints over a stretch of time beside the commanded torques.
+
+    Attributes:
+        inverse_mass: M̂⁻¹, shape (joints, joints).
+        load_nm: Ĉ q̇ + Ĝ, shape (joints,).
+        disturbance_nm: f, shape (joints,).
+        coulomb_nm: c, shape (joints,).
+    """
+
+    inverse_mass: Matrix
+    load_nm: Vector
+    disturbance_nm: Vector
+    coulomb_nm: Vector
 
 
 class MotionPredictor:
@@ -37,9 +54,10 @@ class MotionPredictor:
     def __init__(self, model: ManipulatorModel, missing: DisturbanceObserver) -> None:
         self._model = model
         self._missing = missing
-        self.position: Vector = np.zeros(model.joints)
-        self.velocity: Vector = np.zeros(model.joints)
-        self._acceleration: Vector = np.zeros(model.joints)
+        self._motion: Matrix = np.zeros((3, model.joints))
+        self.position: Vector = self._motion[0]
+        self.velocity: Vector = self._motion[1]
+        self._acceleration: Vector = self._motion[2]
         self._no_acceleration: Vector = np.zeros(model.joints)
 
     def predict(
@@ -59,28 +77,42 @@ class MotionPredictor:
             now_ns = until_ns if is_waiting else max(from_ns, schedule.acts_ns(upcoming))
         while now_ns < until_ns:
             end_ns = min(now_ns + _STRETCH_NS, until_ns)
-            half_s = 0.5e-9 * (end_ns - now_ns)
-            midway_velocity = self.velocity + half_s * self._acceleration
-            midway_position = self.position + half_s * midway_velocity
+            forces = self._forces_midway(0.5e-9 * (end_ns - now_ns))
             in_force, upcoming = _advance(
-                self.position, self.velocity, self._acceleration,
-                self._model.inverse_mass_matrix(midway_position),
-                self._model.inverse_dynamics(
-                    midway_position, midway_velocity, self._no_acceleration
-                ),
-                self._missing.disturbance_nm, self._missing.coulomb_nm,
-                schedule, in_force, upcoming, now_ns, end_ns,
-            )  # fmt: skip
+                self._motion, forces, schedule, in_force, upcoming, now_ns, end_ns
+            )
             now_ns = end_ns
+
+    def _forces_midway(self, half_s: float) -> Forces:
+        """What acts over a stretch, taken at its middle, `half_s` from now."""
+        velocity = self.velocity + half_s * self._acceleration
+        position = self.position + half_s * velocity
+        return Forces(
+            self._model.inverse_mass_matrix(position),
+            self._model.inverse_dynamics(position, velocity, self._no_acceleration),
+            self._missing.disturbance_nm,
+            self._missing.coulomb_nm,
+        )
 
 
 @compiled
 def _advance(
-    position: Vector, velocity: Vector, acceleration: Vector,
-    inverse_mass: Matrix, load: Vector, disturbance: Vector, coulomb: Vector,
-    schedule: TorqueSchedule, in_force: int, upcoming: int, from_ns: int, until_ns: int,
+    motion: Matrix, forces: Forces, schedule: TorqueSchedule, in_force: int, upcoming: int,
+    from_ns: int, until_ns: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Advance to `until_ns` in place; the mean acceleration, and the command in force then."""
+    """Advance to `until_ns` in place; the command in force then, and the one after it.
+
+    Args:
+        motion: position, velocity and, in the end, mean acceleration as rows, shape (3, joints).
+        forces: what acts beside the torques.
+        schedule: the torques.
+        in_force: number of the command in force at `from_ns`.
+        upcoming: number of the next one.
+        from_ns: start.
+        until_ns: end.
+    """
+    position, velocity, acceleration = motion[0], motion[1], motion[2]
+    inverse_mass, coulomb = forces.inverse_mass, forces.coulomb_nm
     slots, total, before = schedule.stamps_ns.size, np.empty(position.size), velocity.copy()
     now_ns = from_ns
     while now_ns < until_ns:
@@ -94,7 +126,7 @@ def _advance(
         torque, step_s = schedule.torques_nm[in_force % slots], (end_ns - now_ns) * 1e-9
         for i in range(position.size):
             friction = coulomb[i] * math.tanh(velocity[i] / SMOOTHING_RAD_S)
-            total[i] = torque[i] + disturbance[i] - friction - load[i]
+            total[i] = torque[i] + forces.disturbance_nm[i] - friction - forces.load_nm[i]
         for i in range(position.size):
             flatness = 1.0 / math.cosh(min(abs(velocity[i] / SMOOTHING_RAD_S), 300.0))
             damping = coulomb[i] / SMOOTHING_RAD_S * flatness * flatness
