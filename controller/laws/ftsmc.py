@@ -1,6 +1,6 @@
 """Fast terminal sliding mode control: a rival of the paper's section 5, on a nominal model.
 
-s = ė + α sig(e)^φ + β sig(e)^ψ,  φ ≥ 1, 0 < ψ < 1,    τ as in `switching`.
+s = ė + α sig(e)^φ + β sig(e)^ψ,  φ ≥ 1, 0 < ψ < 1,    τ as in `sliding_mode`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bus_schema.configuration import (
 )
 from controller.control_law import Dynamics
 from controller.laws.sliding_surface import default_switching
-from controller.laws.switching import Reaching, Surface, SwitchingLaw
+from controller.laws.sliding_mode import Reaching, Surface, SwitchingLaw
 
 
 class FtsmcGains(NamedTuple):

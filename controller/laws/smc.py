@@ -1,6 +1,6 @@
 """Sliding mode control on a linear surface: a rival of the paper's section 5, on a nominal model.
 
-s = ė + λ e,    τ as in `switching`.
+s = ė + λ e,    τ as in `sliding_mode`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from bus_schema.arrays import Vector
 from bus_schema.configuration import NonNegative, PerJointNonNegative, PerJointPositive
 from controller.control_law import Dynamics
 from controller.laws.sliding_surface import default_switching
-from controller.laws.switching import Reaching, Surface, SwitchingLaw
+from controller.laws.sliding_mode import Reaching, Surface, SwitchingLaw
 
 
 class SmcGains(NamedTuple):

@@ -1,6 +1,6 @@
 """Terminal sliding mode control: a rival of the paper's section 5, on a nominal model.
 
-s = ė + β sig(e)^(q/p),  0 < q/p < 1,    τ as in `switching`.
+s = ė + β sig(e)^(q/p),  0 < q/p < 1,    τ as in `sliding_mode`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bus_schema.configuration import (
 )
 from controller.control_law import Dynamics
 from controller.laws.sliding_surface import default_switching
-from controller.laws.switching import Reaching, Surface, SwitchingLaw
+from controller.laws.sliding_mode import Reaching, Surface, SwitchingLaw
 
 
 class TsmcGains(NamedTuple):

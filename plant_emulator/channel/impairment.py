@@ -20,7 +20,7 @@ from plant_emulator.channel.jitter import Jitter
 from plant_emulator.channel.loss import Loss
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.random_numbers import uniform_numbers
-from plant_emulator.channel.schedule import Conditions, Schedule
+from plant_emulator.channel.conditions import Conditions, Schedule
 from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
 from plant_emulator.fault_configuration import ChannelFault, Fault

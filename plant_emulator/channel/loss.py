@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from plant_emulator.channel.random_numbers import uniform_numbers
-from plant_emulator.channel.schedule import Conditions
+from plant_emulator.channel.conditions import Conditions
 
 
 class Loss:

@@ -7,7 +7,7 @@ import pytest
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from plant_emulator.channel.loss import Loss
-from plant_emulator.channel.schedule import Schedule
+from plant_emulator.channel.conditions import Schedule
 
 MESSAGES = 60_000
 
