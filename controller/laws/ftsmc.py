@@ -19,8 +19,8 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from controller.control_law import Dynamics
-from controller.laws.sliding_surface import default_switching
 from controller.laws.sliding_mode import Reaching, Surface, SwitchingLaw
+from controller.laws.sliding_surface import default_switching
 
 
 class FtsmcGains(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.configuration import NonNegative, PerJointNonNegative, PerJointPositive
 from controller.control_law import Dynamics
-from controller.laws.sliding_surface import default_switching
 from controller.laws.sliding_mode import Reaching, Surface, SwitchingLaw
+from controller.laws.sliding_surface import default_switching
 
 
 class SmcGains(NamedTuple):

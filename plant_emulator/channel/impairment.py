@@ -16,11 +16,11 @@ import numpy as np
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, Item
+from plant_emulator.channel.conditions import Conditions, Schedule
 from plant_emulator.channel.jitter import Jitter
 from plant_emulator.channel.loss import Loss
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.random_numbers import uniform_numbers
-from plant_emulator.channel.conditions import Conditions, Schedule
 from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
 from plant_emulator.fault_configuration import ChannelFault, Fault

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant_emulator.channel.random_numbers import uniform_numbers
 from plant_emulator.channel.conditions import Conditions
+from plant_emulator.channel.random_numbers import uniform_numbers
 
 
 class Loss:

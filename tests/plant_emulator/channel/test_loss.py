@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
-from plant_emulator.channel.loss import Loss
 from plant_emulator.channel.conditions import Schedule
+from plant_emulator.channel.loss import Loss
 
 MESSAGES = 60_000
 
