@@ -62,12 +62,14 @@ class FixedTimeModelBasedGains(NamedTuple):
 class FixedTimeModelBased:
     """The law on a nominal model."""
 
-    def __init__(self, gains: FixedTimeModelBasedGains, model: Dynamics) -> None:
+    def __init__(
+        self, gains: FixedTimeModelBasedGains, model: Dynamics, _torque_limits_nm: Vector
+    ) -> None:
         joints = gains.k_1.size
-        self.gains = gains
         self.diagnostics = Diagnostics(joints)
+        self._gains = gains
         self._model = model
-        self._funnel = WorkingFunnel(joints)
+        self._funnel = WorkingFunnel.of(joints)
         self._velocity: Vector = np.zeros(joints)
         self._acceleration: Vector = np.zeros(joints)
 
@@ -80,32 +82,32 @@ class FixedTimeModelBased:
             tracking.error_rate,
             tracking.bounds,
             tracking.step_s,
-            self._funnel.opening,
-            self._funnel.bounds,
+            self._gains,
+            self._funnel,
             tracking.reference_velocity,
             tracking.reference_acceleration,
-            self.gains,
-            self.diagnostics.transformed_error,
-            self.diagnostics.sliding_variable,
             self._velocity,
             self._acceleration,
+            self.diagnostics.transformed_error,
+            self.diagnostics.sliding_variable,
         )
         torque = self._model.torque_along(
             tracking.position, tracking.velocity, self._velocity, self._acceleration
         )
-        _add_reaching(self.diagnostics.sliding_variable, self.gains, torque)
+        _add_reaching(self.diagnostics.sliding_variable, self._gains, torque)
         return torque
 
 
 @compiled
 def _reference_motion(
     error: Vector, error_rate: Vector, real_bounds: Matrix, step_s: float,
-    opening: Vector, bounds: Matrix,
-    reference_velocity: Vector, reference_acceleration: Vector, gains: FixedTimeModelBasedGains,
-    transformed: Vector, sliding: Vector, velocity: Vector, acceleration: Vector,
+    gains: FixedTimeModelBasedGains, funnel: WorkingFunnel,
+    reference_velocity: Vector, reference_acceleration: Vector,
+    velocity: Vector, acceleration: Vector, transformed: Vector, sliding: Vector,
 ) -> None:  # fmt: skip
-    g = gains
-    reopen(error, real_bounds, step_s, opening, bounds)
+    """q̇_r and q̈_r into `velocity` and `acceleration`, ε and s into `transformed` and `sliding`."""
+    g, bounds = gains, funnel.bounds
+    reopen(error, real_bounds, step_s, funnel)
     for i in range(error.size):
         upper, d_upper, dd_upper = bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i]
         lower, d_lower, dd_lower = bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i]

@@ -25,11 +25,10 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from bus_schema.runtime.compiled import bind, compiled
-from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
+from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Dynamics, Tracking
 from controller.funnel import transform, transformation_rates
 from controller.laws.anti_windup import may_accumulate
-from controller.laws.packed_gains import pack
-from controller.laws.rbf_network import NODES, activate, adapt, node_axis
+from controller.laws.rbf_network import Network, activate, adapt
 from controller.laws.reopening import WorkingFunnel, reopen
 from controller.laws.sliding_surface import sig, surface_pull
 
@@ -71,21 +70,21 @@ class FixedTimeNeuralGains(NamedTuple):
 class FixedTimeNeural:
     """The law with its network weights."""
 
-    def __init__(self, gains: FixedTimeNeuralGains, torque_limits_nm: Vector) -> None:
+    def __init__(
+        self, gains: FixedTimeNeuralGains, _model: Dynamics, torque_limits_nm: Vector
+    ) -> None:
         joints = gains.k_1.size
-        self._gains = pack(gains)
-        self._limits = torque_limits_nm
         self.diagnostics = Diagnostics(joints)
-        self._funnel = WorkingFunnel(joints)
-        self._axis = node_axis()
-        self._activation: Vector = np.zeros(NODES)
-        self._weights: Matrix = np.zeros((joints, NODES))
+        self._gains = _packed(gains)
+        self._torque_limits_nm = torque_limits_nm
+        self._funnel = WorkingFunnel.of(joints)
+        self._network = Network.of(joints)
         self._torque: Vector = np.zeros(joints)
         self._tracking: Tracking | None = None
 
     def reset(self) -> None:
         self._funnel.reset()
-        self._weights[:] = 0.0
+        self._network.weights[:] = 0.0
         self._torque[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
@@ -95,38 +94,57 @@ class FixedTimeNeural:
         return self._torque
 
     def _bind(self, tracking: Tracking) -> None:
+        """Fix what the kernel works on: to find out its types costs more than the law itself."""
         self._tracking = tracking
+        told = self.diagnostics
         self._kernel = bind(
             _torque,
             tracking.error,
             tracking.error_rate,
             tracking.bounds,
-            self._funnel.opening,
-            self._funnel.bounds,
             self._gains,
-            self._limits,
-            self._weights,
-            self._axis,
-            self._activation,
-            self.diagnostics.transformed_error,
-            self.diagnostics.sliding_variable,
-            self.diagnostics.network_output,
-            self.diagnostics.network_norm,
-            self._torque,
+            self._torque_limits_nm,
+            self._funnel,
+            self._network,
+            _Output(
+                self._torque,
+                told.transformed_error,
+                told.sliding_variable,
+                told.network_output,
+                told.network_norm,
+            ),
             free=["float64"],
         )
+
+
+def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
+    """Gains as a structured array of one element, whose fields bear their names.
+
+    As a tuple they would have to be taken apart at every call, for a twentieth of a control step.
+    """
+    values = gains._asdict()
+    dtype = np.dtype([(name, np.float64, np.shape(value)) for name, value in values.items()])
+    return np.array([tuple(values.values())], dtype)
+
+
+class _Output(NamedTuple):
+    """Torques, of which those of the cycle before are read, and diagnostics."""
+
+    torque: Vector
+    transformed_error: Vector
+    sliding_variable: Vector
+    network_output: Vector
+    network_norm: Vector
 
 
 @compiled
 def _torque(
     error: Vector, error_rate: Vector, real_bounds: Matrix,
-    opening: Vector, bounds: Matrix, gains: NDArray[np.void],
-    limits: Vector, weights: Matrix, axis: Vector, activation: Vector,
-    transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
-    step_s: float,
+    gains: NDArray[np.void], torque_limits: Vector,
+    funnel: WorkingFunnel, network: Network, out: _Output, step_s: float,
 ) -> None:  # fmt: skip
-    g = gains[0]
-    reopen(error, real_bounds, step_s, opening, bounds)
+    g, bounds, activation = gains[0], funnel.bounds, network.activation
+    reopen(error, real_bounds, step_s, funnel)
     squared_norm = 0.0
     for i in range(error.size):
         upper, lower = bounds[UPPER, i], bounds[LOWER, i]
@@ -136,18 +154,23 @@ def _torque(
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
         s = (d_epsilon + pull) / r
 
-        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), axis, g.node_width, activation)
-        if may_accumulate(torque[i], s, limits[i]):
+        weights = network.weights[i]
+        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), g.node_width, activation)
+        if may_accumulate(out.torque[i], s, torque_limits[i]):
             adapt(
-                weights[i], activation, s, step_s,
+                weights, activation, s, step_s,
                 g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
             )  # fmt: skip
         output = 0.0
         for k in range(activation.size):
-            output -= weights[i, k] * activation[k]
-            squared_norm += weights[i, k] * weights[i, k]
+            output -= weights[k] * activation[k]
+            squared_norm += weights[k] * weights[k]
 
         reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
-        torque[i] = output - reaching
-        transformed[i], sliding[i], network[i] = epsilon, s, output
-    network_norm[0] = math.sqrt(squared_norm)
+        out.torque[i] = output - reaching
+        out.transformed_error[i], out.sliding_variable[i], out.network_output[i] = (
+            epsilon,
+            s,
+            output,
+        )
+    out.network_norm[0] = math.sqrt(squared_norm)

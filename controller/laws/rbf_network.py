@@ -9,28 +9,45 @@ network neither grows with the square of the joints nor depends on their order.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 
 NODES_PER_AXIS = 5
 NODES = NODES_PER_AXIS**2
 
 
-def node_axis() -> Vector:
-    """Coordinates of the nodes along either input, shape (nodes per axis,); node k = 5 i + j."""
-    return np.linspace(-1.0, 1.0, NODES_PER_AXIS)
+NODE_AXIS = np.linspace(-1.0, 1.0, NODES_PER_AXIS)
+"""Coordinates of the nodes along either input, shape (nodes per axis,); node k = 5 i + j."""
+
+
+class Network(NamedTuple):
+    """The networks of all joints, in arrays that a law changes in place.
+
+    Attributes:
+        weights: Ŵ, shape (joints, nodes).
+        activation: Φ of the joint that is being worked on, shape (nodes,).
+    """
+
+    weights: Matrix
+    activation: Vector
+
+    @classmethod
+    def of(cls, joints: int) -> Network:
+        """One that has learned nothing."""
+        return cls(np.zeros((joints, NODES)), np.zeros(NODES))
 
 
 @compiled
-def activate(inputs_1: float, inputs_2: float, axis: Vector, width: float, out: Vector) -> None:
+def activate(inputs_1: float, inputs_2: float, width: float, out: Vector) -> None:
     """Φ_k(z) = exp(−|z − c_k|² / (2 width²)) into `out`, shape (nodes,).
 
     On a grid the Gaussian is a product of one factor per input, which saves most exponentials.
     """
-    size = axis.size
+    axis, size = NODE_AXIS, NODE_AXIS.size
     steepness = -1.0 / (2.0 * width * width)
     for j in range(size):
         out[j] = math.exp(steepness * (inputs_2 - axis[j]) ** 2)

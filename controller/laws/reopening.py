@@ -10,6 +10,7 @@ bounds is judged by the real funnel alone.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,17 +25,21 @@ OPENING = 1.5
 RATE_PER_S = 4.0
 
 
-class WorkingFunnel:
-    """What `reopen` keeps from cycle to cycle.
+class WorkingFunnel(NamedTuple):
+    """What `reopen` keeps from cycle to cycle, in arrays that it changes in place.
 
     Attributes:
         bounds: as `Tracking.bounds`, and equal to them unless an error has got out of them.
         opening: by how much they are wider, rad, shape (joints,).
     """
 
-    def __init__(self, joints: int) -> None:
-        self.bounds: Matrix = np.zeros((6, joints))
-        self.opening: Vector = np.zeros(joints)
+    bounds: Matrix
+    opening: Vector
+
+    @classmethod
+    def of(cls, joints: int) -> WorkingFunnel:
+        """One for an error that has never got out."""
+        return cls(np.zeros((6, joints)), np.zeros(joints))
 
     def reset(self) -> None:
         """Forget that an error ever got out."""
@@ -42,25 +47,25 @@ class WorkingFunnel:
 
 
 @compiled
-def reopen(error: Vector, bounds: Matrix, step_s: float, opening: Vector, working: Matrix) -> None:
-    """Work out bounds in which every error has its place; for use in a law's own kernel.
+def reopen(error: Vector, real_bounds: Matrix, step_s: float, funnel: WorkingFunnel) -> None:
+    """Bring a working funnel up to date, so that every error has its place in it.
 
     Args:
         error: rad, shape (joints,).
-        bounds: `Tracking.bounds`.
+        real_bounds: `Tracking.bounds`.
         step_s: time since the last call.
-        opening: that of a `WorkingFunnel`, brought up to date.
-        working: `bounds` of the same, brought up to date.
+        funnel: changed in place.
     """
+    bounds, opening = funnel
     decay = math.exp(-RATE_PER_S * step_s)
     for i in range(error.size):
         opening[i] *= decay
-        bound = bounds[UPPER, i] if error[i] > 0.0 else bounds[LOWER, i]
+        bound = real_bounds[UPPER, i] if error[i] > 0.0 else real_bounds[LOWER, i]
         if abs(error[i]) > LARGEST_SHARE * (bound + opening[i]):
             opening[i] = OPENING * abs(error[i]) - bound
-        working[UPPER, i] = bounds[UPPER, i] + opening[i]
-        working[LOWER, i] = bounds[LOWER, i] + opening[i]
-        working[D_UPPER, i] = bounds[D_UPPER, i] - RATE_PER_S * opening[i]
-        working[D_LOWER, i] = bounds[D_LOWER, i] - RATE_PER_S * opening[i]
-        working[DD_UPPER, i] = bounds[DD_UPPER, i] + RATE_PER_S**2 * opening[i]
-        working[DD_LOWER, i] = bounds[DD_LOWER, i] + RATE_PER_S**2 * opening[i]
+        bounds[UPPER, i] = real_bounds[UPPER, i] + opening[i]
+        bounds[LOWER, i] = real_bounds[LOWER, i] + opening[i]
+        bounds[D_UPPER, i] = real_bounds[D_UPPER, i] - RATE_PER_S * opening[i]
+        bounds[D_LOWER, i] = real_bounds[D_LOWER, i] - RATE_PER_S * opening[i]
+        bounds[DD_UPPER, i] = real_bounds[DD_UPPER, i] + RATE_PER_S**2 * opening[i]
+        bounds[DD_LOWER, i] = real_bounds[DD_LOWER, i] + RATE_PER_S**2 * opening[i]

@@ -6,7 +6,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from bus_schema.configuration import ConfigurationError
-from controller.configuration import FunnelConfiguration
 from controller.funnel import (
     Funnel,
     inverse_transform,
@@ -15,6 +14,7 @@ from controller.funnel import (
     transformation_accelerations,
     transformation_rates,
 )
+from controller.funnel_configuration import FunnelConfiguration
 
 BOUND = st.floats(1e-3, 2.0)
 INSIDE = st.floats(-0.97, 0.97)  # share of the bound on the side of the error

@@ -21,7 +21,7 @@ def situation(error_rad, upper_rad=0.01, lower_rad=0.02):
 
 
 def bounds_after(*errors_rad):
-    funnel = WorkingFunnel(1)
+    funnel = WorkingFunnel.of(1)
     for error_rad in errors_rad:
         update(funnel, error_rad)
     return funnel.bounds[:, 0]
@@ -29,7 +29,7 @@ def bounds_after(*errors_rad):
 
 def update(funnel, error_rad):
     now = situation(error_rad)
-    reopen(now.error, now.bounds, now.step_s, funnel.opening, funnel.bounds)
+    reopen(now.error, now.bounds, now.step_s, funnel)
 
 
 @given(share=st.floats(-0.98, 0.98))
@@ -68,7 +68,7 @@ def test_every_error_has_its_place(error_rad):
 
 
 def test_reset_closes_it():
-    funnel = WorkingFunnel(1)
+    funnel = WorkingFunnel.of(1)
     update(funnel, 1.0)
     funnel.reset()
     update(funnel, 0.0)
