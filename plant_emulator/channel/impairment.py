@@ -16,9 +16,8 @@ import numpy as np
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, Item
-from plant_emulator.channel.conditions import Conditions, Schedule
+from plant_emulator.channel.conditions import Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter
-from plant_emulator.channel.loss import Loss
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.random_numbers import uniform_numbers
 from plant_emulator.channel.transport_statistics import TransportStatistics
@@ -26,8 +25,34 @@ from plant_emulator.command_gate import Command
 from plant_emulator.fault_configuration import ChannelFault, Fault
 
 
+class Loss:
+    """Losses, independent and in bursts; each kind has random numbers of its own.
+
+    Bursts are Gilbert–Elliott's: whether a message is lost depends on the chain's state, and then
+    the chain takes a step. It starts in the good state. Mean loss is (p (1-h) + r (1-k)) / (p + r);
+    with 1-h = 1 and 1-k = 0 bursts have 1 / r messages on average.
+    """
+
+    def __init__(self, random: np.random.Generator, burst_random: np.random.Generator) -> None:
+        self._numbers = uniform_numbers(random)
+        self._burst_numbers = uniform_numbers(burst_random)
+        self._is_bad = False
+
+    def takes(self, conditions: Conditions) -> bool:
+        """Whether the next message is lost."""
+        loss_in_state = conditions.loss_in_bad if self._is_bad else conditions.loss_in_good
+        is_lost_in_burst = next(self._burst_numbers) < loss_in_state
+        leaves_state = conditions.r if self._is_bad else conditions.p
+        if next(self._burst_numbers) < leaves_state:
+            self._is_bad = not self._is_bad
+        return next(self._numbers) < conditions.loss or is_lost_in_burst
+
+
 class _Flight(NamedTuple):
-    """A message on its way: its number in the order of sending, and when that was."""
+    """A message on its way: its number in the order of sending, and when that was.
+
+    No two are equal: of messages due at once the one sent first comes out first.
+    """
 
     number: int
     sent_ns: int
@@ -54,10 +79,10 @@ class ImpairedChannel(Channel[Item]):
         self._jitter, self._copys_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
         self._duplicate_numbers = uniform_numbers(randoms[4])
-        self._schedule = Schedule(configuration, faults)
+        self._schedule = ConditionsSchedule(configuration, faults)
         self._may_overtake = configuration.reorder
-        self._flying: list[tuple[int, int, _Flight, Item]] = []
-        self._entered = self._latest_due_ns = self._bandwidth_free_ns = 0
+        self._flying: list[tuple[int, _Flight, Item]] = []
+        self._latest_due_ns = self._bandwidth_free_ns = 0
         self._newest_out = -1
         self._statistics = TransportStatistics()
         start = self._schedule.at(0)
@@ -79,7 +104,7 @@ class ImpairedChannel(Channel[Item]):
             self._launch(item, copy, self._due_ns(conditions, jitter, now_ns, size_bytes))
 
     def receive(self) -> tuple[int, Item]:
-        due_ns, _, flight, item = heapq.heappop(self._flying)
+        due_ns, flight, item = heapq.heappop(self._flying)
         self.next_due_ns = self._flying[0][0] if self._flying else NEVER_NS
         statistics = self._statistics
         statistics.note_delivered(due_ns - flight.sent_ns)
@@ -94,8 +119,7 @@ class ImpairedChannel(Channel[Item]):
         return self._statistics
 
     def _launch(self, item: Item, flight: _Flight, due_ns: int) -> None:
-        heapq.heappush(self._flying, (due_ns, self._entered, flight, item))
-        self._entered += 1
+        heapq.heappush(self._flying, (due_ns, flight, item))
         self.next_due_ns = self._flying[0][0]
 
     def _due_ns(self, conditions: Conditions, jitter: float, now_ns: int, size_bytes: int) -> int:
