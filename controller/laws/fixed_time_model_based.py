@@ -16,23 +16,13 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import PerJointNonNegative, Positive, PowerAboveOne, PowerBelowOne
 from bus_schema.runtime.compiled import compiled
-from controller.control_law import (
-    D_LOWER,
-    D_UPPER,
-    DD_LOWER,
-    DD_UPPER,
-    LOWER,
-    UPPER,
-    Diagnostics,
-    Dynamics,
-    Tracking,
-)
+from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.funnel import (
     transform,
     transformation_accelerations,
     transformation_rates,
 )
-from controller.laws.reopening import WorkingFunnel, reopen
+from controller.laws.reopening import working_bounds
 from controller.laws.sliding_surface import sig, surface_pull, surface_pull_slope
 
 
@@ -69,12 +59,12 @@ class FixedTimeModelBased:
         self.diagnostics = Diagnostics(joints)
         self._gains = gains
         self._model = model
-        self._funnel = WorkingFunnel.of(joints)
+        self._opening: Vector = np.zeros(joints)
         self._velocity: Vector = np.zeros(joints)
         self._acceleration: Vector = np.zeros(joints)
 
     def reset(self) -> None:
-        self._funnel.reset()
+        self._opening[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
         _reference_motion(
@@ -83,7 +73,7 @@ class FixedTimeModelBased:
             tracking.bounds,
             tracking.step_s,
             self._gains,
-            self._funnel,
+            self._opening,
             tracking.reference_velocity,
             tracking.reference_acceleration,
             self._velocity,
@@ -100,22 +90,18 @@ class FixedTimeModelBased:
 
 @compiled
 def _reference_motion(
-    error: Vector, error_rate: Vector, real_bounds: Matrix, step_s: float,
-    gains: FixedTimeModelBasedGains, funnel: WorkingFunnel,
+    error: Vector, error_rate: Vector, bounds: Matrix, step_s: float,
+    gains: FixedTimeModelBasedGains, opening: Vector,
     reference_velocity: Vector, reference_acceleration: Vector,
     velocity: Vector, acceleration: Vector, transformed: Vector, sliding: Vector,
 ) -> None:  # fmt: skip
     """q̇_r and q̈_r into `velocity` and `acceleration`, ε and s into `transformed` and `sliding`."""
-    g, bounds = gains, funnel.bounds
-    reopen(error, real_bounds, step_s, funnel)
+    g = gains
     for i in range(error.size):
-        upper, d_upper, dd_upper = bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i]
-        lower, d_lower, dd_lower = bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i]
         e, d_e = error[i], error_rate[i]
-        r, v = transformation_rates(e, upper, lower, d_upper, d_lower)
-        d_r, d_v = transformation_accelerations(
-            e, d_e, upper, lower, d_upper, d_lower, dd_upper, dd_lower
-        )
+        upper, lower, opening[i] = working_bounds(e, bounds[:, i], step_s, opening[i])
+        r, v = transformation_rates(e, upper, lower)
+        d_r, d_v = transformation_accelerations(e, d_e, upper, lower)
         epsilon = transform(e, upper, lower)
         d_epsilon = r * (d_e - v)
         psi = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)

@@ -25,11 +25,11 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from bus_schema.runtime.compiled import bind, compiled
-from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Dynamics, Tracking
+from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.funnel import transform, transformation_rates
 from controller.laws.anti_windup import may_accumulate
 from controller.laws.rbf_network import Network, activate, adapt
-from controller.laws.reopening import WorkingFunnel, reopen
+from controller.laws.reopening import working_bounds
 from controller.laws.sliding_surface import sig, surface_pull
 
 
@@ -77,13 +77,13 @@ class FixedTimeNeural:
         self.diagnostics = Diagnostics(joints)
         self._gains = _packed(gains)
         self._torque_limits_nm = torque_limits_nm
-        self._funnel = WorkingFunnel.of(joints)
+        self._opening: Vector = np.zeros(joints)
         self._network = Network.of(joints)
         self._torque: Vector = np.zeros(joints)
         self._tracking: Tracking | None = None
 
     def reset(self) -> None:
-        self._funnel.reset()
+        self._opening[:] = 0.0
         self._network.weights[:] = 0.0
         self._torque[:] = 0.0
 
@@ -104,7 +104,7 @@ class FixedTimeNeural:
             tracking.bounds,
             self._gains,
             self._torque_limits_nm,
-            self._funnel,
+            self._opening,
             self._network,
             _Output(
                 self._torque,
@@ -139,16 +139,15 @@ class _Output(NamedTuple):
 
 @compiled
 def _torque(
-    error: Vector, error_rate: Vector, real_bounds: Matrix,
+    error: Vector, error_rate: Vector, bounds: Matrix,
     gains: NDArray[np.void], torque_limits: Vector,
-    funnel: WorkingFunnel, network: Network, out: _Output, step_s: float,
+    opening: Vector, network: Network, out: _Output, step_s: float,
 ) -> None:  # fmt: skip
-    g, bounds, activation = gains[0], funnel.bounds, network.activation
-    reopen(error, real_bounds, step_s, funnel)
+    g, activation = gains[0], network.activation
     squared_norm = 0.0
     for i in range(error.size):
-        upper, lower = bounds[UPPER, i], bounds[LOWER, i]
-        r, v = transformation_rates(error[i], upper, lower, bounds[D_UPPER, i], bounds[D_LOWER, i])
+        upper, lower, opening[i] = working_bounds(error[i], bounds[:, i], step_s, opening[i])
+        r, v = transformation_rates(error[i], upper, lower)
         epsilon = transform(error[i], upper, lower)
         d_epsilon = r * (error_rate[i] - v)
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)

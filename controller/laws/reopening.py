@@ -10,13 +10,11 @@ bounds is judged by the real funnel alone.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-import numpy as np
-
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.runtime.compiled import compiled
 from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER
+from controller.funnel import Bound
 
 LARGEST_SHARE = 0.98
 """Share of a bound at which the funnel opens: a little later, the logarithm ends."""
@@ -25,47 +23,26 @@ OPENING = 1.5
 RATE_PER_S = 4.0
 
 
-class WorkingFunnel(NamedTuple):
-    """What `reopen` keeps from cycle to cycle, in arrays that it changes in place.
-
-    Attributes:
-        bounds: as `Tracking.bounds`, and equal to them unless an error has got out of them.
-        opening: by how much they are wider, rad, shape (joints,).
-    """
-
-    bounds: Matrix
-    opening: Vector
-
-    @classmethod
-    def of(cls, joints: int) -> WorkingFunnel:
-        """One for an error that has never got out."""
-        return cls(np.zeros((6, joints)), np.zeros(joints))
-
-    def reset(self) -> None:
-        """Forget that an error ever got out."""
-        self.opening[:] = 0.0
-
-
 @compiled
-def reopen(error: Vector, real_bounds: Matrix, step_s: float, funnel: WorkingFunnel) -> None:
-    """Bring a working funnel up to date, so that every error has its place in it.
+def working_bounds(
+    error: float, bounds: Vector, step_s: float, opening: float
+) -> tuple[Bound, Bound, float]:
+    """Upper and lower bound of a joint between which its error has its place.
 
     Args:
-        error: rad, shape (joints,).
-        real_bounds: `Tracking.bounds`.
+        error: rad.
+        bounds: the joint's column of `Tracking.bounds`.
         step_s: time since the last call.
-        funnel: changed in place.
+        opening: by how much the working funnel was wider than the real one at the last call, rad.
+
+    Returns:
+        The bounds, and by how much they are wider now; unless an error has got out, by nothing.
     """
-    bounds, opening = funnel
-    decay = math.exp(-RATE_PER_S * step_s)
-    for i in range(error.size):
-        opening[i] *= decay
-        bound = real_bounds[UPPER, i] if error[i] > 0.0 else real_bounds[LOWER, i]
-        if abs(error[i]) > LARGEST_SHARE * (bound + opening[i]):
-            opening[i] = OPENING * abs(error[i]) - bound
-        bounds[UPPER, i] = real_bounds[UPPER, i] + opening[i]
-        bounds[LOWER, i] = real_bounds[LOWER, i] + opening[i]
-        bounds[D_UPPER, i] = real_bounds[D_UPPER, i] - RATE_PER_S * opening[i]
-        bounds[D_LOWER, i] = real_bounds[D_LOWER, i] - RATE_PER_S * opening[i]
-        bounds[DD_UPPER, i] = real_bounds[DD_UPPER, i] + RATE_PER_S**2 * opening[i]
-        bounds[DD_LOWER, i] = real_bounds[DD_LOWER, i] + RATE_PER_S**2 * opening[i]
+    opening *= math.exp(-RATE_PER_S * step_s)
+    bound = bounds[UPPER] if error > 0.0 else bounds[LOWER]
+    if abs(error) > LARGEST_SHARE * (bound + opening):
+        opening = OPENING * abs(error) - bound
+    d_opening, dd_opening = RATE_PER_S * opening, RATE_PER_S**2 * opening
+    upper = bounds[UPPER] + opening, bounds[D_UPPER] - d_opening, bounds[DD_UPPER] + dd_opening
+    lower = bounds[LOWER] + opening, bounds[D_LOWER] - d_opening, bounds[DD_LOWER] + dd_opening
+    return upper, lower, opening
