@@ -67,24 +67,17 @@ class FixedTimeModelBased:
         self._opening[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
+        sliding = self.diagnostics.sliding_variable
         _reference_motion(
-            tracking.error,
-            tracking.error_rate,
-            tracking.bounds,
-            tracking.step_s,
-            self._gains,
-            self._opening,
-            tracking.reference_velocity,
-            tracking.reference_acceleration,
-            self._velocity,
-            self._acceleration,
-            self.diagnostics.transformed_error,
-            self.diagnostics.sliding_variable,
-        )
+            tracking.error, tracking.error_rate, tracking.bounds, tracking.step_s,
+            self._gains, self._opening,
+            tracking.reference_velocity, tracking.reference_acceleration,
+            self._velocity, self._acceleration, self.diagnostics.transformed_error, sliding,
+        )  # fmt: skip
         torque = self._model.torque_along(
             tracking.position, tracking.velocity, self._velocity, self._acceleration
         )
-        _add_reaching(self.diagnostics.sliding_variable, self._gains, torque)
+        _add_reaching(sliding, self._gains, torque)
         return torque
 
 

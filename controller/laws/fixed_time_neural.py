@@ -28,7 +28,7 @@ from bus_schema.runtime.compiled import bind, compiled
 from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.funnel import transform, transformation_rates
 from controller.laws.anti_windup import may_accumulate
-from controller.laws.rbf_network import Network, activate, adapt
+from controller.laws.rbf_network import NODES, activate, adapt
 from controller.laws.reopening import working_bounds
 from controller.laws.sliding_surface import sig, surface_pull
 
@@ -67,6 +67,22 @@ class FixedTimeNeuralGains(NamedTuple):
         )
 
 
+class _Memory(NamedTuple):
+    """What the law keeps from cycle to cycle, in arrays that its kernel changes in place.
+
+    Attributes:
+        torque: N m, shape (joints,).
+        opening: of the funnel, see `working_bounds`; rad, shape (joints,).
+        weights: Ŵ, shape (joints, nodes).
+        activation: Φ(z) of the joint that is being worked on, shape (nodes,).
+    """
+
+    torque: Vector
+    opening: Vector
+    weights: Matrix
+    activation: Vector
+
+
 class FixedTimeNeural:
     """The law with its network weights."""
 
@@ -77,44 +93,32 @@ class FixedTimeNeural:
         self.diagnostics = Diagnostics(joints)
         self._gains = _packed(gains)
         self._torque_limits_nm = torque_limits_nm
-        self._opening: Vector = np.zeros(joints)
-        self._network = Network.of(joints)
-        self._torque: Vector = np.zeros(joints)
+        self._memory = _Memory(
+            np.zeros(joints), np.zeros(joints), np.zeros((joints, NODES)), np.zeros(NODES)
+        )
         self._tracking: Tracking | None = None
 
     def reset(self) -> None:
-        self._opening[:] = 0.0
-        self._network.weights[:] = 0.0
-        self._torque[:] = 0.0
+        for values in self._memory:
+            values[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
         if tracking is not self._tracking:
             self._bind(tracking)
         self._kernel(tracking.step_s)
-        return self._torque
+        return self._memory.torque
 
     def _bind(self, tracking: Tracking) -> None:
         """Fix what the kernel works on: to find out its types costs more than the law itself."""
-        self._tracking = tracking
-        told = self.diagnostics
+        self._tracking, inner = tracking, self.diagnostics
         self._kernel = bind(
             _torque,
-            tracking.error,
-            tracking.error_rate,
-            tracking.bounds,
-            self._gains,
-            self._torque_limits_nm,
-            self._opening,
-            self._network,
-            _Output(
-                self._torque,
-                told.transformed_error,
-                told.sliding_variable,
-                told.network_output,
-                told.network_norm,
-            ),
+            tracking.error, tracking.error_rate, tracking.bounds,
+            self._gains, self._torque_limits_nm, self._memory,
+            inner.transformed_error, inner.sliding_variable,
+            inner.network_output, inner.network_norm,
             free=["float64"],
-        )
+        )  # fmt: skip
 
 
 def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
@@ -127,23 +131,14 @@ def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
     return np.array([tuple(values.values())], dtype)
 
 
-class _Output(NamedTuple):
-    """Torques, of which those of the cycle before are read, and diagnostics."""
-
-    torque: Vector
-    transformed_error: Vector
-    sliding_variable: Vector
-    network_output: Vector
-    network_norm: Vector
-
-
 @compiled
 def _torque(
     error: Vector, error_rate: Vector, bounds: Matrix,
-    gains: NDArray[np.void], torque_limits: Vector,
-    opening: Vector, network: Network, out: _Output, step_s: float,
+    gains: NDArray[np.void], torque_limits: Vector, memory: _Memory,
+    transformed: Vector, sliding: Vector, network_output: Vector, network_norm: Vector,
+    step_s: float,
 ) -> None:  # fmt: skip
-    g, activation = gains[0], network.activation
+    g, (torque, opening, weights, activation) = gains[0], memory
     squared_norm = 0.0
     for i in range(error.size):
         upper, lower, opening[i] = working_bounds(error[i], bounds[:, i], step_s, opening[i])
@@ -153,23 +148,18 @@ def _torque(
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
         s = (d_epsilon + pull) / r
 
-        weights = network.weights[i]
         activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), g.node_width, activation)
-        if may_accumulate(out.torque[i], s, torque_limits[i]):
+        if may_accumulate(torque[i], s, torque_limits[i]):
             adapt(
-                weights, activation, s, step_s,
+                weights[i], activation, s, step_s,
                 g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
             )  # fmt: skip
         output = 0.0
         for k in range(activation.size):
-            output -= weights[k] * activation[k]
-            squared_norm += weights[k] * weights[k]
+            output -= weights[i, k] * activation[k]
+            squared_norm += weights[i, k] * weights[i, k]
 
         reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
-        out.torque[i] = output - reaching
-        out.transformed_error[i], out.sliding_variable[i], out.network_output[i] = (
-            epsilon,
-            s,
-            output,
-        )
-    out.network_norm[0] = math.sqrt(squared_norm)
+        torque[i] = output - reaching
+        transformed[i], sliding[i], network_output[i] = epsilon, s, output
+    network_norm[0] = math.sqrt(squared_norm)

@@ -43,14 +43,9 @@ class Pid:
 
     def torque(self, tracking: Tracking) -> Vector:
         _torque(
-            tracking.error,
-            tracking.error_rate,
-            tracking.step_s,
-            self.gains,
-            self._limits,
-            self._integral,
-            self._torque,
-        )
+            tracking.error, tracking.error_rate, tracking.step_s, self.gains, self._limits,
+            self._integral, self._torque,
+        )  # fmt: skip
         return self._torque
 
 

@@ -9,11 +9,10 @@ network neither grows with the square of the joints nor depends on their order.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.runtime.compiled import compiled
 
 NODES_PER_AXIS = 5
@@ -22,23 +21,6 @@ NODES = NODES_PER_AXIS**2
 
 NODE_AXIS = np.linspace(-1.0, 1.0, NODES_PER_AXIS)
 """Coordinates of the nodes along either input, shape (nodes per axis,); node k = 5 i + j."""
-
-
-class Network(NamedTuple):
-    """The networks of all joints, in arrays that a law changes in place.
-
-    Attributes:
-        weights: Ŵ, shape (joints, nodes).
-        activation: Φ of the joint that is being worked on, shape (nodes,).
-    """
-
-    weights: Matrix
-    activation: Vector
-
-    @classmethod
-    def of(cls, joints: int) -> Network:
-        """One that has learned nothing."""
-        return cls(np.zeros((joints, NODES)), np.zeros(NODES))
 
 
 @compiled

@@ -146,14 +146,9 @@ class SlidingMode:
 
     def torque(self, tracking: Tracking) -> Vector:
         _acceleration(
-            tracking.error,
-            tracking.error_rate,
-            tracking.reference_acceleration,
-            self._surface,
-            self._reaching,
-            self.diagnostics.sliding_variable,
-            self._acceleration,
-        )
+            tracking.error, tracking.error_rate, tracking.reference_acceleration,
+            self._surface, self._reaching, self.diagnostics.sliding_variable, self._acceleration,
+        )  # fmt: skip
         return self._model.inverse_dynamics(
             tracking.position, tracking.velocity, self._acceleration
         )
