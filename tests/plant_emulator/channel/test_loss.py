@@ -16,7 +16,7 @@ def losses(seed=3, **channel):
     """Whether each message is lost, shape (messages,)."""
     conditions = ConditionsSchedule(ChannelConfiguration(**channel)).at(0)
     loss = Loss(np.random.default_rng(seed), np.random.default_rng(seed + 1000))
-    return np.array([loss.takes(conditions) for _ in range(MESSAGES)])
+    return np.array([loss.loses_next(conditions) for _ in range(MESSAGES)])
 
 
 def bursts(lost):
