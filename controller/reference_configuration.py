@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from bus_schema.arrays import Vector
 from bus_schema.configuration import NonNegative, PerJoint, StrictModel, expand
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
@@ -34,6 +33,11 @@ class CartesianPathConfiguration(StrictModel):
     z: AxisConfiguration
 
     def build(self, robot: RobotDescription) -> Reference:
+        """The path on this arm.
+
+        Raises:
+            ConfigurationError: the arm is no yaw-pitch-pitch arm.
+        """
         axes = np.array([list(axis.model_dump().values()) for axis in (self.x, self.y, self.z)])
         return CartesianPath(axes, *ManipulatorModel(robot).yaw_pitch_pitch_lengths())
 
@@ -54,13 +58,16 @@ class JointSinusoidsConfiguration(StrictModel):
     terms: Annotated[list[SinusoidConfiguration], Field(min_length=1)]
 
     def build(self, robot: RobotDescription) -> Reference:
-        def of_joints(index: int, name: str, value: Vector) -> Vector:
-            return expand(value, robot.joints, f"reference.terms.{index}.{name}")
+        """The trajectory for this arm.
 
-        terms = [
-            np.stack([of_joints(index, *field) for field in term], axis=-1)
-            for index, term in enumerate(self.terms)
-        ]
+        Raises:
+            ConfigurationError: there are as many values as suits another arm.
+        """
+        terms = []
+        for index, term in enumerate(self.terms):
+            key = f"reference.terms.{index}"
+            values = [expand(value, robot.joints, f"{key}.{name}") for name, value in term]
+            terms.append(np.stack(values, axis=-1))
         centre = expand(self.centre_rad, robot.joints, "reference.centre_rad")
         return JointSinusoids(centre, np.array(terms))
 
@@ -87,6 +94,11 @@ class MinimumJerkConfiguration(StrictModel):
         return waypoints
 
     def build(self, robot: RobotDescription) -> Reference:
+        """The trajectory for this arm.
+
+        Raises:
+            ConfigurationError: there are as many values as suits another arm.
+        """
         positions = [
             expand(waypoint.position_rad, robot.joints, f"reference.waypoints.{i}.position_rad")
             for i, waypoint in enumerate(self.waypoints)

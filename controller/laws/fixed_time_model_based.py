@@ -15,7 +15,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import PerJointNonNegative, Positive, PowerAboveOne, PowerBelowOne
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import bind, compiled
 from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.funnel import (
     transform,
@@ -49,6 +49,24 @@ class FixedTimeModelBasedGains(NamedTuple):
         return cls(k_1=100.0 * inertia_kg_m2, k_2=100.0 * inertia_kg_m2, k_3=250.0 * inertia_kg_m2)
 
 
+class _Memory(NamedTuple):
+    """What the law keeps or works out, in arrays that its kernel changes in place.
+
+    All have shape (joints,).
+
+    Attributes:
+        opening: of the funnel, see `working_bounds`; rad.
+        velocity: q̇_r; rad/s.
+        acceleration: q̈_r; rad/s².
+        reaching: K₁ sig(s)^γ₁ + K₂ sig(s)^γ₂ + K₃ s; N m.
+    """
+
+    opening: Vector
+    velocity: Vector
+    acceleration: Vector
+    reaching: Vector
+
+
 class FixedTimeModelBased:
     """The law on a nominal model."""
 
@@ -59,37 +77,42 @@ class FixedTimeModelBased:
         self.diagnostics = Diagnostics(joints)
         self._gains = gains
         self._model = model
-        self._opening: Vector = np.zeros(joints)
-        self._velocity: Vector = np.zeros(joints)
-        self._acceleration: Vector = np.zeros(joints)
+        self._memory = _Memory(*np.zeros((4, joints)))
+        self._tracking: Tracking | None = None
 
     def reset(self) -> None:
-        self._opening[:] = 0.0
+        self._memory.opening[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
-        sliding = self.diagnostics.sliding_variable
-        _reference_motion(
-            tracking.error, tracking.error_rate, tracking.bounds, tracking.step_s,
-            self._gains, self._opening,
+        if tracking is not self._tracking:
+            self._bind(tracking)
+        self._kernel(tracking.step_s)
+        _, velocity, acceleration, reaching = self._memory
+        position = tracking.position
+        along = self._model.torque_along(position, tracking.velocity, velocity, acceleration)
+        return along - reaching
+
+    def _bind(self, tracking: Tracking) -> None:
+        """Fix what the kernel works on: to find out its types costs more than its work."""
+        self._tracking = tracking
+        self._kernel = bind(
+            _reference_motion,
+            tracking.error, tracking.error_rate, tracking.bounds,
             tracking.reference_velocity, tracking.reference_acceleration,
-            self._velocity, self._acceleration, self.diagnostics.transformed_error, sliding,
+            self._gains, self._memory,
+            self.diagnostics.transformed_error, self.diagnostics.sliding_variable,
+            free=["float64"],
         )  # fmt: skip
-        torque = self._model.torque_along(
-            tracking.position, tracking.velocity, self._velocity, self._acceleration
-        )
-        _add_reaching(sliding, self._gains, torque)
-        return torque
 
 
 @compiled
 def _reference_motion(
-    error: Vector, error_rate: Vector, bounds: Matrix, step_s: float,
-    gains: FixedTimeModelBasedGains, opening: Vector,
+    error: Vector, error_rate: Vector, bounds: Matrix,
     reference_velocity: Vector, reference_acceleration: Vector,
-    velocity: Vector, acceleration: Vector, transformed: Vector, sliding: Vector,
+    gains: FixedTimeModelBasedGains, memory: _Memory,
+    transformed: Vector, sliding: Vector, step_s: float,
 ) -> None:  # fmt: skip
-    """q̇_r and q̈_r into `velocity` and `acceleration`, ε and s into `transformed` and `sliding`."""
-    g = gains
+    g, (opening, velocity, acceleration, reaching) = gains, memory
     for i in range(error.size):
         e, d_e = error[i], error_rate[i]
         upper, lower, opening[i] = working_bounds(e, bounds[:, i], step_s, opening[i])
@@ -104,12 +127,6 @@ def _reference_motion(
         acceleration[i] = (
             reference_acceleration[i] + d_v - d_psi * d_epsilon / r + psi * d_r / (r * r)
         )
-        transformed[i], sliding[i] = epsilon, d_e - v + psi / r
-
-
-@compiled
-def _add_reaching(sliding: Vector, gains: FixedTimeModelBasedGains, torque: Vector) -> None:
-    g = gains
-    for i in range(sliding.size):
-        s = sliding[i]
-        torque[i] -= g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
+        s = d_e - v + psi / r
+        reaching[i] = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
+        transformed[i], sliding[i] = epsilon, s
