@@ -56,7 +56,7 @@ class ConditionsSchedule:
 
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
-        faults: what befalls the channel beside it.
+        faults: scheduled faults of this direction.
     """
 
     def __init__(

@@ -65,7 +65,7 @@ class ImpairedChannel(Channel[Item]):
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
         seed: seed of everything random here.
-        faults: what befalls it beside that.
+        faults: scheduled faults of this direction.
     """
 
     def __init__(

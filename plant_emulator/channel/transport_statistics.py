@@ -65,7 +65,7 @@ class TransportStatistics:
         self._newest = max(self._newest, number)
 
     def summary(self) -> dict[str, Any]:
-        """The part of ``summary.json`` that tells of this direction; null where there is nothing.
+        """The section of ``summary.json`` on this direction; null where there is nothing.
 
         ``delay_ms`` is the time from entering the channel to coming out of it.
         """
