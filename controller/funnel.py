@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -40,73 +41,57 @@ class Funnel:
         return upper, -lower
 
 
+Bound: TypeAlias = tuple[float, float, float]
+"""Size of a bound, rad, with its first and second derivative."""
+
+
 @compiled
-def performance_function(
-    time_s: float, initial: float, final: float, rate: float
-) -> tuple[float, float, float]:
+def performance_function(time_s: float, initial: float, final: float, rate: float) -> Bound:
     """ρ(t) = (ρ₀ − ρ∞) e^(−μt) + ρ∞ with its first and second derivative."""
     transient = (initial - final) * math.exp(-rate * time_s)
     return transient + final, -rate * transient, rate * rate * transient
 
 
 @compiled
-def transform(error: float, upper: float, lower: float) -> float:
+def transform(error: float, upper: Bound, lower: Bound) -> float:
     """ε = ½ ln[(1 + e/l) / (1 − e/u)] for −l < e < u."""
-    return 0.5 * math.log((1.0 + error / lower) / (1.0 - error / upper))
+    return 0.5 * math.log((1.0 + error / lower[0]) / (1.0 - error / upper[0]))
 
 
 @compiled
-def inverse_transform(transformed: float, upper: float, lower: float) -> float:
-    """E = l u (E − 1) / (u + l E) with E = e^(2ε)."""
-    growth = math.exp(2.0 * transformed)
-    return lower * upper * (growth - 1.0) / (upper + lower * growth)
-
-
-@compiled
-def transformation_rates(
-    error: float, upper: float, lower: float, d_upper: float, d_lower: float
-) -> tuple[float, float]:
+def transformation_rates(error: float, upper: Bound, lower: Bound) -> tuple[float, float]:
     """R = ∂ε/∂e and the error rate v of the moving funnel, so that ε̇ = r (ė − v)."""
-    r = 0.5 * (1.0 / (lower + error) + 1.0 / (upper - error))
-    w = 0.5 * (
-        error * d_lower / (lower * (lower + error)) + error * d_upper / (upper * (upper - error))
-    )
+    u, d_u, _ = upper
+    lo, d_lo, _ = lower
+    r = 0.5 * (1.0 / (lo + error) + 1.0 / (u - error))
+    w = 0.5 * (error * d_lo / (lo * (lo + error)) + error * d_u / (u * (u - error)))
     return r, w / r
 
 
 @compiled
 def transformation_accelerations(
-    error: float, error_rate: float,
-    upper: float, lower: float,
-    d_upper: float, d_lower: float,
-    dd_upper: float, dd_lower: float,
-) -> tuple[float, float]:  # fmt: skip
+    error: float, error_rate: float, upper: Bound, lower: Bound
+) -> tuple[float, float]:
     """ṙ and v̇ along a motion with error rate ė."""
-    r, v = transformation_rates(error, upper, lower, d_upper, d_lower)
-    below, above = lower + error, upper - error
-    d_r = -0.5 * (
-        (d_lower + error_rate) / (below * below) + (d_upper - error_rate) / (above * above)
-    )
+    r, v = transformation_rates(error, upper, lower)
+    below, above = lower[0] + error, upper[0] - error
+    d_below, d_above = lower[1] + error_rate, upper[1] - error_rate
+    d_r = -0.5 * (d_below / (below * below) + d_above / (above * above))
     d_w = 0.5 * (
-        _rate_of_drift_term(
-            error, error_rate, lower, d_lower, dd_lower, below, d_lower + error_rate
-        )
-        + _rate_of_drift_term(
-            error, error_rate, upper, d_upper, dd_upper, above, d_upper - error_rate
-        )
+        _rate_of_drift_term(error, error_rate, lower, below, d_below)
+        + _rate_of_drift_term(error, error_rate, upper, above, d_above)
     )
     return d_r, (d_w - v * d_r) / r
 
 
 @compiled
 def _rate_of_drift_term(
-    error: float, error_rate: float,
-    bound: float, d_bound: float, dd_bound: float,
-    gap: float, d_gap: float,
-) -> float:  # fmt: skip
+    error: float, error_rate: float, bound: Bound, gap: float, d_gap: float
+) -> float:
     """Time derivative of e ρ̇ / (ρ g), with g the gap between error and bound."""
-    numerator = error * d_bound
-    denominator = bound * gap
-    d_numerator = error_rate * d_bound + error * dd_bound
-    d_denominator = d_bound * gap + bound * d_gap
+    rho, d_rho, dd_rho = bound
+    numerator = error * d_rho
+    denominator = rho * gap
+    d_numerator = error_rate * d_rho + error * dd_rho
+    d_denominator = d_rho * gap + rho * d_gap
     return (d_numerator * denominator - numerator * d_denominator) / (denominator * denominator)

@@ -37,27 +37,25 @@ class ManipulatorModel:
         self._data = self._model.createData()
         self._tip = self._model.getFrameId(robot.tip_link)
         self.joints = robot.joints
-        # pinocchio may order the joints otherwise than the URDF file.
+        # pinocchio may order the joints otherwise than the URDF file: the place of each one there.
         self._order = np.array(
             [self._model.joints[self._model.getJointId(name)].idx_v for name in robot.joint_names]
         )
+        self._sorting = np.argsort(self._order)
         # pinocchio fills the upper triangle of symmetric matrices.
         self._upper = (
             np.minimum.outer(self._order, self._order),
             np.maximum.outer(self._order, self._order),
         )
-        self._position: Vector = np.zeros(self._model.nv)
-        self._velocity: Vector = np.zeros(self._model.nv)
-        self._other: Vector = np.zeros(self._model.nv)
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """M(q), shape (joints, joints), kg m²."""
-        full = pinocchio.crba(self._model, self._data, self._at(position))
+        full = pinocchio.crba(self._model, self._data, self._sorted(position))
         return np.asarray(full[self._upper])
 
     def inverse_mass_matrix(self, position: Vector) -> Matrix:
         """M(q)⁻¹, shape (joints, joints), 1/(kg m²)."""
-        full = pinocchio.computeMinverse(self._model, self._data, self._at(position))
+        full = pinocchio.computeMinverse(self._model, self._data, self._sorted(position))
         return np.asarray(full[self._upper])
 
     def governing_inertia(self, positions: Matrix) -> Vector:
@@ -90,20 +88,20 @@ class ManipulatorModel:
     def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
         """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
         full = pinocchio.computeCoriolisMatrix(
-            self._model, self._data, self._at(position), self._moving(velocity)
+            self._model, self._data, self._sorted(position), self._sorted(velocity)
         )
         return np.ascontiguousarray(full[np.ix_(self._order, self._order)])
 
     def gravity(self, position: Vector) -> Vector:
         """G(q), shape (joints,), N m."""
-        full = pinocchio.computeGeneralizedGravity(self._model, self._data, self._at(position))
+        full = pinocchio.computeGeneralizedGravity(self._model, self._data, self._sorted(position))
         return np.ascontiguousarray(full[self._order])
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
         """Torque of a motion, shape (joints,), N m."""
         full = pinocchio.rnea(
             self._model, self._data,
-            self._at(position), self._moving(velocity), self._with(acceleration),
+            self._sorted(position), self._sorted(velocity), self._sorted(acceleration),
         )  # fmt: skip
         return np.ascontiguousarray(full[self._order])
 
@@ -114,18 +112,19 @@ class ManipulatorModel:
 
         As M a + C q̇ + G, which is one recursion, and C (v − q̇), for which C itself is needed.
         """
-        torque = self.inverse_dynamics(position, velocity, acceleration)
-        coriolis = pinocchio.computeCoriolisMatrix(
-            self._model, self._data, self._position, self._velocity
+        position, velocity = self._sorted(position), self._sorted(velocity)
+        torque = pinocchio.rnea(
+            self._model, self._data, position, velocity, self._sorted(acceleration)
         )
-        torque += (coriolis @ self._with(along_velocity - velocity))[self._order]
-        return np.asarray(torque)
+        coriolis = pinocchio.computeCoriolisMatrix(self._model, self._data, position, velocity)
+        change = self._sorted(along_velocity) - velocity
+        return np.asarray((torque + coriolis @ change)[self._order])
 
     def forward_dynamics(self, position: Vector, velocity: Vector, torque: Vector) -> Vector:
         """Acceleration under a torque, shape (joints,), rad/s²."""
         full = pinocchio.aba(
             self._model, self._data,
-            self._at(position), self._moving(velocity), self._with(torque),
+            self._sorted(position), self._sorted(velocity), self._sorted(torque),
         )  # fmt: skip
         return np.ascontiguousarray(full[self._order])
 
@@ -133,13 +132,13 @@ class ManipulatorModel:
         """Kinetic plus potential energy, J."""
         return float(
             pinocchio.computeMechanicalEnergy(
-                self._model, self._data, self._at(position), self._moving(velocity)
+                self._model, self._data, self._sorted(position), self._sorted(velocity)
             )
         )
 
     def tip_position(self, position: Vector) -> Vector:
         """Origin of the tip link in the base frame, shape (3,), m."""
-        pinocchio.forwardKinematics(self._model, self._data, self._at(position))
+        pinocchio.forwardKinematics(self._model, self._data, self._sorted(position))
         placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
         return np.array(placement.translation)
 
@@ -168,14 +167,6 @@ class ManipulatorModel:
             " with all joints at zero; joint_sinusoids and minimum_jerk work for any arm",
         )
 
-    def _at(self, position: Vector) -> Vector:
-        self._position[self._order] = position
-        return self._position
-
-    def _moving(self, velocity: Vector) -> Vector:
-        self._velocity[self._order] = velocity
-        return self._velocity
-
-    def _with(self, values: Vector) -> Vector:
-        self._other[self._order] = values
-        return self._other
+    def _sorted(self, values: Vector) -> Vector:
+        """A value per joint, shape (joints,), in pinocchio's order."""
+        return values[self._sorting]

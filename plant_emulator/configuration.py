@@ -1,4 +1,4 @@
-"""Section ``plant`` of a scenario: what the emulated arm has that an ideal one has not."""
+"""Section ``plant`` of a scenario: what sets the emulated arm apart from an ideal one."""
 
 from __future__ import annotations
 

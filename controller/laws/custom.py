@@ -34,7 +34,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         law = make(model, **gains)
     except Exception as error:  # whatever a user's constructor objects to, the input is bad
         raise ConfigurationError(
-            _GAINS_KEY, gains, f"{name} cannot be made from these: {_told(error)}"
+            _GAINS_KEY, gains, f"{name} cannot be made from these: {_described(error)}"
         ) from error
     missing = [method for method in ("torque", "reset") if not callable(getattr(law, method, None))]
     if not isinstance(getattr(law, "diagnostics", None), Diagnostics):
@@ -48,7 +48,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
 
 
 def _find(name: str) -> Callable[..., Any]:
-    """The class; modules beside the one who calls are found, as with ``python -m``."""
+    """The class; modules in the current folder are found, as with ``python -m``."""
     module_name, _, class_name = name.partition(":")
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
@@ -57,14 +57,13 @@ def _find(name: str) -> Callable[..., Any]:
         module = importlib.import_module(module_name)
     except Exception as error:  # an import runs a user's code, which may raise anything
         raise ConfigurationError(
-            _LAW_KEY, name, f"{module_name} cannot be imported: {_told(error)}"
+            _LAW_KEY, name, f"{module_name} cannot be imported: {_described(error)}"
         ) from error
-    found = getattr(module, class_name, None)
-    if not callable(found):
+    make: Callable[..., Any] | None = getattr(module, class_name, None)
+    if not callable(make):
         raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}")
-    make: Callable[..., Any] = found
     return make
 
 
-def _told(error: Exception) -> str:
+def _described(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"

@@ -15,24 +15,14 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import PerJointNonNegative, Positive, PowerAboveOne, PowerBelowOne
-from bus_schema.runtime.compiled import compiled
-from controller.control_law import (
-    D_LOWER,
-    D_UPPER,
-    DD_LOWER,
-    DD_UPPER,
-    LOWER,
-    UPPER,
-    Diagnostics,
-    Dynamics,
-    Tracking,
-)
+from bus_schema.runtime.compiled import bind, compiled
+from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.funnel import (
     transform,
     transformation_accelerations,
     transformation_rates,
 )
-from controller.laws.reopening import WorkingFunnel, reopen
+from controller.laws.reopening import working_bounds
 from controller.laws.sliding_surface import sig, surface_pull, surface_pull_slope
 
 
@@ -59,61 +49,75 @@ class FixedTimeModelBasedGains(NamedTuple):
         return cls(k_1=100.0 * inertia_kg_m2, k_2=100.0 * inertia_kg_m2, k_3=250.0 * inertia_kg_m2)
 
 
+class _Memory(NamedTuple):
+    """What the law keeps or works out, in arrays that its kernel changes in place.
+
+    All have shape (joints,).
+
+    Attributes:
+        opening: of the funnel, see `working_bounds`; rad.
+        velocity: q̇_r; rad/s.
+        acceleration: q̈_r; rad/s².
+        reaching: K₁ sig(s)^γ₁ + K₂ sig(s)^γ₂ + K₃ s; N m.
+    """
+
+    opening: Vector
+    velocity: Vector
+    acceleration: Vector
+    reaching: Vector
+
+
 class FixedTimeModelBased:
     """The law on a nominal model."""
 
-    def __init__(self, gains: FixedTimeModelBasedGains, model: Dynamics) -> None:
+    def __init__(
+        self, gains: FixedTimeModelBasedGains, model: Dynamics, _torque_limits_nm: Vector
+    ) -> None:
         joints = gains.k_1.size
-        self.gains = gains
         self.diagnostics = Diagnostics(joints)
+        self._gains = gains
         self._model = model
-        self._funnel = WorkingFunnel(joints)
-        self._velocity: Vector = np.zeros(joints)
-        self._acceleration: Vector = np.zeros(joints)
+        self._memory = _Memory(*np.zeros((4, joints)))
+        self._tracking: Tracking | None = None
 
     def reset(self) -> None:
-        self._funnel.reset()
+        self._memory.opening[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
-        _reference_motion(
-            tracking.error,
-            tracking.error_rate,
-            tracking.bounds,
-            tracking.step_s,
-            self._funnel.opening,
-            self._funnel.bounds,
-            tracking.reference_velocity,
-            tracking.reference_acceleration,
-            self.gains,
-            self.diagnostics.transformed_error,
-            self.diagnostics.sliding_variable,
-            self._velocity,
-            self._acceleration,
-        )
-        torque = self._model.torque_along(
-            tracking.position, tracking.velocity, self._velocity, self._acceleration
-        )
-        _add_reaching(self.diagnostics.sliding_variable, self.gains, torque)
-        return torque
+        if tracking is not self._tracking:
+            self._bind(tracking)
+        self._kernel(tracking.step_s)
+        _, velocity, acceleration, reaching = self._memory
+        position = tracking.position
+        along = self._model.torque_along(position, tracking.velocity, velocity, acceleration)
+        return along - reaching
+
+    def _bind(self, tracking: Tracking) -> None:
+        """Fix what the kernel works on: to find out its types costs more than its work."""
+        self._tracking = tracking
+        self._kernel = bind(
+            _reference_motion,
+            tracking.error, tracking.error_rate, tracking.bounds,
+            tracking.reference_velocity, tracking.reference_acceleration,
+            self._gains, self._memory,
+            self.diagnostics.transformed_error, self.diagnostics.sliding_variable,
+            free=["float64"],
+        )  # fmt: skip
 
 
 @compiled
 def _reference_motion(
-    error: Vector, error_rate: Vector, real_bounds: Matrix, step_s: float,
-    opening: Vector, bounds: Matrix,
-    reference_velocity: Vector, reference_acceleration: Vector, gains: FixedTimeModelBasedGains,
-    transformed: Vector, sliding: Vector, velocity: Vector, acceleration: Vector,
+    error: Vector, error_rate: Vector, bounds: Matrix,
+    reference_velocity: Vector, reference_acceleration: Vector,
+    gains: FixedTimeModelBasedGains, memory: _Memory,
+    transformed: Vector, sliding: Vector, step_s: float,
 ) -> None:  # fmt: skip
-    g = gains
-    reopen(error, real_bounds, step_s, opening, bounds)
+    g, (opening, velocity, acceleration, reaching) = gains, memory
     for i in range(error.size):
-        upper, d_upper, dd_upper = bounds[UPPER, i], bounds[D_UPPER, i], bounds[DD_UPPER, i]
-        lower, d_lower, dd_lower = bounds[LOWER, i], bounds[D_LOWER, i], bounds[DD_LOWER, i]
         e, d_e = error[i], error_rate[i]
-        r, v = transformation_rates(e, upper, lower, d_upper, d_lower)
-        d_r, d_v = transformation_accelerations(
-            e, d_e, upper, lower, d_upper, d_lower, dd_upper, dd_lower
-        )
+        upper, lower, opening[i] = working_bounds(e, bounds[:, i], step_s, opening[i])
+        r, v = transformation_rates(e, upper, lower)
+        d_r, d_v = transformation_accelerations(e, d_e, upper, lower)
         epsilon = transform(e, upper, lower)
         d_epsilon = r * (d_e - v)
         psi = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
@@ -123,12 +127,6 @@ def _reference_motion(
         acceleration[i] = (
             reference_acceleration[i] + d_v - d_psi * d_epsilon / r + psi * d_r / (r * r)
         )
-        transformed[i], sliding[i] = epsilon, d_e - v + psi / r
-
-
-@compiled
-def _add_reaching(sliding: Vector, gains: FixedTimeModelBasedGains, torque: Vector) -> None:
-    g = gains
-    for i in range(sliding.size):
-        s = sliding[i]
-        torque[i] -= g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
+        s = d_e - v + psi / r
+        reaching[i] = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
+        transformed[i], sliding[i] = epsilon, s

@@ -25,12 +25,11 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from bus_schema.runtime.compiled import bind, compiled
-from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Diagnostics, Tracking
+from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.funnel import transform, transformation_rates
 from controller.laws.anti_windup import may_accumulate
-from controller.laws.packed_gains import pack
-from controller.laws.rbf_network import NODES, activate, adapt, node_axis
-from controller.laws.reopening import WorkingFunnel, reopen
+from controller.laws.rbf_network import NODES, activate, adapt
+from controller.laws.reopening import working_bounds
 from controller.laws.sliding_surface import sig, surface_pull
 
 
@@ -68,76 +67,89 @@ class FixedTimeNeuralGains(NamedTuple):
         )
 
 
+class _Memory(NamedTuple):
+    """What the law keeps from cycle to cycle, in arrays that its kernel changes in place.
+
+    Attributes:
+        torque: N m, shape (joints,).
+        opening: of the funnel, see `working_bounds`; rad, shape (joints,).
+        weights: Ŵ, shape (joints, nodes).
+        activation: Φ(z) of the joint that is being worked on, shape (nodes,).
+    """
+
+    torque: Vector
+    opening: Vector
+    weights: Matrix
+    activation: Vector
+
+
 class FixedTimeNeural:
     """The law with its network weights."""
 
-    def __init__(self, gains: FixedTimeNeuralGains, torque_limits_nm: Vector) -> None:
+    def __init__(
+        self, gains: FixedTimeNeuralGains, _model: Dynamics, torque_limits_nm: Vector
+    ) -> None:
         joints = gains.k_1.size
-        self._gains = pack(gains)
-        self._limits = torque_limits_nm
         self.diagnostics = Diagnostics(joints)
-        self._funnel = WorkingFunnel(joints)
-        self._axis = node_axis()
-        self._activation: Vector = np.zeros(NODES)
-        self._weights: Matrix = np.zeros((joints, NODES))
-        self._torque: Vector = np.zeros(joints)
+        self._gains = _packed(gains)
+        self._torque_limits_nm = torque_limits_nm
+        self._memory = _Memory(
+            np.zeros(joints), np.zeros(joints), np.zeros((joints, NODES)), np.zeros(NODES)
+        )
         self._tracking: Tracking | None = None
 
     def reset(self) -> None:
-        self._funnel.reset()
-        self._weights[:] = 0.0
-        self._torque[:] = 0.0
+        for values in self._memory:
+            values[:] = 0.0
 
     def torque(self, tracking: Tracking) -> Vector:
         if tracking is not self._tracking:
             self._bind(tracking)
         self._kernel(tracking.step_s)
-        return self._torque
+        return self._memory.torque
 
     def _bind(self, tracking: Tracking) -> None:
-        self._tracking = tracking
+        """Fix what the kernel works on: to find out its types costs more than the law itself."""
+        self._tracking, inner = tracking, self.diagnostics
         self._kernel = bind(
             _torque,
-            tracking.error,
-            tracking.error_rate,
-            tracking.bounds,
-            self._funnel.opening,
-            self._funnel.bounds,
-            self._gains,
-            self._limits,
-            self._weights,
-            self._axis,
-            self._activation,
-            self.diagnostics.transformed_error,
-            self.diagnostics.sliding_variable,
-            self.diagnostics.network_output,
-            self.diagnostics.network_norm,
-            self._torque,
+            tracking.error, tracking.error_rate, tracking.bounds,
+            self._gains, self._torque_limits_nm, self._memory,
+            inner.transformed_error, inner.sliding_variable,
+            inner.network_output, inner.network_norm,
             free=["float64"],
-        )
+        )  # fmt: skip
+
+
+def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
+    """Gains as a structured array of one element, whose fields bear their names.
+
+    As a tuple they would have to be taken apart at every call, for a twentieth of a control step.
+    """
+    values = gains._asdict()
+    dtype = np.dtype([(name, np.float64, np.shape(value)) for name, value in values.items()])
+    return np.array([tuple(values.values())], dtype)
 
 
 @compiled
 def _torque(
-    error: Vector, error_rate: Vector, real_bounds: Matrix,
-    opening: Vector, bounds: Matrix, gains: NDArray[np.void],
-    limits: Vector, weights: Matrix, axis: Vector, activation: Vector,
-    transformed: Vector, sliding: Vector, network: Vector, network_norm: Vector, torque: Vector,
+    error: Vector, error_rate: Vector, bounds: Matrix,
+    gains: NDArray[np.void], torque_limits: Vector, memory: _Memory,
+    transformed: Vector, sliding: Vector, network_output: Vector, network_norm: Vector,
     step_s: float,
 ) -> None:  # fmt: skip
-    g = gains[0]
-    reopen(error, real_bounds, step_s, opening, bounds)
+    g, (torque, opening, weights, activation) = gains[0], memory
     squared_norm = 0.0
     for i in range(error.size):
-        upper, lower = bounds[UPPER, i], bounds[LOWER, i]
-        r, v = transformation_rates(error[i], upper, lower, bounds[D_UPPER, i], bounds[D_LOWER, i])
+        upper, lower, opening[i] = working_bounds(error[i], bounds[:, i], step_s, opening[i])
+        r, v = transformation_rates(error[i], upper, lower)
         epsilon = transform(error[i], upper, lower)
         d_epsilon = r * (error_rate[i] - v)
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
         s = (d_epsilon + pull) / r
 
-        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), axis, g.node_width, activation)
-        if may_accumulate(torque[i], s, limits[i]):
+        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), g.node_width, activation)
+        if may_accumulate(torque[i], s, torque_limits[i]):
             adapt(
                 weights[i], activation, s, step_s,
                 g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
@@ -149,5 +161,5 @@ def _torque(
 
         reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
         torque[i] = output - reaching
-        transformed[i], sliding[i], network[i] = epsilon, s, output
+        transformed[i], sliding[i], network_output[i] = epsilon, s, output
     network_norm[0] = math.sqrt(squared_norm)

@@ -9,7 +9,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.configuration import PerJointNonNegative, PerJointPositive
 from bus_schema.runtime.compiled import compiled
-from controller.control_law import Diagnostics, Tracking
+from controller.control_law import Diagnostics, Dynamics, Tracking
 from controller.laws.anti_windup import may_accumulate
 
 
@@ -29,7 +29,7 @@ class PidGains(NamedTuple):
 class Pid:
     """τ = −K_p e − K_i ∫e − K_d ė; an integral whose joint saturates only grows back inwards."""
 
-    def __init__(self, gains: PidGains, torque_limits_nm: Vector) -> None:
+    def __init__(self, gains: PidGains, _model: Dynamics, torque_limits_nm: Vector) -> None:
         joints = gains.proportional.size
         self.gains = gains
         self.diagnostics = Diagnostics(joints)
@@ -43,14 +43,9 @@ class Pid:
 
     def torque(self, tracking: Tracking) -> Vector:
         _torque(
-            tracking.error,
-            tracking.error_rate,
-            tracking.step_s,
-            self.gains,
-            self._limits,
-            self._integral,
-            self._torque,
-        )
+            tracking.error, tracking.error_rate, tracking.step_s, self.gains, self._limits,
+            self._integral, self._torque,
+        )  # fmt: skip
         return self._torque
 
 

@@ -19,18 +19,17 @@ NODES_PER_AXIS = 5
 NODES = NODES_PER_AXIS**2
 
 
-def node_axis() -> Vector:
-    """Coordinates of the nodes along either input, shape (nodes per axis,); node k = 5 i + j."""
-    return np.linspace(-1.0, 1.0, NODES_PER_AXIS)
+NODE_AXIS = np.linspace(-1.0, 1.0, NODES_PER_AXIS)
+"""Coordinates of the nodes along either input, shape (nodes per axis,); node k = 5 i + j."""
 
 
 @compiled
-def activate(inputs_1: float, inputs_2: float, axis: Vector, width: float, out: Vector) -> None:
+def activate(inputs_1: float, inputs_2: float, width: float, out: Vector) -> None:
     """Φ_k(z) = exp(−|z − c_k|² / (2 width²)) into `out`, shape (nodes,).
 
     On a grid the Gaussian is a product of one factor per input, which saves most exponentials.
     """
-    size = axis.size
+    axis, size = NODE_AXIS, NODE_AXIS.size
     steepness = -1.0 / (2.0 * width * width)
     for j in range(size):
         out[j] = math.exp(steepness * (inputs_2 - axis[j]) ** 2)

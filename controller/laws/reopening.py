@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.runtime.compiled import compiled
 from controller.control_law import D_LOWER, D_UPPER, DD_LOWER, DD_UPPER, LOWER, UPPER
+from controller.funnel import Bound
 
 LARGEST_SHARE = 0.98
 """Share of a bound at which the funnel opens: a little later, the logarithm ends."""
@@ -24,43 +23,26 @@ OPENING = 1.5
 RATE_PER_S = 4.0
 
 
-class WorkingFunnel:
-    """What `reopen` keeps from cycle to cycle.
-
-    Attributes:
-        bounds: as `Tracking.bounds`, and equal to them unless an error has got out of them.
-        opening: by how much they are wider, rad, shape (joints,).
-    """
-
-    def __init__(self, joints: int) -> None:
-        self.bounds: Matrix = np.zeros((6, joints))
-        self.opening: Vector = np.zeros(joints)
-
-    def reset(self) -> None:
-        """Forget that an error ever got out."""
-        self.opening[:] = 0.0
-
-
 @compiled
-def reopen(error: Vector, bounds: Matrix, step_s: float, opening: Vector, working: Matrix) -> None:
-    """Work out bounds in which every error has its place; for use in a law's own kernel.
+def working_bounds(
+    error: float, bounds: Vector, step_s: float, opening: float
+) -> tuple[Bound, Bound, float]:
+    """Upper and lower bound of a joint between which its error has its place.
 
     Args:
-        error: rad, shape (joints,).
-        bounds: `Tracking.bounds`.
+        error: rad.
+        bounds: the joint's column of `Tracking.bounds`.
         step_s: time since the last call.
-        opening: that of a `WorkingFunnel`, brought up to date.
-        working: `bounds` of the same, brought up to date.
+        opening: by how much the working funnel was wider than the real one at the last call, rad.
+
+    Returns:
+        The bounds, and by how much they are wider now; unless an error has got out, by nothing.
     """
-    decay = math.exp(-RATE_PER_S * step_s)
-    for i in range(error.size):
-        opening[i] *= decay
-        bound = bounds[UPPER, i] if error[i] > 0.0 else bounds[LOWER, i]
-        if abs(error[i]) > LARGEST_SHARE * (bound + opening[i]):
-            opening[i] = OPENING * abs(error[i]) - bound
-        working[UPPER, i] = bounds[UPPER, i] + opening[i]
-        working[LOWER, i] = bounds[LOWER, i] + opening[i]
-        working[D_UPPER, i] = bounds[D_UPPER, i] - RATE_PER_S * opening[i]
-        working[D_LOWER, i] = bounds[D_LOWER, i] - RATE_PER_S * opening[i]
-        working[DD_UPPER, i] = bounds[DD_UPPER, i] + RATE_PER_S**2 * opening[i]
-        working[DD_LOWER, i] = bounds[DD_LOWER, i] + RATE_PER_S**2 * opening[i]
+    opening *= math.exp(-RATE_PER_S * step_s)
+    bound = bounds[UPPER] if error > 0.0 else bounds[LOWER]
+    if abs(error) > LARGEST_SHARE * (bound + opening):
+        opening = OPENING * abs(error) - bound
+    d_opening, dd_opening = RATE_PER_S * opening, RATE_PER_S**2 * opening
+    upper = bounds[UPPER] + opening, bounds[D_UPPER] - d_opening, bounds[DD_UPPER] + dd_opening
+    lower = bounds[LOWER] + opening, bounds[D_LOWER] - d_opening, bounds[DD_LOWER] + dd_opening
+    return upper, lower, opening

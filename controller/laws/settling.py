@@ -15,33 +15,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 from bus_schema.arrays import Vector
+from controller.laws.fixed_time_model_based import FixedTimeModelBasedGains
+from controller.laws.fixed_time_neural import FixedTimeNeuralGains
 
 LargestInertia = Callable[[Vector], float]
 """From weights w, shape (joints,), to the largest eigenvalue of diag(w) M(q) diag(w) over all q."""
 
 
-class FixedTimeGains(Protocol):
-    """The gains on which the bound depends, named as in the laws."""
-
-    @property
-    def k_1(self) -> Vector: ...
-    @property
-    def k_2(self) -> Vector: ...
-    @property
-    def alpha_1(self) -> float: ...
-    @property
-    def alpha_2(self) -> float: ...
-    @property
-    def phi_1(self) -> float: ...
-    @property
-    def phi_2(self) -> float: ...
-    @property
-    def gamma_1(self) -> float: ...
-    @property
-    def gamma_2(self) -> float: ...
+FixedTimeGains = FixedTimeModelBasedGains | FixedTimeNeuralGains
 
 
 def settling_bound_s(gains: FixedTimeGains, largest_inertia: LargestInertia) -> float:

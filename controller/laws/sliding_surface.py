@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-from bus_schema.arrays import Vector
 from bus_schema.runtime.compiled import compiled
 
 
@@ -51,24 +50,3 @@ def surface_pull_slope(
         d_chi = linear + 2.0 * quadratic * size
     slope: float = alpha_1 * phi_1 * size ** (phi_1 - 1.0) + alpha_2 * d_chi
     return slope
-
-
-@compiled
-def switch(s: float, boundary_layer: float) -> float:
-    """sign(s), or s / boundary_layer where |s| is less than that."""
-    if s == 0.0:
-        return 0.0
-    if abs(s) < boundary_layer:
-        return s / boundary_layer
-    return math.copysign(1.0, s)
-
-
-def default_switching(inertia_kg_m2: Vector) -> Vector:
-    """Switching gains for joints that see these inertias, shape (joints,), rad/s².
-
-    They have to outweigh friction, disturbance and what the model misses, per inertia. Friction
-    grows more slowly than inertia, so light joints need more; factor and power are ours, from three
-    arms of 0.0005 to 12 kg m².
-    """
-    gains: Vector = 9.0 * inertia_kg_m2**-0.25
-    return gains

@@ -29,14 +29,12 @@ from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
-from controller.configuration import (
-    ControllerConfiguration,
-    FunnelConfiguration,
-    ReferenceConfiguration,
-)
+from controller.configuration import ControllerConfiguration
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
+from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import Reference, sample_positions
+from controller.reference_configuration import ReferenceConfiguration
 from deploy.scenario.faults import ScheduledFault, check_faults, plant_faults
 from deploy.scenario.link_files import find_delay_files
 from deploy.scenario.robot_files import find_urdf

@@ -16,18 +16,43 @@ import numpy as np
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, Item
+from plant_emulator.channel.conditions import Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter
-from plant_emulator.channel.loss import Loss
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.random_numbers import uniform_numbers
-from plant_emulator.channel.schedule import Conditions, Schedule
 from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
 from plant_emulator.fault_configuration import ChannelFault, Fault
 
 
-class _Flight(NamedTuple):
-    """A message on its way: its number in the order of sending, and when that was."""
+class Loss:
+    """Losses, independent and in bursts; each kind has random numbers of its own.
+
+    Bursts are Gilbert–Elliott's: whether a message is lost depends on the chain's state, and then
+    the chain takes a step. It starts in the good state. Mean loss is (p (1-h) + r (1-k)) / (p + r);
+    with 1-h = 1 and 1-k = 0 bursts have 1 / r messages on average.
+    """
+
+    def __init__(self, random: np.random.Generator, burst_random: np.random.Generator) -> None:
+        self._numbers = uniform_numbers(random)
+        self._burst_numbers = uniform_numbers(burst_random)
+        self._is_bad = False
+
+    def loses_next(self, conditions: Conditions) -> bool:
+        """Whether the next message is lost."""
+        loss_in_state = conditions.loss_in_bad if self._is_bad else conditions.loss_in_good
+        is_lost_in_burst = next(self._burst_numbers) < loss_in_state
+        leaves_state = conditions.r if self._is_bad else conditions.p
+        if next(self._burst_numbers) < leaves_state:
+            self._is_bad = not self._is_bad
+        return next(self._numbers) < conditions.loss or is_lost_in_burst
+
+
+class _Transit(NamedTuple):
+    """A message under way: its number in the order of sending, and when that was.
+
+    No two are equal, so of messages due at once the one that was sent first comes out first.
+    """
 
     number: int
     sent_ns: int
@@ -40,7 +65,7 @@ class ImpairedChannel(Channel[Item]):
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
         seed: seed of everything random here.
-        faults: what befalls it beside that.
+        faults: scheduled faults of this direction.
     """
 
     def __init__(
@@ -51,14 +76,13 @@ class ImpairedChannel(Channel[Item]):
     ) -> None:
         super().__init__(configuration.delay_ns)
         randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
-        self._jitter, self._copys_jitter = (Jitter(configuration, r) for r in randoms[:2])
+        self._jitter, self._copy_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
         self._duplicate_numbers = uniform_numbers(randoms[4])
-        self._schedule = Schedule(configuration, faults)
+        self._schedule = ConditionsSchedule(configuration, faults)
         self._may_overtake = configuration.reorder
-        self._flying: list[tuple[int, int, _Flight, Item]] = []
-        self._entered = self._latest_due_ns = self._bandwidth_free_ns = 0
-        self._newest_out = -1
+        self._under_way: list[tuple[int, _Transit, Item]] = []
+        self._latest_due_ns = self._bandwidth_free_ns = 0
         self._statistics = TransportStatistics()
         start = self._schedule.at(0)
         self.mean_delay_ns = round(start.delay_ns + self._jitter.mean * start.jitter_ns)
@@ -66,37 +90,31 @@ class ImpairedChannel(Channel[Item]):
     def send(self, item: Item, now_ns: int, size_bytes: int) -> None:
         conditions = self._schedule.at(now_ns)
         jitter = self._jitter.draw(conditions.correlation)
-        is_lost = self._loss.takes(conditions)
+        is_lost = self._loss.loses_next(conditions)
         is_doubled = next(self._duplicate_numbers) < conditions.duplicate
-        flight = _Flight(self._statistics.sent, now_ns, is_copy=False)
+        transit = _Transit(self._statistics.sent, now_ns, is_copy=False)
         self._statistics.note_sent(is_lost=is_lost)
         if is_lost:
             return
-        self._launch(item, flight, self._due_ns(conditions, jitter, now_ns, size_bytes))
+        self._dispatch(item, transit, self._due_ns(conditions, jitter, now_ns, size_bytes))
         if is_doubled:
-            jitter = self._copys_jitter.draw(0.0)
-            copy = flight._replace(is_copy=True)
-            self._launch(item, copy, self._due_ns(conditions, jitter, now_ns, size_bytes))
+            jitter = self._copy_jitter.draw(0.0)
+            copy = transit._replace(is_copy=True)
+            self._dispatch(item, copy, self._due_ns(conditions, jitter, now_ns, size_bytes))
 
     def receive(self) -> tuple[int, Item]:
-        due_ns, _, flight, item = heapq.heappop(self._flying)
-        self.next_due_ns = self._flying[0][0] if self._flying else NEVER_NS
-        statistics = self._statistics
-        statistics.note_delivered(due_ns - flight.sent_ns)
-        if flight.is_copy:
-            statistics.duplicated += 1
-        elif flight.number < self._newest_out:
-            statistics.reordered += 1
-        self._newest_out = max(self._newest_out, flight.number)
+        due_ns, transit, item = heapq.heappop(self._under_way)
+        self.next_due_ns = self._under_way[0][0] if self._under_way else NEVER_NS
+        delay_ns = due_ns - transit.sent_ns
+        self._statistics.note_delivered(delay_ns, transit.number, is_copy=transit.is_copy)
         return due_ns, item
 
     def statistics(self) -> TransportStatistics:
         return self._statistics
 
-    def _launch(self, item: Item, flight: _Flight, due_ns: int) -> None:
-        heapq.heappush(self._flying, (due_ns, self._entered, flight, item))
-        self._entered += 1
-        self.next_due_ns = self._flying[0][0]
+    def _dispatch(self, item: Item, transit: _Transit, due_ns: int) -> None:
+        heapq.heappush(self._under_way, (due_ns, transit, item))
+        self.next_due_ns = self._under_way[0][0]
 
     def _due_ns(self, conditions: Conditions, jitter: float, now_ns: int, size_bytes: int) -> int:
         """When a message comes out; it passes the limited bandwidth first, then it is delayed."""

@@ -70,18 +70,11 @@ class Jitter:
         self._normal = normal_numbers(random)
         self._z = next(self._normal)
         self._correlation, self._keep, self._renew = 0.0, 0.0, 1.0
-        self.mean = 0.0
-        match configuration.distribution:
-            case "uniform":
-                self._quantile: Quantile = _uniform
-            case "normal":
-                self._quantile = float
-            case "pareto":
-                self._quantile = _pareto
-            case "empirical":
-                delays_ms = read_delays_ms(Path(configuration.distribution_file or ""))
-                self._quantile = _empirical(delays_ms)
-                self.mean = float(delays_ms.mean())
+        if configuration.distribution_file is None:
+            self._quantile, self.mean = QUANTILES[configuration.distribution], 0.0
+        else:
+            delays_ms = read_delays_ms(Path(configuration.distribution_file))
+            self._quantile, self.mean = _empirical(delays_ms), float(delays_ms.mean())
 
     def draw(self, correlation: float) -> float:
         """The next draw, correlated like this with the one before."""
@@ -130,6 +123,10 @@ def _pareto(z: float) -> float:
     """Shape 3, mean 0, standard deviation 1. netem's table has 1.15 for the latter, cut at 4."""
     upper_tail = 0.5 * math.erfc(z / math.sqrt(2.0))
     return (math.pow(upper_tail, -1.0 / _PARETO_SHAPE) - _PARETO_MEAN) / _PARETO_DEVIATION
+
+
+QUANTILES: dict[str, Quantile] = {"uniform": _uniform, "normal": float, "pareto": _pareto}
+"""The distributions that need no file, as ``distribution`` names them."""
 
 
 def _empirical(ascending: Vector) -> Quantile:

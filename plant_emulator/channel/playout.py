@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 
 from plant_emulator.channel.channel import NEVER_NS, Channel
+from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
 
 
@@ -29,7 +30,6 @@ class PlayoutBuffer:
         self._arrived = 0
         self.next_due_ns = NEVER_NS
         self.mean_delay_ns = channel.mean_delay_ns
-        self.statistics = channel.statistics
 
     def send(self, command: Command, now_ns: int, size_bytes: int) -> None:
         """Put `command` on its way, as `Channel.send` does."""
@@ -49,6 +49,10 @@ class PlayoutBuffer:
             due.append((out_ns, command))
         self._find_next()
         return due
+
+    def statistics(self) -> TransportStatistics:
+        """What became of the commands in the channel; none is lost here."""
+        return self._channel.statistics()
 
     def _find_next(self) -> None:
         out_ns = self._waiting[0][0] if self._waiting else NEVER_NS

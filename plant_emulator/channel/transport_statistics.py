@@ -35,6 +35,7 @@ class TransportStatistics:
     longest_loss_burst: int = 0
     delays_us: Counter[int] = field(default_factory=Counter)
     _burst: int = 0
+    _newest: int = -1
 
     def note_sent(self, *, is_lost: bool) -> None:
         """Count a message that was handed to the channel."""
@@ -47,23 +48,31 @@ class TransportStatistics:
         self._burst += 1
         self.longest_loss_burst = max(self.longest_loss_burst, self._burst)
 
-    def note_delivered(self, delay_ns: int) -> None:
-        """Count a message that came out."""
+    def note_delivered(self, delay_ns: int, number: int, *, is_copy: bool) -> None:
+        """Count a message that came out.
+
+        Args:
+            delay_ns: time from entering the channel to coming out of it.
+            number: of the message, in the order of sending.
+            is_copy: whether it is the second one of its number.
+        """
         self.delivered += 1
         self.delays_us[(delay_ns + 500) // 1000] += 1
+        if is_copy:
+            self.duplicated += 1
+        elif number < self._newest:
+            self.reordered += 1
+        self._newest = max(self._newest, number)
 
     def summary(self) -> dict[str, Any]:
-        """The part of ``summary.json`` that tells of this direction; null where there is nothing.
+        """The section of ``summary.json`` on this direction; null where there is nothing.
 
         ``delay_ms`` is the time from entering the channel to coming out of it.
         """
         mean_burst = self.lost / self.loss_bursts if self.loss_bursts else None
+        counts = ("sent", "delivered", "lost", "duplicated", "reordered")
         return {
-            "sent": self.sent,
-            "delivered": self.delivered,
-            "lost": self.lost,
-            "duplicated": self.duplicated,
-            "reordered": self.reordered,
+            **{name: getattr(self, name) for name in counts},
             "delay_ms": self._delay_ms(),
             "loss_burst": {"mean": mean_burst, "longest": self.longest_loss_burst},
         }

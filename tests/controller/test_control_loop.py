@@ -15,9 +15,10 @@ from bus_schema.messages.types import JOINT_STATE, PLANT_STATUS, TYPESTORE
 from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import VirtualClock
 from bus_schema.runtime.modes import Mode, mode_in
-from controller.configuration import ControllerConfiguration, FunnelConfiguration
+from controller.configuration import ControllerConfiguration
 from controller.control_law import Diagnostics
 from controller.control_loop import ControlLoop, ControlTask
+from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import CartesianPath, JointSinusoids
 from controller.torque_guard import InvalidTorqueError
 from deploy.scenario.robot_files import find_urdf

@@ -6,19 +6,29 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from bus_schema.configuration import ConfigurationError
-from controller.configuration import FunnelConfiguration
 from controller.funnel import (
     Funnel,
-    inverse_transform,
     performance_function,
     transform,
     transformation_accelerations,
     transformation_rates,
 )
+from controller.funnel_configuration import FunnelConfiguration
 
 BOUND = st.floats(1e-3, 2.0)
 INSIDE = st.floats(-0.97, 0.97)  # share of the bound on the side of the error
 STEP_S = 2e-5
+
+
+def still(bound):
+    """A bound that does not move."""
+    return bound, 0.0, 0.0
+
+
+def inverse_transform(transformed, upper, lower):
+    """E = l u (E − 1) / (u + l E) with E = e^(2ε), for bounds of these sizes."""
+    growth = math.exp(2.0 * transformed)
+    return lower * upper * (growth - 1.0) / (upper + lower * growth)
 
 
 def slope(function, at):
@@ -37,7 +47,7 @@ def error_at(share, upper, lower):
 @given(share=INSIDE, upper=BOUND, lower=BOUND)
 def test_inverse_undoes_the_transformation(share, upper, lower):
     error = error_at(share, upper, lower)
-    back = inverse_transform(transform(error, upper, lower), upper, lower)
+    back = inverse_transform(transform(error, still(upper), still(lower)), upper, lower)
     # Rounding of ln and exp alone, relative to the wider bound.
     assert back == pytest.approx(error, abs=1e-14 * max(upper, lower) / min(upper, lower))
 
@@ -51,15 +61,16 @@ def test_inverse_maps_every_number_into_the_funnel(epsilon, upper, lower):
 def test_transformation_is_strictly_increasing(shares, upper, lower):
     smaller, larger = sorted(error_at(share, upper, lower) for share in shares)
     assume(larger - smaller > 1e-12)
-    assert transform(smaller, upper, lower) < transform(larger, upper, lower)
-    assert transformation_rates(smaller, upper, lower, 0.0, 0.0)[0] > 0.0
+    bounds = still(upper), still(lower)
+    assert transform(smaller, *bounds) < transform(larger, *bounds)
+    assert transformation_rates(smaller, *bounds)[0] > 0.0
 
 
 @given(upper=BOUND, lower=BOUND, d_upper=st.floats(-9.0, 0.0), d_lower=st.floats(-9.0, 0.0))
 def test_zero_error_is_zero_and_stays_so_however_unequal_the_bounds(upper, lower, d_upper, d_lower):
-    assert transform(0.0, upper, lower) == 0.0
+    assert transform(0.0, still(upper), still(lower)) == 0.0
     assert inverse_transform(0.0, upper, lower) == 0.0
-    assert transformation_rates(0.0, upper, lower, d_upper, d_lower)[1] == 0.0
+    assert transformation_rates(0.0, (upper, d_upper, 0.0), (lower, d_lower, 0.0))[1] == 0.0
 
 
 @given(
@@ -99,16 +110,13 @@ class Motion:
         return error, rate
 
     def transformed(self, time_s):
-        upper, lower = self.bounds(time_s)
-        return transform(self.error(time_s)[0], upper[0], lower[0])
+        return transform(self.error(time_s)[0], *self.bounds(time_s))
 
     def rates(self, time_s):
-        (u, d_u, _), (lo, d_lo, _) = self.bounds(time_s)
-        return transformation_rates(self.error(time_s)[0], u, lo, d_u, d_lo)
+        return transformation_rates(self.error(time_s)[0], *self.bounds(time_s))
 
     def accelerations(self, time_s):
-        (u, d_u, dd_u), (lo, d_lo, dd_lo) = self.bounds(time_s)
-        return transformation_accelerations(*self.error(time_s), u, lo, d_u, d_lo, dd_u, dd_lo)
+        return transformation_accelerations(*self.error(time_s), *self.bounds(time_s))
 
 
 MOTIONS = st.builds(

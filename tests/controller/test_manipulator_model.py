@@ -131,6 +131,11 @@ def test_joints_keep_the_order_of_the_file(tmp_path):
         acceleration = forward.forward_dynamics(position, velocity, velocity)[::-1]
         reverse = backward.forward_dynamics(position[::-1], velocity[::-1], velocity[::-1])
         np.testing.assert_allclose(reverse, acceleration, atol=1e-10)
+        torque = forward.torque_along(position, velocity, 2.0 * position, velocity)[::-1]
+        reverse = backward.torque_along(
+            position[::-1], velocity[::-1], 2.0 * position[::-1], velocity[::-1]
+        )
+        np.testing.assert_allclose(reverse, torque, atol=1e-12)
         np.testing.assert_allclose(
             backward.tip_position(position[::-1]), forward.tip_position(position), atol=1e-12
         )

@@ -6,9 +6,9 @@ import pytest
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.robot_description import load_robot
-from controller.configuration import MinimumJerkConfiguration
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, sample_positions
+from controller.reference_configuration import MinimumJerkConfiguration
 from deploy.scenario.robot_files import find_urdf
 from deploy.scenario.scenario import load_setup
 

@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.laws.rbf_network import NODES, activate, adapt, node_axis
+from controller.laws.rbf_network import NODE_AXIS, NODES, activate, adapt
 
 INPUT = st.floats(-1.0, 1.0)
 
 
-CENTRES = np.array([(x, y) for x in node_axis() for y in node_axis()])
+CENTRES = np.array([(x, y) for x in NODE_AXIS for y in NODE_AXIS])
 
 
 def activation(x, y, width=0.3):
     out = np.empty(NODES)
-    activate(x, y, node_axis(), width, out)
+    activate(x, y, width, out)
     return out
 
 

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
-from plant_emulator.channel.loss import Loss
-from plant_emulator.channel.schedule import Schedule
+from plant_emulator.channel.conditions import ConditionsSchedule
+from plant_emulator.channel.impairment import Loss
 
 MESSAGES = 60_000
 
 
 def losses(seed=3, **channel):
     """Whether each message is lost, shape (messages,)."""
-    conditions = Schedule(ChannelConfiguration(**channel)).at(0)
+    conditions = ConditionsSchedule(ChannelConfiguration(**channel)).at(0)
     loss = Loss(np.random.default_rng(seed), np.random.default_rng(seed + 1000))
-    return np.array([loss.takes(conditions) for _ in range(MESSAGES)])
+    return np.array([loss.loses_next(conditions) for _ in range(MESSAGES)])
 
 
 def bursts(lost):

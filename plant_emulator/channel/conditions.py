@@ -10,13 +10,11 @@ from bus_schema.link.channel_configuration import (
     ChangeableConditions,
     ChannelConfiguration,
     Outage,
-    Ramp,
-    Step,
 )
 from plant_emulator.fault_configuration import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
 
-_LOSSLESS_CHAIN = (0.0, 1.0, 1.0, 0.0)
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6
+_CHAIN = ("p", "r", "loss_in_bad", "loss_in_good")
 
 
 class Conditions(NamedTuple):
@@ -35,16 +33,16 @@ class Conditions(NamedTuple):
         ns_per_byte: time that a byte takes to pass; 0 without a bandwidth limit.
     """
 
-    delay_ns: float
-    jitter_ns: float
-    correlation: float
-    loss: float
-    p: float
-    r: float
-    loss_in_bad: float
-    loss_in_good: float
-    duplicate: float
-    ns_per_byte: float
+    delay_ns: float = 0.0
+    jitter_ns: float = 0.0
+    correlation: float = 0.0
+    loss: float = 0.0
+    p: float = 0.0
+    r: float = 1.0
+    loss_in_bad: float = 1.0
+    loss_in_good: float = 0.0
+    duplicate: float = 0.0
+    ns_per_byte: float = 0.0
 
 
 class _Change(NamedTuple):
@@ -53,19 +51,19 @@ class _Change(NamedTuple):
     target: Conditions
 
 
-class Schedule:
+class ConditionsSchedule:
     """The conditions of a channel over a run.
 
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
-        faults: what befalls the channel beside it.
+        faults: scheduled faults of this direction.
     """
 
     def __init__(
         self, configuration: ChannelConfiguration, faults: Sequence[ChannelFault] = ()
     ) -> None:
         self._faults = faults
-        self._settled = target = _initial(configuration)
+        self._settled = target = Conditions(**_given(configuration))
         self._changes: deque[_Change] = deque()
         self._outages: deque[tuple[int, int]] = deque()
         for entry in configuration.schedule:
@@ -73,7 +71,7 @@ class Schedule:
             if isinstance(entry, Outage):
                 self._outages.append((start_ns, start_ns + round(entry.for_s * 1e9)))
             else:
-                target = _changed(target, entry)
+                target = target._replace(**_given(entry))
                 self._changes.append(_Change(start_ns, round(entry.end_s * 1e9), target))
 
     def at(self, now_ns: int) -> Conditions:
@@ -93,34 +91,24 @@ class Schedule:
         return conditions
 
 
-def _initial(configuration: ChannelConfiguration) -> Conditions:
-    is_empirical = configuration.distribution == "empirical"  # its draws are delays in ms
-    return Conditions(
-        configuration.delay_ms * 1e6,
-        1e6 if is_empirical else configuration.jitter_ms * 1e6,
-        configuration.correlation,
-        configuration.loss,
-        *(configuration.burst_loss.chain if configuration.burst_loss else _LOSSLESS_CHAIN),
-        configuration.duplicate,
-        _ns_per_byte(configuration.rate_kbit_s) if configuration.rate_kbit_s else 0.0,
-    )
-
-
-def _changed(before: Conditions, entry: Step | Ramp) -> Conditions:
-    values = {name: getattr(entry, name) for name in ChangeableConditions.model_fields}
-    given = {name: value for name, value in values.items() if value is not None}
-    changes: dict[str, float] = {}
-    for name, value in given.items():
-        if name in ("delay_ms", "jitter_ms"):
-            changes[name.replace("_ms", "_ns")] = value * 1e6
-        elif name == "rate_kbit_s":
-            changes["ns_per_byte"] = _ns_per_byte(value)
-        elif name == "burst_loss":
-            names = ("p", "r", "loss_in_bad", "loss_in_good")
-            changes |= dict(zip(names, value.chain, strict=True))
+def _given(section: ChannelConfiguration | ChangeableConditions) -> dict[str, float]:
+    """What a section gives of the conditions, by their own names and units."""
+    given: dict[str, float] = {}
+    for key in ChangeableConditions.model_fields:
+        value = getattr(section, key)
+        if value is None:
+            continue
+        if key.endswith("_ms"):
+            given[key.replace("_ms", "_ns")] = value * 1e6
+        elif key == "rate_kbit_s":
+            given["ns_per_byte"] = _NS_PER_BYTE_AT_1_KBIT_S / value
+        elif key == "burst_loss":
+            given |= zip(_CHAIN, value.chain, strict=True)
         else:
-            changes[name] = value
-    return before._replace(**changes)
+            given[key] = value
+    if isinstance(section, ChannelConfiguration) and section.distribution == "empirical":
+        given["jitter_ns"] = 1e6  # its draws are delays in ms
+    return given
 
 
 def _faulty(conditions: Conditions, fault: ChannelFault) -> Conditions:
@@ -137,7 +125,3 @@ def _between(before: Conditions, ramp: _Change, now_ns: int) -> Conditions:
     share = (now_ns - ramp.start_ns) / (ramp.end_ns - ramp.start_ns)
     pairs = zip(before, ramp.target, strict=True)
     return Conditions(*(start + share * (end - start) for start, end in pairs))
-
-
-def _ns_per_byte(rate_kbit_s: float) -> float:
-    return _NS_PER_BYTE_AT_1_KBIT_S / rate_kbit_s

@@ -1,0 +1,113 @@
+"""Section ``reference`` of a scenario, and the trajectories that it builds."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from bus_schema.configuration import NonNegative, PerJoint, StrictModel, expand
+from bus_schema.robot_description import RobotDescription
+from controller.manipulator_model import ManipulatorModel
+from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference
+
+
+class AxisConfiguration(StrictModel):
+    """One Cartesian axis: offset + velocity t + amplitude sin(frequency t + phase)."""
+
+    offset_m: float
+    velocity_m_s: float = 0.0
+    amplitude_m: float = 0.0
+    frequency_rad_s: float = 0.0
+    phase_rad: float = 0.0
+
+
+class CartesianPathConfiguration(StrictModel):
+    """A path of the tool of a yaw-pitch-pitch arm in the base frame."""
+
+    kind: Literal["cartesian_path"]
+    x: AxisConfiguration
+    y: AxisConfiguration
+    z: AxisConfiguration
+
+    def build(self, robot: RobotDescription) -> Reference:
+        """The path on this arm.
+
+        Raises:
+            ConfigurationError: the arm is no yaw-pitch-pitch arm.
+        """
+        axes = np.array([list(axis.model_dump().values()) for axis in (self.x, self.y, self.z)])
+        return CartesianPath(axes, *ManipulatorModel(robot).yaw_pitch_pitch_lengths())
+
+
+class SinusoidConfiguration(StrictModel):
+    """One sinusoid for every joint."""
+
+    amplitude_rad: PerJoint
+    frequency_rad_s: PerJoint
+    phase_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
+
+
+class JointSinusoidsConfiguration(StrictModel):
+    """A sum of sinusoids about a centre, for any arm."""
+
+    kind: Literal["joint_sinusoids"]
+    centre_rad: PerJoint
+    terms: Annotated[list[SinusoidConfiguration], Field(min_length=1)]
+
+    def build(self, robot: RobotDescription) -> Reference:
+        """The trajectory for this arm.
+
+        Raises:
+            ConfigurationError: there are as many values as suits another arm.
+        """
+        terms = []
+        for index, term in enumerate(self.terms):
+            key = f"reference.terms.{index}"
+            values = [expand(value, robot.joints, f"{key}.{name}") for name, value in term]
+            terms.append(np.stack(values, axis=-1))
+        centre = expand(self.centre_rad, robot.joints, "reference.centre_rad")
+        return JointSinusoids(centre, np.array(terms))
+
+
+class WaypointConfiguration(StrictModel):
+    """Where the arm rests at a time."""
+
+    time_s: NonNegative
+    position_rad: PerJoint
+
+
+class MinimumJerkConfiguration(StrictModel):
+    """Rest-to-rest moves through waypoints, for any arm."""
+
+    kind: Literal["minimum_jerk"]
+    waypoints: Annotated[list[WaypointConfiguration], Field(min_length=1)]
+
+    @field_validator("waypoints")
+    @classmethod
+    def _in_order(cls, waypoints: list[WaypointConfiguration]) -> list[WaypointConfiguration]:
+        times = [waypoint.time_s for waypoint in waypoints]
+        if any(b <= a for a, b in itertools.pairwise(times)):
+            raise ValueError("waypoints with increasing time_s")
+        return waypoints
+
+    def build(self, robot: RobotDescription) -> Reference:
+        """The trajectory for this arm.
+
+        Raises:
+            ConfigurationError: there are as many values as suits another arm.
+        """
+        positions = [
+            expand(waypoint.position_rad, robot.joints, f"reference.waypoints.{i}.position_rad")
+            for i, waypoint in enumerate(self.waypoints)
+        ]
+        times = np.array([waypoint.time_s for waypoint in self.waypoints])
+        return MinimumJerk(times, np.array(positions))
+
+
+ReferenceConfiguration = Annotated[
+    CartesianPathConfiguration | JointSinusoidsConfiguration | MinimumJerkConfiguration,
+    Field(discriminator="kind"),
+]
