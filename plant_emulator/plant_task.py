@@ -8,7 +8,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.fault_configuration import Fault
+from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.faulty_link import Strike
 
 

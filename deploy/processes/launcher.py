@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from bus_schema.messages.topics import Role
-from deploy.processes.process_faults import Striker
+from deploy.processes.fault_injector import Striker
 from deploy.runs.run_folder import RunFolder
 from deploy.scenario.scenario import Setup
 

@@ -24,8 +24,8 @@ from bus_schema.runtime.realtime import Grant, forgo_preemption, go_realtime, re
 from bus_schema.zenoh.link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
+from deploy.processes.fault_injector import order_values
 from deploy.processes.links import open_controller_link, open_plant_link
-from deploy.processes.process_faults import order_values
 from deploy.processes.recorder import Recorder
 from deploy.scenario.faults import Order, process_strikes
 from deploy.scenario.scenario import Setup

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
 from bus_schema.messages.topics import Role
-from plant_emulator.fault_configuration import (
+from plant_emulator.faults.fault import (
     ChannelFault,
     Fault,
     JointFault,

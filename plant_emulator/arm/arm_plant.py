@@ -19,8 +19,8 @@ from plant_emulator.arm.bullet_server import require_loadable
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.fault_configuration import Fault
-from plant_emulator.faults.arm_faults import ArmFaults
+from plant_emulator.faults.fault import Fault
+from plant_emulator.faults.faulty_arm import ArmFaults
 
 
 class ArmPlant:

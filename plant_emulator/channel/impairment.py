@@ -23,7 +23,7 @@ from plant_emulator.channel.random_numbers import uniform_numbers
 from plant_emulator.channel.schedule import Conditions, Schedule
 from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
-from plant_emulator.fault_configuration import ChannelFault, Fault
+from plant_emulator.faults.fault import ChannelFault, Fault
 
 
 class _Flight(NamedTuple):

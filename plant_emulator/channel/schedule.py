@@ -13,7 +13,7 @@ from bus_schema.link.channel_configuration import (
     Ramp,
     Step,
 )
-from plant_emulator.fault_configuration import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
+from plant_emulator.faults.fault import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
 
 _LOSSLESS_CHAIN = (0.0, 1.0, 1.0, 0.0)
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6

@@ -22,7 +22,7 @@ from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock
 from plant_emulator.channel.random_numbers import uniform_numbers
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.fault_configuration import (
+from plant_emulator.faults.fault import (
     FOREVER_NS,
     ClockStep,
     Fault,

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from plant_emulator.fault_configuration import (
+from plant_emulator.faults.fault import (
     ActuatorDead,
     ActuatorWeak,
     ArmFault,
