@@ -1,28 +1,29 @@
-"""Strikes whole processes, when the plant says that it is time."""
+"""Does to whole processes what faults ask for, when the plant says that it is time."""
 
 from __future__ import annotations
 
 import signal
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 from bus_schema.messages.topics import Role
-from deploy.scenario.faults import Blow, Order
+from plant_emulator.faults.process_faults import ProcessAction
+from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
-_PATIENCE_S = 2.0
+_FREEZE_TIMEOUT_S = 2.0
 _POLL_S = 0.002
 
 
-class Target(Protocol):
-    """What is struck."""
+class Process(Protocol):
+    """What a fault can happen to."""
 
     def is_running(self) -> bool:
         """Whether the process is there."""
         ...
 
-    def is_stopped(self) -> bool:
-        """Whether it is frozen."""
+    def is_frozen(self) -> bool:
+        """Whether it is stopped by a signal."""
         ...
 
     def kill(self) -> None:
@@ -34,69 +35,56 @@ class Target(Protocol):
         ...
 
 
-class Striker:
-    """Carries out orders, each once: a plant that was restarted has the same schedule again.
+class ProcessFaultInjector:
+    """Does each action once: a plant that was restarted asks for all of its actions again.
 
     Args:
-        targets: the processes by role, as they are at any time.
+        processes: the processes by role, as they are at any time.
         start: starts a process anew.
 
     Attributes:
-        away: processes that were killed and will be back.
+        removed: processes that were killed and will be started again.
     """
 
-    def __init__(self, targets: Mapping[Role, Target], start: Callable[[Role], None]) -> None:
-        self._targets = targets
+    def __init__(self, processes: Mapping[Role, Process], start: Callable[[Role], None]) -> None:
+        self._processes = processes
         self._start = start
-        self._done: set[Order] = set()
-        self._due: list[tuple[float, Order]] = []
-        self.away: set[Role] = set()
+        self._requested: set[int] = set()
+        self._delayed = FaultScheduler([])
+        self.removed: set[Role] = set()
 
-    def hear(self, values: Mapping[str, Any]) -> None:
-        """Carry out an order that came as the JSON of `order_values`."""
-        undone_by = values["undone_by"]
-        order = Order(
-            Role(values["target"]), Blow(values["blow"]),
-            Blow(undone_by) if undone_by else None, values["for_s"],
-        )  # fmt: skip
-        if order in self._done:
+    def request(self, action: ProcessAction) -> None:
+        """Do what is asked for, now or after its delay, unless it was asked for before."""
+        if action.number in self._requested:
             return
-        self._done.add(order)
-        self._strike(order.target, order.blow)
-        if order.undone_by is not None:
-            due_s = time.monotonic() + order.for_s
-            self._due.append((due_s, Order(order.target, order.undone_by)))
+        self._requested.add(action.number)
+        due_ns = time.monotonic_ns() + round(action.delay_s * 1e9)
+        self._delayed.add(ScheduledAction(due_ns, action.verb, lambda _: self._perform(action)))
+        self.run_due()
 
-    def undo_what_is_due(self) -> None:
-        """End the faults whose time on the wall is over."""
-        now_s = time.monotonic()
-        for due_s, order in list(self._due):
-            if due_s <= now_s:
-                self._due.remove((due_s, order))
-                self._strike(order.target, order.blow)
+    def run_due(self) -> None:
+        """Do what was asked for with a delay that is over now."""
+        self._delayed.run_due(time.monotonic_ns())
 
-    def _strike(self, role: Role, blow: Blow) -> None:
-        target = self._targets[role]
-        match blow:
-            case Blow.KILL:
-                target.kill()
-            case Blow.TAKE_AWAY:
-                self.away.add(role)
-                target.kill()
-            case Blow.BRING_BACK:
-                self._start(role)
-                self.away.discard(role)
-            case Blow.FREEZE:
-                target.send(signal.SIGSTOP)
-                give_up_s = time.monotonic() + _PATIENCE_S
-                while target.is_running() and not target.is_stopped():
-                    if time.monotonic() > give_up_s:
-                        return
-                    time.sleep(_POLL_S)
-            case Blow.THAW:
-                target.send(signal.SIGCONT)
+    def _perform(self, action: ProcessAction) -> None:
+        process = self._processes[action.target]
+        match action.verb:
+            case "kill":
+                process.kill()
+            case "remove":
+                self.removed.add(action.target)
+                process.kill()
+            case "start":
+                self._start(action.target)
+                self.removed.discard(action.target)
+            case "freeze":
+                _freeze(process)
+            case "resume":
+                process.send(signal.SIGCONT)
 
 
-def order_values(order: Order) -> dict[str, Any]:
-    """An order as values for JSON."""
-    return order._asdict()
+def _freeze(process: Process) -> None:
+    process.send(signal.SIGSTOP)
+    give_up_s = time.monotonic() + _FREEZE_TIMEOUT_S
+    while process.is_running() and not process.is_frozen() and time.monotonic() < give_up_s:
+        time.sleep(_POLL_S)

@@ -60,13 +60,15 @@ class ArmPlant:
         self._stop_damping, self.torques, self._encoders = _joint_hardware(
             configuration, robot, grid, limits, *randoms[:2]
         )
-        self._faults = ArmFaults(faults, robot.joint_names, randoms[2]) if faults else None
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._commanded_memory = self._commanded.data  # written to in a third of the array's time
         self._grid = grid
         self._arm = BulletArm(
             robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
+        )
+        self._faults = (
+            ArmFaults(faults, robot.joint_names, randoms[2], self._arm) if faults else None
         )
         self._arm.place(start_position_rad)
         self.position: Vector = self._arm.position
@@ -102,7 +104,7 @@ class ArmPlant:
         """Write what is to be seen at `now_ns`."""
         self._show()
         if self._faults is not None:
-            self._faults.sense(self._seen, now_ns)
+            self._faults.spoil_readings(self._seen, now_ns)
 
     def begin(self) -> None:
         """Take part in a run: the brakes hold until the first torque."""
@@ -153,18 +155,17 @@ class ArmPlant:
                 np.multiply(self._stop_damping, self.velocity, out=self._commanded)
                 np.negative(self._commanded, out=self._commanded)
             if self._faults is not None:
-                self._suffer(self._faults, self._grid.substep_ns(number))
+                self._apply_faults(self._faults, self._grid.substep_ns(number))
             self._go(number, number + 1)
 
     def close(self) -> None:
         """Free the physics server."""
         self._arm.close()
 
-    def _suffer(self, faults: ArmFaults, now_ns: int) -> None:
+    def _apply_faults(self, faults: ArmFaults, now_ns: int) -> None:
         """Let the faults come between what is commanded and what the actuators are asked for."""
-        if faults.payload_falls(now_ns):
-            self._arm.drop_payload()
-        faults.ask(self._commanded, now_ns, self.torques.asked)
+        faults.begin_due(now_ns)
+        self.torques.asked[:] = faults.faulty_torques(self._commanded, now_ns)
 
     def _go(self, first: int, end: int) -> None:
         if self._is_braked:

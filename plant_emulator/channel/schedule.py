@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from bus_schema.link.channel_configuration import (
     ChangeableConditions,
@@ -13,7 +13,6 @@ from bus_schema.link.channel_configuration import (
     Ramp,
     Step,
 )
-from plant_emulator.faults.fault import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
 
 _LOSSLESS_CHAIN = (0.0, 1.0, 1.0, 0.0)
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6
@@ -47,6 +46,18 @@ class Conditions(NamedTuple):
     ns_per_byte: float
 
 
+class ConditionFault(Protocol):
+    """What changes the conditions of a channel for a time."""
+
+    def is_active(self, now_ns: int) -> bool:
+        """Whether it does so now."""
+        ...
+
+    def changed(self, conditions: Conditions) -> Conditions:
+        """The conditions while it does so."""
+        ...
+
+
 class _Change(NamedTuple):
     start_ns: int
     end_ns: int
@@ -62,7 +73,7 @@ class Schedule:
     """
 
     def __init__(
-        self, configuration: ChannelConfiguration, faults: Sequence[ChannelFault] = ()
+        self, configuration: ChannelConfiguration, faults: Sequence[ConditionFault] = ()
     ) -> None:
         self._faults = faults
         self._settled = target = _initial(configuration)
@@ -89,7 +100,7 @@ class Schedule:
             conditions = conditions._replace(loss=1.0)
         for fault in self._faults:
             if fault.is_active(now_ns):
-                conditions = _faulty(conditions, fault)
+                conditions = fault.changed(conditions)
         return conditions
 
 
@@ -121,16 +132,6 @@ def _changed(before: Conditions, entry: Step | Ramp) -> Conditions:
         else:
             changes[name] = value
     return before._replace(**changes)
-
-
-def _faulty(conditions: Conditions, fault: ChannelFault) -> Conditions:
-    match fault:
-        case LinkCut():
-            return conditions._replace(loss=1.0)
-        case LinkSlowed():
-            return conditions._replace(delay_ns=conditions.delay_ns + fault.delay_ms * 1e6)
-        case LinkDuplicated():
-            return conditions._replace(duplicate=max(conditions.duplicate, fault.share))
 
 
 def _between(before: Conditions, ramp: _Change, now_ns: int) -> Conditions:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.runtime.clock import Clock, TickGrid
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.drives.bank import DriveBank
-from plant_emulator.drives.fault_plan import FaultPlan
+from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
 
 
 @dataclass
@@ -40,7 +40,7 @@ class DriveRig:
         bus: what the drives hear.
         clock: the rig's time.
         grid: when drives and physics have their turns.
-        plan: what goes wrong.
+        faults: what goes wrong.
         on_frame: called with every frame that comes, before the drives get it.
         on_event: called with a sentence when something happens.
 
@@ -56,12 +56,13 @@ class DriveRig:
         clock: Clock,
         grid: TickGrid,
         *,
-        plan: FaultPlan,
+        faults: Sequence[PlannedFault],
         on_frame: Callable[[CanFrame], None],
         on_event: Callable[[str], None],
     ) -> None:
         self._arm, self._bank, self._bus = arm, bank, bus
-        self._clock, self._grid, self._plan = clock, grid, plan
+        self._clock, self._grid = clock, grid
+        self._faults = schedule_faults(faults, bank)
         self._on_frame, self._on_event = on_frame, on_event
         self._motion = np.zeros_like(arm.motion)
         arm.attach_encoders(self._motion)
@@ -81,8 +82,7 @@ class DriveRig:
         while not self._stop_requested and (ticks is None or self.counts.ticks < ticks):
             self._hear_until(self._grid.tick_ns(self.counts.ticks + 1))
             now_ns = self._clock.now_ns()
-            for sentence in self._plan.carry_out(self._bank, now_ns):
-                self._on_event(sentence)
+            self._faults.run_due(now_ns, self._on_event)
             self._bank.advance(now_ns)
             self._tell()
             self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))

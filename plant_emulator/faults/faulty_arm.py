@@ -1,79 +1,78 @@
-"""Faults of the arm's hardware: encoders that lie, actuators that do not do what they are told."""
+"""What scheduled faults do to encoders and actuators, substep by substep."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from plant_emulator.faults.fault import (
-    ActuatorDead,
-    ActuatorWeak,
+from plant_emulator.faults.arm_faults import (
+    ActuatorFault,
     ArmFault,
-    EncoderBiased,
-    EncoderNoisy,
-    EncoderStuck,
-    Fault,
-    PayloadDropped,
-    TorqueOffset,
+    ArmHardware,
+    EncoderFault,
+    EncoderReading,
+    FaultyEncoder,
 )
+from plant_emulator.faults.fault import Fault
+from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 
 class ArmFaults:
-    """What the scheduled faults do to the arm at an instant of the plant's clock.
+    """The faults of an arm; where two of them meet in a joint, the later in the scenario is last.
 
     Args:
         faults: all faults of the plant; those of other parts are passed over.
         joint_names: names of the joints, which the faults refer to.
         random: source of an encoder's noise.
+        arm: the arm as a whole.
     """
 
     def __init__(
-        self, faults: Iterable[Fault], joint_names: tuple[str, ...], random: np.random.Generator
+        self,
+        faults: Iterable[Fault],
+        joint_names: tuple[str, ...],
+        random: np.random.Generator,
+        arm: ArmHardware,
     ) -> None:
-        self._faults = [fault for fault in faults if isinstance(fault, ArmFault)]
+        own = [fault for fault in faults if isinstance(fault, ArmFault)]
+        self._encoder_faults = [fault for fault in own if isinstance(fault, EncoderFault)]
+        self._actuator_faults = [fault for fault in own if isinstance(fault, ActuatorFault)]
         self._joint = {name: joint for joint, name in enumerate(joint_names)}
         self._random = random
-        self._stuck_at_rad: dict[int, float] = {}
-        self._payload_falls_ns = [
-            fault.start_ns for fault in self._faults if isinstance(fault, PayloadDropped)
-        ]
+        self._first: dict[int, EncoderReading] = {}
+        self._beginnings = FaultScheduler(
+            ScheduledAction(fault.start_ns, str(fault), _beginning(fault, arm)) for fault in own
+        )
 
-    def ask(self, commanded_nm: Vector, now_ns: int, asked: Vector) -> None:
-        """Write the torques that the actuators are asked for in place of those commanded."""
-        asked[:] = commanded_nm
-        for fault in self._faults:
+    def begin_due(self, now_ns: int) -> None:
+        """Do to the arm what faults do once, when they begin."""
+        self._beginnings.run_due(now_ns)
+
+    def faulty_torques(self, commanded_nm: Vector, now_ns: int) -> Vector:
+        """Torques that the actuators take for those commanded, N m, shape (joints,)."""
+        requested_nm = commanded_nm.copy()
+        for fault in self._actuator_faults:
             if fault.is_active(now_ns):
-                match fault:
-                    case ActuatorDead():
-                        asked[self._joint[fault.joint]] = 0.0
-                    case ActuatorWeak():
-                        asked[self._joint[fault.joint]] *= fault.share
-                    case TorqueOffset():
-                        asked[self._joint[fault.joint]] += fault.torque_nm
+                joint = self._joint[fault.joint]
+                requested_nm[joint] = fault.faulty_torque_nm(float(requested_nm[joint]))
+        return requested_nm
 
-    def sense(self, motion: Matrix, now_ns: int) -> None:
-        """Spoil what the encoders read, positions and velocities as rows, in place."""
-        position, velocity = motion
-        for index, fault in enumerate(self._faults):
+    def spoil_readings(self, motion: Matrix, now_ns: int) -> None:
+        """Put what faulty encoders show in place of what they would show.
+
+        Args:
+            motion: positions, rad, and velocities, rad/s, as rows; changed in place.
+            now_ns: time on the plant's clock.
+        """
+        for index, fault in enumerate(self._encoder_faults):
             if fault.is_active(now_ns):
-                match fault:
-                    case EncoderStuck():
-                        joint = self._joint[fault.joint]
-                        position[joint] = self._stuck_at_rad.setdefault(index, position[joint])
-                        velocity[joint] = 0.0
-                    case EncoderBiased():
-                        position[self._joint[fault.joint]] += fault.bias_rad
-                    case EncoderNoisy():
-                        joint = self._joint[fault.joint]
-                        noise = self._random.standard_normal(2)
-                        position[joint] += fault.noise_rad * noise[0]
-                        velocity[joint] += fault.noise_rad_s * noise[1]
+                joint = self._joint[fault.joint]
+                reading = EncoderReading(*motion[:, joint].tolist())
+                first = self._first.setdefault(index, reading)
+                motion[:, joint] = fault.faulty_reading(FaultyEncoder(reading, first, self._random))
 
-    def payload_falls(self, now_ns: int) -> bool:
-        """Whether the payload falls off now; true once."""
-        if self._payload_falls_ns and self._payload_falls_ns[0] <= now_ns:
-            self._payload_falls_ns.clear()
-            return True
-        return False
+
+def _beginning(fault: ArmFault, arm: ArmHardware) -> Callable[[int], None]:
+    return lambda _now_ns: fault.begin(arm)

@@ -210,10 +210,13 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
     assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
 
 
-def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frozen", [None, "recorder", "plant"])
+def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path, frozen: str | None) -> None:
     words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]
     with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
         watcher.await_time(0.1, run)
+        if frozen is not None:
+            run.send(signal.SIGSTOP, frozen)
         run.send(signal.SIGKILL)
         await_true(lambda: not processes_of(run.folder), "the others follow")
         run.end()

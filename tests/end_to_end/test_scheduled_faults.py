@@ -46,6 +46,23 @@ def test_recorder_that_is_restarted_goes_on_in_another_file(tmp_path: Path) -> N
     assert len(second.payloads[PLANT_TRUTH.name]) > 0
 
 
+def test_recorder_that_is_restarted_twice_overwrites_nothing(tmp_path: Path) -> None:
+    restarts = [
+        {"kind": "process_restarted", "target": "recorder", "at_s": at_s, "for_s": 0.2}
+        for at_s in (1.0, 1.5)
+    ]
+    struck = run(tmp_path, "recorder_restarted", clock="lockstep", faults=restarts)
+    assert [fault for fault in struck.summary["faults"] if "killed" in fault] == [
+        "the recorder was killed by SIGKILL"
+    ] * 2
+    assert not read_log(struck.folder / "run-2.partial.mcap").complete
+    last = read_log(struck.folder / "run-3.mcap")
+    assert last.complete
+    assert last.payloads[PLANT_TRUTH.name]
+    told = [event.detail for event in struck.data.events if event.kind == EventKind.INJECTED]
+    assert told == ["process_restarted, target recorder: begins"]  # then it was gone
+
+
 def test_controller_that_is_restarted_does_not_move_a_stopped_arm(tmp_path: Path) -> None:
     struck = run(tmp_path, "controller_restarted", clock="lockstep")
     assert struck.code == 1
