@@ -65,7 +65,7 @@ def fault_scenarios() -> list[str]:
 
 
 def needs_processes(setup: Setup) -> bool:
-    """Whether a scenario strikes a process that a simulation has not."""
+    """Whether a fault is of a process that a simulation has not."""
     faults = process_faults(setup.scenario.faults)
     return any(Role(fault.target) is not Role.CONTROLLER for fault in faults)
 

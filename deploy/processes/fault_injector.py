@@ -1,4 +1,4 @@
-"""Does to whole processes what faults ask for, when the plant says that it is time."""
+"""Kills, freezes and restarts processes when the plant asks for it: the faults of processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a process tells whoever started it: sentences for people, JSON lines for `run`."""
+"""Status messages of a process to whoever started it: sentences for people, JSON for `run`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from plant_emulator.faults.process_faults import ProcessAction
 
 
 class StatusMessage(NamedTuple):
-    """What a process told.
+    """A message of a process about itself.
 
     Attributes:
         role: the process.
@@ -45,7 +45,7 @@ class StatusMessage(NamedTuple):
 
 
 class StatusReporter:
-    """Tells how a process is doing.
+    """Sends the status messages of a process.
 
     Args:
         role: the process.

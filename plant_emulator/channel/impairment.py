@@ -39,7 +39,7 @@ class ImpairedChannel(Channel[Item]):
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
         seed: seed of everything random here.
-        faults: what befalls it beside that.
+        faults: scheduled faults of this direction.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ def open_uplink(
     Args:
         link: section of the scenario.
         seed: the scenario's seed.
-        faults: what befalls this direction beside that.
+        faults: scheduled faults of this direction.
 
     Raises:
         ValueError: its file of delays cannot be used.
@@ -133,7 +133,7 @@ def open_downlink(
     Args:
         link: section of the scenario.
         seed: the scenario's seed.
-        faults: what befalls this direction beside that.
+        faults: scheduled faults of this direction.
 
     Raises:
         ValueError: its file of delays cannot be used.

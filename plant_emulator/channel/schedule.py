@@ -69,7 +69,7 @@ class Schedule:
 
     Args:
         configuration: a section ``link.uplink`` or ``link.downlink``.
-        faults: what befalls the channel beside it.
+        faults: scheduled faults of this direction.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ class DriveRig:
     Args:
         arm: the arm.
         bank: its drives.
-        bus: what the drives hear.
+        bus: what the drives are connected to.
         clock: the rig's time.
         grid: when drives and physics have their turns.
         faults: what goes wrong.
@@ -66,7 +66,7 @@ class DriveRig:
         self._on_frame, self._on_event = on_frame, on_event
         self._motion = np.zeros_like(arm.motion)
         arm.attach_encoders(self._motion)
-        self._told: list[str] = []
+        self._reported: list[str] = []
         self._stop_requested = False
         self.counts = RigCounts()
 
@@ -84,7 +84,7 @@ class DriveRig:
             now_ns = self._clock.now_ns()
             self._faults.run_due(now_ns, self._on_event)
             self._bank.advance(now_ns)
-            self._tell()
+            self._report_changes()
             self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))
             self._measure()
         self._arm.brake()
@@ -114,10 +114,10 @@ class DriveRig:
         position, velocity = self._motion
         self._bank.measure(position, velocity, self._arm.torques.actuator)
 
-    def _tell(self) -> None:
-        """Say which drives have changed their state."""
+    def _report_changes(self) -> None:
+        """Report which drives have changed their state."""
         statuses = self._bank.statuses
         for status in statuses:
-            if status not in self._told:
+            if status not in self._reported:
                 self._on_event(status)
-        self._told = statuses
+        self._reported = statuses

@@ -31,7 +31,7 @@ _STREAM = 102
 
 
 class FaultyLink:
-    """A link on which the scheduled faults happen, and every fault's beginning and end is told.
+    """A link on which scheduled faults happen; it announces where every fault begins and ends.
 
     The plant waits for one answer to each state. An answer that came is one that came, whatever
     has become of it; to a state that nobody can read, none will come.
@@ -41,7 +41,7 @@ class FaultyLink:
         clock: the plant's clock.
         gate: the gate that commands go to.
         joint_names: names of the joints.
-        faults: all faults of the plant; those of other parts are told of, no more.
+        faults: all faults of the plant; those of other parts are only announced.
         process_actions: what is asked of whoever started the processes.
         seed: the scenario's seed.
     """

@@ -1,4 +1,4 @@
-"""Faults in messages: what they say is wrong, or they come from somebody else."""
+"""Faults in messages: their content is wrong, or they come from another sender."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class ClockStep(MessageFault):
 
 
 class AddedCommander(LinkFault):
-    """A fault by which somebody else sends commands too."""
+    """A fault by which another session sends commands too."""
 
     def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
         """What arrives just before a command of the controller's; its number is given later."""
@@ -152,10 +152,10 @@ class AddedCommander(LinkFault):
 
 
 class SecondCommander(AddedCommander):
-    """Somebody else answers every state too, in his own name, just before the controller does.
+    """Another session answers every state too, just before the controller does.
 
     Attributes:
-        torque_nm: what he asks of every joint.
+        torque_nm: torque that it commands of every joint.
     """
 
     kind: Literal["second_commander"]

@@ -1,4 +1,4 @@
-"""Faults of whole processes: the plant says when, and whoever started the processes does it."""
+"""Faults of whole processes: the plant asks for them, `run` carries them out."""
 
 from __future__ import annotations
 
