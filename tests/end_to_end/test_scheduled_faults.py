@@ -51,7 +51,7 @@ def test_recorder_that_is_restarted_twice_overwrites_nothing(tmp_path: Path) -> 
         {"kind": "process_restarted", "target": "recorder", "at_s": at_s, "for_s": 0.2}
         for at_s in (1.0, 1.5)
     ]
-    struck = run(tmp_path, "recorder_restarted", clock="lockstep", faults=restarts)
+    struck = run(tmp_path, "recorder_restarted", clock="lockstep", duration_s=4, faults=restarts)
     assert [fault for fault in struck.summary["faults"] if "killed" in fault] == [
         "the recorder was killed by SIGKILL"
     ] * 2
