@@ -50,21 +50,23 @@ class ProcessFaultInjector:
         self._processes = processes
         self._start = start
         self._requested: set[int] = set()
-        self._delayed = FaultScheduler([])
+        self._later = FaultScheduler([])
         self.removed: set[Role] = set()
 
     def request(self, action: ProcessAction) -> None:
-        """Do what is asked for, now or after its delay, unless it was asked for before."""
+        """Do what is asked for, unless it was asked for before."""
         if action.number in self._requested:
             return
         self._requested.add(action.number)
-        due_ns = time.monotonic_ns() + round(action.delay_s * 1e9)
-        self._delayed.add(ScheduledAction(due_ns, action.verb, lambda _: self._perform(action)))
-        self.run_due()
+        self._perform(action)
+        if action.then is not None:
+            later = action._replace(verb=action.then)
+            due_ns = time.monotonic_ns() + round(action.after_s * 1e9)
+            self._later.add(ScheduledAction(due_ns, later.verb, lambda _: self._perform(later)))
 
     def run_due(self) -> None:
-        """Do what was asked for with a delay that is over now."""
-        self._delayed.run_due(time.monotonic_ns())
+        """Do what was asked for to be done later, and is due now."""
+        self._later.run_due(time.monotonic_ns())
 
     def _perform(self, action: ProcessAction) -> None:
         process = self._processes[action.target]

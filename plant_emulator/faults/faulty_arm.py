@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -31,19 +31,20 @@ class ArmFaults:
 
     def __init__(
         self,
-        faults: Iterable[Fault],
+        faults: Sequence[Fault],
         joint_names: tuple[str, ...],
         random: np.random.Generator,
         arm: ArmHardware,
     ) -> None:
-        own = [fault for fault in faults if isinstance(fault, ArmFault)]
-        self._encoder_faults = [fault for fault in own if isinstance(fault, EncoderFault)]
-        self._actuator_faults = [fault for fault in own if isinstance(fault, ActuatorFault)]
+        self._encoder_faults = [fault for fault in faults if isinstance(fault, EncoderFault)]
+        self._actuator_faults = [fault for fault in faults if isinstance(fault, ActuatorFault)]
         self._joint = {name: joint for joint, name in enumerate(joint_names)}
         self._random = random
         self._first: dict[int, EncoderReading] = {}
         self._beginnings = FaultScheduler(
-            ScheduledAction(fault.start_ns, str(fault), _beginning(fault, arm)) for fault in own
+            ScheduledAction(fault.start_ns, str(fault), _beginning(fault, arm))
+            for fault in faults
+            if isinstance(fault, ArmFault)
         )
 
     def begin_due(self, now_ns: int) -> None:

@@ -9,43 +9,27 @@ from typing import Annotated, Any
 
 from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
 
-from plant_emulator.faults.arm_faults import (
-    ActuatorDead,
-    ActuatorWeak,
-    EncoderBiased,
-    EncoderNoisy,
-    EncoderStuck,
-    PayloadDropped,
-    TorqueOffset,
-)
-from plant_emulator.faults.channel_faults import LinkCut, LinkDuplicated, LinkSlowed
+from plant_emulator.faults import arm_faults, channel_faults, message_faults, process_faults
 from plant_emulator.faults.fault import Fault, FaultContext
-from plant_emulator.faults.message_faults import (
-    ClockStep,
-    LinkCorrupted,
-    NonFiniteCommand,
-    SecondCommander,
-)
-from plant_emulator.faults.process_faults import ProcessFrozen, ProcessKilled, ProcessRestarted
 
 FAULT_KINDS: list[type[Fault]] = [
-    EncoderStuck,
-    EncoderBiased,
-    EncoderNoisy,
-    TorqueOffset,
-    ActuatorWeak,
-    ActuatorDead,
-    PayloadDropped,
-    LinkCut,
-    LinkSlowed,
-    LinkDuplicated,
-    LinkCorrupted,
-    NonFiniteCommand,
-    SecondCommander,
-    ClockStep,
-    ProcessKilled,
-    ProcessFrozen,
-    ProcessRestarted,
+    arm_faults.EncoderStuck,
+    arm_faults.EncoderBiased,
+    arm_faults.EncoderNoisy,
+    arm_faults.TorqueOffset,
+    arm_faults.ActuatorWeak,
+    arm_faults.ActuatorDead,
+    arm_faults.PayloadDropped,
+    channel_faults.LinkCut,
+    channel_faults.LinkSlowed,
+    channel_faults.LinkDuplicated,
+    message_faults.LinkCorrupted,
+    message_faults.NonFiniteCommand,
+    message_faults.SecondCommander,
+    message_faults.ClockStep,
+    process_faults.ProcessKilled,
+    process_faults.ProcessFrozen,
+    process_faults.ProcessRestarted,
 ]
 """Each declares its ``kind`` as a literal, its keys, and what it does."""
 

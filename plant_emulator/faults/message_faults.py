@@ -29,9 +29,8 @@ class MessageEditor:
     """
 
     def __init__(self, joint_names: tuple[str, ...], uniform: Iterator[float]) -> None:
-        self._states = topics.layout(topics.JOINT_STATES, joint_names)
-        self._commands = topics.layout(topics.JOINT_COMMANDS, joint_names)
-        self._state, self._command = Record(self._states), Record(self._commands)
+        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
+        self._command = Record(self._layout)
         self._uniform = uniform
 
     def happens(self, probability: float) -> bool:
@@ -54,19 +53,11 @@ class MessageEditor:
     def with_torque(self, command: bytes, torque_nm: float, *, joints: slice) -> bytes:
         """A command that asks for another torque; as it is where it cannot be read."""
         try:
-            self._commands.decode(command, self._command)
+            self._layout.decode(command, self._command)
         except InvalidMessageError:
             return command
         self._command.fields["effort"][joints] = torque_nm
         return self._command.payload()
-
-    def is_readable(self, state: bytes) -> bool:
-        """Whether a controller can read a joint state."""
-        try:
-            self._states.decode(state, self._state)
-        except InvalidMessageError:
-            return False
-        return True
 
 
 class MessageFault(LinkFault):

@@ -22,13 +22,16 @@ class ProcessAction(NamedTuple):
             again; by their numbers those that were done are known.
         target: the process.
         verb: what is done to it.
-        delay_s: after how much wall time; 0 where the plant's clock says when.
+        then: what is done to it afterwards; None where nothing is, or where the plant's clock says
+            when.
+        after_s: how much wall time is between the two.
     """
 
     number: int
     target: Role
     verb: Verb
-    delay_s: float = 0.0
+    then: Verb | None = None
+    after_s: float = 0.0
 
 
 Request = Callable[[ProcessAction], None]
@@ -50,24 +53,23 @@ class ProcessFault(Fault):
     def schedule(self, index: int, request: Request) -> list[ScheduledAction]:
         """What the plant has to ask for, and when.
 
-        A plant that is gone or frozen has no clock: the end of such a fault is asked for at its
-        beginning, before anything else, and comes after `for_s` of wall time.
+        A plant that is gone or frozen has no clock: how such a fault ends is asked for at its
+        beginning.
 
         Args:
             index: place of the fault in the scenario.
             request: has an action done.
         """
         begin = ProcessAction(2 * index, Role(self.target), self.first)
-        asked, schedule = [begin], []
-        if self.last is not None and self.for_s is not None:
+        schedule = []
+        if begin.target is Role.PLANT:
+            begin = begin._replace(then=self.last, after_s=self.for_s or 0.0)
+        elif self.last is not None:
             end = ProcessAction(2 * index + 1, begin.target, self.last)
-            if begin.target is Role.PLANT:
-                asked.insert(0, end._replace(delay_s=self.for_s))
-            else:
-                ask_for_end = _asking(request, [end])
-                schedule.append(ScheduledAction(self.end_ns, f"{self}: is over", ask_for_end))
-        schedule.append(ScheduledAction(self.start_ns, f"{self}: begins", _asking(request, asked)))
-        return schedule
+            is_over = f"{self}: is over"
+            schedule.append(ScheduledAction(self.end_ns, is_over, lambda _: request(end)))
+        begins = f"{self}: begins"
+        return [*schedule, ScheduledAction(self.start_ns, begins, lambda _: request(begin))]
 
 
 class ProcessKilled(ProcessFault):
@@ -119,11 +121,3 @@ def process_actions(faults: Iterable[Fault], request: Request) -> tuple[Schedule
         if isinstance(fault, ProcessFault)
         for action in fault.schedule(index, request)
     )
-
-
-def _asking(request: Request, actions: list[ProcessAction]) -> Callable[[int], None]:
-    def ask(_now_ns: int) -> None:
-        for action in actions:
-            request(action)
-
-    return ask
