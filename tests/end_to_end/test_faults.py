@@ -1,7 +1,7 @@
 """Whoever dies or freezes in the middle of a run: the arm stops, the file is there, nobody stays.
 
-Every run is watched by a stranger on the bus, so that the disruption comes at a known time of the run
-and the end of the plant is known from outside the recording.
+Every run is watched by a stranger on the bus, so that the disruption comes at a known time of the
+run and the end of the plant is known from outside the recording.
 """
 
 from __future__ import annotations
