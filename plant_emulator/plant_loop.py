@@ -26,6 +26,7 @@ from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
 from plant_emulator.command_path import CommandPath
+from plant_emulator.faults.channel_faults import channel_faults
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
@@ -47,12 +48,14 @@ class PlantLoop:
         self._task, self._arm, self._link, self._clock = task, arm, link, clock
         self._grid = task.grid
         self._stages = task.grid.stages()
-        self._uplink: Channel[Measurement] = open_uplink(task.link, task.seed, task.faults)
-        downlink = open_downlink(task.link, task.seed, task.faults)
+        self._uplink: Channel[Measurement] = open_uplink(
+            task.link, task.seed, channel_faults(task.faults, "uplink")
+        )
+        downlink = open_downlink(task.link, task.seed, channel_faults(task.faults, "downlink"))
         self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
-        if task.faults or task.strikes:
+        if task.faults or task.process_actions:
             self._link = FaultyLink(
-                link, clock, self._gate, names, task.faults, task.strikes, task.seed
+                link, clock, self._gate, names, task.faults, task.process_actions, task.seed
             )
         self._limits = LimitCounts()
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)

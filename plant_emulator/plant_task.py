@@ -8,8 +8,8 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.fault_configuration import Fault
-from plant_emulator.faults.faulty_link import Strike
+from plant_emulator.faults.fault import Fault
+from plant_emulator.faults.scheduler import ScheduledAction
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class PlantTask:
         ticks: length of the run.
         seed: seed of everything random on the link.
         faults: what breaks, and when.
-        strikes: what is done to whole processes, and when.
+        process_actions: what is asked for to be done to whole processes, and when.
     """
 
     robot: RobotDescription
@@ -32,7 +32,7 @@ class PlantTask:
     lockstep: bool
     seed: int
     faults: tuple[Fault, ...] = ()
-    strikes: tuple[Strike, ...] = ()
+    process_actions: tuple[ScheduledAction, ...] = ()
 
 
 @dataclass

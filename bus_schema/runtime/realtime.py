@@ -37,8 +37,8 @@ _IDLE_LATENCY_DEVICE = Path("/dev/cpu_dma_latency")
 
 
 @dataclass(frozen=True)
-class Grant:
-    """What came of one request to the machine.
+class RealtimeSetting:
+    """One real-time setting that was asked for, and what came of it.
 
     Attributes:
         name: what was asked for.
@@ -59,7 +59,7 @@ class _RefusedError(Exception):
     """A request was refused; the message says why and what would change that."""
 
 
-def go_realtime(priority: int = 50, cpu: int | None = None) -> list[Grant]:
+def go_realtime(priority: int = 50, cpu: int | None = None) -> list[RealtimeSetting]:
     """Set the calling process up for real time; never raises for what is refused.
 
     Call it in the main thread before other threads exist: Linux keeps scheduler, timer slack and
@@ -69,45 +69,45 @@ def go_realtime(priority: int = 50, cpu: int | None = None) -> list[Grant]:
         priority: SCHED_FIFO priority, 1 to 99.
         cpu: the only CPU to run on; None leaves the choice to the kernel.
     """
-    grants = [request_fifo(priority)]
+    settings = [request_fifo(priority)]
     if cpu is not None:
-        grants.append(_ask(AFFINITY, lambda: _pin(cpu)))
-    grants.append(_ask(MEMORY_LOCK, _lock_memory))
-    grants.append(_ask(TIMER_SLACK, _minimise_timer_slack))
-    grants.append(_UNTIL_THE_END.enter_context(light_sleep()))
-    grants.append(_freeze_garbage_collector())
-    return grants
+        settings.append(_attempt(AFFINITY, lambda: _pin(cpu)))
+    settings.append(_attempt(MEMORY_LOCK, _lock_memory))
+    settings.append(_attempt(TIMER_SLACK, _minimise_timer_slack))
+    settings.append(_UNTIL_THE_END.enter_context(light_sleep()))
+    settings.append(_freeze_garbage_collector())
+    return settings
 
 
-def probe() -> list[Grant]:
+def probe() -> list[RealtimeSetting]:
     """What `go_realtime` would be granted; tried out in a child, so the caller stays as it is."""
     command = [sys.executable, "-P", __file__]
     try:
         child = subprocess.run(
             command, capture_output=True, text=True, timeout=_PROBE_TIMEOUT_S, check=True
         )
-        return [Grant(**values) for values in json.loads(child.stdout)]
+        return [RealtimeSetting(**values) for values in json.loads(child.stdout)]
     except (OSError, subprocess.SubprocessError, ValueError) as error:
         names = (SCHEDULER, MEMORY_LOCK, TIMER_SLACK, IDLE_STATES, GARBAGE_COLLECTOR, PRECEDENCE)
-        return [Grant(name, False, f"could not be tried out: {error}") for name in names]
+        return [RealtimeSetting(name, False, f"could not be tried out: {error}") for name in names]
 
 
-def request_fifo(priority: int) -> Grant:
+def request_fifo(priority: int) -> RealtimeSetting:
     """Put the calling thread, and the threads it starts from now on, under SCHED_FIFO.
 
     Args:
         priority: 1 to 99.
     """
-    return _ask(SCHEDULER, lambda: _schedule(priority))
+    return _attempt(SCHEDULER, lambda: _schedule(priority))
 
 
-def request_precedence(nice: int = -10) -> Grant:
+def request_precedence(nice: int = -10) -> RealtimeSetting:
     """Let the calling process go before ordinary ones, and the threads it starts from now on.
 
     For a recorder: it must not fall behind the loops because of what else is running, nor be in
     their way. Call it in the main thread before other threads exist.
     """
-    return _ask(PRECEDENCE, lambda: _precede(nice))
+    return _attempt(PRECEDENCE, lambda: _precede(nice))
 
 
 def forgo_preemption() -> None:
@@ -123,14 +123,14 @@ def forgo_preemption() -> None:
 
 
 @contextlib.contextmanager
-def light_sleep() -> Iterator[Grant]:
+def light_sleep() -> Iterator[RealtimeSetting]:
     """Keep all CPUs from idle states that take time to leave, for as long as the context lasts.
 
     An idle CPU then polls. That costs power; in a virtual machine it also keeps the host from
     taking the CPU away at every pause of a loop (Linux, ``admin-guide/pm``, PM QoS).
     """
     with contextlib.ExitStack() as stack:
-        yield _ask(IDLE_STATES, lambda: _stay_awake(stack))
+        yield _attempt(IDLE_STATES, lambda: _stay_awake(stack))
 
 
 def stolen_ms() -> float:
@@ -145,13 +145,13 @@ def stolen_ms() -> float:
     return 1e3 * float(totals[_STEAL]) / os.sysconf("SC_CLK_TCK")
 
 
-def _ask(name: str, request: Callable[[], str]) -> Grant:
+def _attempt(name: str, apply: Callable[[], str]) -> RealtimeSetting:
     if sys.platform != "linux":
-        return Grant(name, False, f"set up on Linux only, not on {sys.platform}")
+        return RealtimeSetting(name, False, f"set up on Linux only, not on {sys.platform}")
     try:
-        return Grant(name, True, request())
+        return RealtimeSetting(name, True, apply())
     except (_RefusedError, OSError, ValueError, OverflowError) as error:
-        return Grant(name, False, str(error))
+        return RealtimeSetting(name, False, str(error))
 
 
 def _schedule(priority: int) -> str:
@@ -237,11 +237,13 @@ def _stay_awake(stack: contextlib.ExitStack) -> str:
     return f"left within {in_force_us} µs"
 
 
-def _freeze_garbage_collector() -> Grant:
+def _freeze_garbage_collector() -> RealtimeSetting:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return Grant(GARBAGE_COLLECTOR, True, f"off, {gc.get_freeze_count()} objects set aside")
+    return RealtimeSetting(
+        GARBAGE_COLLECTOR, True, f"off, {gc.get_freeze_count()} objects set aside"
+    )
 
 
 def _raised_limit(limit: int) -> int:
@@ -286,4 +288,4 @@ def _kib(text: str, key: str) -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps([asdict(grant) for grant in (*go_realtime(), request_precedence())]))
+    print(json.dumps([asdict(setting) for setting in (*go_realtime(), request_precedence())]))

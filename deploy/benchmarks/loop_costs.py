@@ -9,7 +9,8 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.processes.launcher import Launcher, with_free_endpoints
+from deploy.processes.endpoints import with_free_endpoints
+from deploy.processes.launcher import Launcher
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
@@ -34,7 +35,7 @@ def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Secti
         repetitions: how often everything is measured.
     """
     overrides = [f"duration_s={seconds}", "clock=lockstep", "plant.gui=false"]
-    setup = load_setup(scenario, with_free_endpoints(overrides))
+    setup = with_free_endpoints(load_setup(scenario, overrides))
     alone = interleave(
         {BARE_PHYSICS: lambda: bare_physics_us(setup), SIMULATE: lambda: simulate_us(setup)},
         _PAIRS * repetitions,
@@ -81,7 +82,8 @@ def recorded_run(setup: Setup) -> RunData:
     with TemporaryDirectory() as path:
         folder = RunFolder.create(setup.scenario.name, Path(path))
         folder.write_scenario(setup)
-        failures = Launcher(setup, folder).run(lambda _: None).failures
+        launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
+        failures = launcher.run(lambda _: None).failures
         if failures:
             raise RuntimeError("; ".join(failures))
         return load_run(folder.path)[0]

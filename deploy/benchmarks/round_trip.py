@@ -12,7 +12,7 @@ from deploy.benchmarks import cyclictest
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.loop_costs import recorded_run
 from deploy.benchmarks.measure import Section, interleave, ratio
-from deploy.processes.launcher import with_free_endpoints
+from deploy.processes.endpoints import with_free_endpoints
 from deploy.runs.metrics import summarise
 from deploy.scenario.scenario import Setup, load_setup
 
@@ -49,7 +49,7 @@ def measure_round_trips(scenario: str, seconds: float, repetitions: int) -> Sect
         f"duration_s={seconds}", "clock=realtime", "plant.gui=false",
         f"plant.command_timeout_ms={_PATIENCE_MS}",
     ]  # fmt: skip
-    setup = load_setup(scenario, with_free_endpoints(overrides))
+    setup = with_free_endpoints(load_setup(scenario, overrides))
     loop, notes = _RealLoop(setup), [_NOTE]
     candidates: dict[str, Callable[[], float]] = {
         LOOP: loop.round_trip_us, WAKE_UP_P50: partial(loop.lateness_us, "p50"),

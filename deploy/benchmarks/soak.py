@@ -23,7 +23,7 @@ from rich.table import Table
 
 from bus_schema.messages import topics
 from bus_schema.recording.atomic_files import partial_path
-from deploy.processes.launcher import with_free_endpoints
+from deploy.processes.endpoints import free_ports
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
@@ -75,11 +75,14 @@ def soak(minutes: float, folder: Path) -> list[Check]:
 
 def _scenario(minutes: float) -> list[str]:
     """The shipped arm on a path that does not sink, so that it may go on for hours."""
-    values = with_free_endpoints([
+    plant_port, controller_port = free_ports(2)
+    values = [
         f"duration_s={60 * minutes}",
         "reference.x.velocity_m_s=0",
         "plant.command_timeout_ms=2000",
-    ])  # fmt: skip
+        f"link.plant_endpoint=tcp/127.0.0.1:{plant_port}",
+        f"link.controller_endpoint=tcp/127.0.0.1:{controller_port}",
+    ]
     return [word for value in values for word in ("--set", value)]
 
 

@@ -25,7 +25,7 @@ from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
-from plant_emulator.drives.fault_plan import FaultPlan, PlannedFault, parse_fault
+from plant_emulator.drives.fault_plan import PlannedFault, parse_fault
 
 Duration = Annotated[
     float | None,
@@ -90,7 +90,7 @@ def _serve(
     arm = setup.arm()
     rig = DriveRig(
         arm, witness.bank, bus, clock, setup.grid,
-        plan=FaultPlan(plan), on_frame=witness.hear, on_event=witness.say,
+        faults=plan, on_frame=witness.hear, on_event=witness.say,
     )  # fmt: skip
     on_interrupt(rig.request_stop)
     clock.start()

@@ -14,11 +14,14 @@ from deploy.cli.common import FINISHED, Out, Overrides, ScenarioArgument
 from deploy.cli.finish import finish
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.links import check_link, require_keys
-from deploy.processes.processes import StopRequest, Voice, run_controller, run_plant, run_recorder
+from deploy.processes.parent import end_with_parent
+from deploy.processes.processes import StopRequest, run_controller, run_plant, run_recorder
+from deploy.processes.status import StatusReporter
 from deploy.runs.run_folder import RunFolder
 from deploy.scenario.scenario import load_setup
 
-ToParent = Annotated[bool, typer.Option("--to-parent", hidden=True)]
+ParentPid = Annotated[int | None, typer.Option("--to-parent", hidden=True)]
+"""Process id of `run`: report to it, and end with it."""
 AwaitRecorder = Annotated[
     bool, typer.Option("--await-recorder", help="Start only once a recorder listens.")
 ]
@@ -28,14 +31,14 @@ def controller(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     await_recorder: AwaitRecorder = False,
-    to_parent: ToParent = False,
+    parent_pid: ParentPid = None,
 ) -> None:
     """Be the controller: answer the joint states of a plant on the bus."""
+    reporter = _reporter(Role.CONTROLLER, parent_pid)
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_keys(setup, Role.CONTROLLER)
-    voice = Voice(Role.CONTROLLER, to_parent=to_parent)
-    raise typer.Exit(run_controller(setup, voice, await_recorder=await_recorder))
+    raise typer.Exit(run_controller(setup, reporter, await_recorder=await_recorder))
 
 
 def plant(
@@ -45,14 +48,14 @@ def plant(
     can_log: Annotated[
         Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
     ] = None,
-    to_parent: ToParent = False,
+    parent_pid: ParentPid = None,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
+    reporter = _reporter(Role.PLANT, parent_pid)
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_keys(setup, Role.PLANT)
-    voice = Voice(Role.PLANT, to_parent=to_parent)
-    raise typer.Exit(run_plant(setup, voice, await_recorder=await_recorder, can_log=can_log))
+    raise typer.Exit(run_plant(setup, reporter, await_recorder=await_recorder, can_log=can_log))
 
 
 def record(
@@ -60,20 +63,26 @@ def record(
     overrides: Overrides = None,
     out: Out = None,
     log: Annotated[Path | None, typer.Option("--log", hidden=True)] = None,
-    to_parent: ToParent = False,
+    parent_pid: ParentPid = None,
 ) -> None:
     """Be the recorder: write every message on the bus to a run folder."""
+    reporter = _reporter(Role.RECORDER, parent_pid)
     setup = load_setup(scenario, overrides or [])
     require_keys(setup, Role.RECORDER)
-    voice = Voice(Role.RECORDER, to_parent=to_parent)
     stop = StopRequest()
     if log is not None:
-        raise typer.Exit(run_recorder(setup, log, voice, stop))
+        raise typer.Exit(run_recorder(setup, log, reporter, stop))
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
     folder.write_manifest(setup, {})
-    code = run_recorder(setup, folder.log, voice, stop)
+    code = run_recorder(setup, folder.log, reporter, stop)
     if code == FINISHED or partial_path(folder.log).exists():
         outcome = RunOutcome(interrupted=stop.is_set)
         finish(Console(), folder, outcome, require_bounds=False)
     raise typer.Exit(code)
+
+
+def _reporter(role: Role, parent_pid: int | None) -> StatusReporter:
+    if parent_pid is not None:
+        end_with_parent(parent_pid)
+    return StatusReporter(role, to_parent=parent_pid is not None)

@@ -8,7 +8,8 @@ from bus_schema.messages.topics import Role
 from deploy.cli.common import Out, Overrides, RequireBounds, ScenarioArgument, on_interrupt
 from deploy.cli.finish import finish
 from deploy.cli.show_run import RunProgress
-from deploy.processes.launcher import Launcher, with_free_endpoints
+from deploy.processes.endpoints import with_free_endpoints
+from deploy.processes.launcher import Launcher
 from deploy.processes.links import check_link, require_keys
 from deploy.runs.run_folder import RunFolder
 from deploy.scenario.scenario import load_setup
@@ -21,16 +22,17 @@ def run(
     require_bounds: RequireBounds = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
-    setup = load_setup(scenario, with_free_endpoints(overrides or []))
+    setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_keys(setup, *Role)
+    setup = with_free_endpoints(setup)
     console = Console()
     folder = RunFolder.create(setup.scenario.name, out)
     folder.write_scenario(setup)
     folder.write_manifest(setup, {})
-    launcher = Launcher(setup, folder)
+    launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
     on_interrupt(launcher.request_stop)
     with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:
         outcome = launcher.run(progress.hear)
-    folder.write_manifest(setup, outcome.grants)
+    folder.write_manifest(setup, outcome.realtime)
     finish(console, folder, outcome, require_bounds=require_bounds)

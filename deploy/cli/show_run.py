@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from deploy.processes.launcher import Utterance
+from deploy.processes.status import StatusMessage
 from deploy.reports.verdict import PARTIAL
 
 _PLAIN_LINE_S = 2.0
@@ -43,15 +43,15 @@ class RunProgress:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def hear(self, utterance: Utterance) -> None:
-        """Take in what a child process said."""
-        if utterance.kind == "progress":
-            self._state |= utterance.values
+    def hear(self, message: StatusMessage) -> None:
+        """Take in what a child process reported."""
+        if message.kind == "progress":
+            self._state |= message.values
             self._show()
-        elif utterance.kind == "fault":
-            self._console.print(f"{utterance.role}: {utterance.values['text']}", markup=False)
-        elif utterance.kind == "lacks":
-            self._console.print(f"{utterance.role} {utterance.values['text']}", markup=False)
+        elif message.kind == "fault":
+            self._console.print(f"{message.role}: {message.values['text']}", markup=False)
+        elif message.kind == "lacks":
+            self._console.print(f"{message.role} {message.values['text']}", markup=False)
 
     def at(self, time_s: float) -> None:
         """The run has come to this time."""

@@ -23,8 +23,8 @@ from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 from deploy.runs.simulate import simulate
-from deploy.scenario.faults import process_faults
 from deploy.scenario.scenario import SHIPPED, Setup, load_setup
+from plant_emulator.faults.process_faults import process_faults
 
 BEGIN = "<!-- fault table: python -m deploy.experiments.fault_table -->\n"
 END = "<!-- end of fault table -->\n"
@@ -65,7 +65,7 @@ def fault_scenarios() -> list[str]:
 
 
 def needs_processes(setup: Setup) -> bool:
-    """Whether a scenario strikes a process that a simulation has not."""
+    """Whether a fault is of a process that a simulation has not."""
     faults = process_faults(setup.scenario.faults)
     return any(Role(fault.target) is not Role.CONTROLLER for fault in faults)
 

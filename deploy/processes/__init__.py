@@ -1,1 +1,1 @@
-"""The processes of a run: started, linked, struck, recorded."""
+"""The processes of a run: started, linked, made to fail, recorded."""

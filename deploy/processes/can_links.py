@@ -24,7 +24,7 @@ from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.driven_arm import DrivenArm
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
-from plant_emulator.drives.fault_plan import FaultPlan, parse_fault
+from plant_emulator.drives.fault_plan import parse_fault
 
 
 def open_can_plant_link(
@@ -74,7 +74,7 @@ def can_plant_link(
     node_ids = can.node_ids_of(robot.joints)
     drives = DrivesOnBus(
         bus,
-        FaultPlan([parse_fault(text, node_ids) for text in can.faults.drives]),
+        [parse_fault(text, node_ids) for text in can.faults.drives],
         lambda send: build_bank(can, robot, setup.scenario.plant, send, polled=True),
         CanMedium(can, setup.scenario.seed),
         log,

@@ -66,7 +66,7 @@ def examine() -> list[Finding]:
         _numba_cache(),
         _disk_space(),
         _cores(),
-        *_grants(),
+        *_realtime_settings(),
         _preemption(),
         _sleep_lateness(),
         _socketcan(),
@@ -159,7 +159,7 @@ def _cores() -> Finding:
     )
 
 
-def _grants() -> list[Finding]:
+def _realtime_settings() -> list[Finding]:
     costs = {
         realtime.SCHEDULER: "other programs delay the loops: more missed deadlines in clock "
         "realtime; no effect in clock lockstep",
@@ -175,8 +175,8 @@ def _grants() -> list[Finding]:
         "in clock lockstep",
     }
     return [
-        Finding(grant.name, "ok" if grant.granted else "limited", grant.detail, costs[grant.name])
-        for grant in realtime.probe()
+        Finding(each.name, "ok" if each.granted else "limited", each.detail, costs[each.name])
+        for each in realtime.probe()
     ]
 
 

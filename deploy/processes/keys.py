@@ -157,8 +157,8 @@ def _check_role(keys: KeyFolder, role: Role, authority: x509.Certificate) -> Non
     remedy = f"run `funnel-hil keys issue {role} --folder {keys.path}`"
     certificate = read_certificate(path, remedy)
     if common_name(certificate) != role:
-        said = f"is a certificate for {common_name(certificate)!r}, not for {role.value!r}"
-        raise ScenarioError(f"{path}: {said}: {remedy}")
+        problem = f"is a certificate for {common_name(certificate)!r}, not for {role.value!r}"
+        raise ScenarioError(f"{path}: {problem}: {remedy}")
     _require_valid_now(path, certificate, remedy)
     try:
         certificate.verify_directly_issued_by(authority)

@@ -1,12 +1,10 @@
-"""Controller, plant and recorder as processes: real-time setup, signals, progress, farewell."""
+"""Controller, plant and recorder as processes: real-time setup, signals, progress, end."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -15,20 +13,24 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.console import Console
 
 from bus_schema.errors import BusError
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
-from bus_schema.runtime.realtime import Grant, forgo_preemption, go_realtime, request_precedence
+from bus_schema.runtime.realtime import (
+    RealtimeSetting,
+    forgo_preemption,
+    go_realtime,
+    request_precedence,
+)
 from bus_schema.zenoh.link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
 from deploy.processes.links import open_controller_link, open_plant_link
-from deploy.processes.process_faults import order_values
 from deploy.processes.recorder import Recorder
-from deploy.scenario.faults import Order, process_strikes
+from deploy.processes.status import StatusReporter
 from deploy.scenario.scenario import Setup
+from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
 
 if TYPE_CHECKING:
@@ -36,40 +38,6 @@ if TYPE_CHECKING:
 
 FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2
-
-
-class Voice:
-    """How a process speaks to whoever started it: sentences to people, JSON lines to `run`.
-
-    Args:
-        role: the process.
-        to_parent: speak JSON lines.
-    """
-
-    def __init__(self, role: Role, *, to_parent: bool) -> None:
-        self._role = role
-        self._to_parent = to_parent
-        self._console = Console(highlight=False)
-
-    def say(self, kind: str, **values: Any) -> None:
-        """Say something: ``note``, ``lacks``, ``fault``, ``grants``, ``progress`` or ``result``."""
-        if self._to_parent:
-            # print writes the end of a line by itself, and another thread's line may get before it.
-            with contextlib.suppress(BrokenPipeError):
-                sys.stdout.write(json.dumps({"kind": kind, **values}) + "\n")
-                sys.stdout.flush()
-        elif kind in ("note", "lacks", "fault"):
-            self._console.print(f"{self._role}: {values['text']}", markup=False)
-        elif kind in ("progress", "result"):
-            shown = ", ".join(f"{name} {value}" for name, value in values.items())
-            self._console.print(f"{self._role}: {shown}", markup=False)
-
-    def order(self, order: Order, *, await_execution: bool) -> None:
-        """Have `run` strike a process; without `run` nobody does."""
-        if self._to_parent:
-            self.say("order", **order_values(order))
-            if await_execution:
-                sys.stdin.readline()
 
 
 class StopRequest:
@@ -87,43 +55,45 @@ class StopRequest:
             self._on_stop()
 
 
-def _leave_in_order() -> None:
+def _ignore_stop_requests() -> None:
     """From here on a request to stop comes too late, and must not kill what is leaving anyway."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 def run_plant(
-    setup: Setup, voice: Voice, *, await_recorder: bool, can_log: Path | None = None
+    setup: Setup, reporter: StatusReporter, *, await_recorder: bool, can_log: Path | None = None
 ) -> int:
     """Be the plant for one run; the exit code."""
     lockstep = setup.scenario.clock == "lockstep"
     clock = _plant_clock(setup)
     arm = setup.arm()
-    _set_up_scheduling(setup, voice, Role.PLANT)
+    _set_up_scheduling(setup, reporter, Role.PLANT)
     link = None
     try:
         link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
-        strikes = process_strikes(
-            setup.scenario.faults, partial(voice.order, await_execution=lockstep)
-        )
-        loop = PlantLoop(setup.plant_task(lockstep=lockstep, strikes=strikes), arm, link, clock)
+        request = partial(reporter.request, await_execution=lockstep)
+        actions = process_actions(setup.scenario.faults, request)
+        task = setup.plant_task(lockstep=lockstep, process_actions=actions)
+        loop = PlantLoop(task, arm, link, clock)
         loop.warm_up()
         stop = StopRequest(loop.request_stop)
-        voice.say("note", text=f"listening at {setup.scenario.link.plant_endpoint}")
+        reporter.report("note", text=f"listening at {setup.scenario.link.plant_endpoint}")
         link.await_controller(setup.scenario.link.connect_timeout_s, lambda: stop.is_set)
-        with _progress(voice, lambda: _plant_progress(loop, setup)):
+        with _reporting_progress(reporter, lambda: _plant_progress(loop, setup)):
             outcome = loop.run()
         link.await_recorded()
         for fault in outcome.faults:
-            voice.say("fault", text=fault)
-        voice.say("result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s)
+            reporter.report("fault", text=fault)
+        reporter.report(
+            "result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s
+        )
         return FAULT if outcome.faults else FINISHED
     except BusError as error:
-        voice.say("fault", text=str(error))
+        reporter.report("fault", text=str(error))
         return FAULT
     finally:
-        _leave_in_order()
+        _ignore_stop_requests()
         if link is not None:
             link.close()
         arm.close()
@@ -135,27 +105,29 @@ def _plant_clock(setup: Setup) -> Clock:
     return SyncedClock() if setup.scenario.link.kind == "can" else MonotonicClock()
 
 
-def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
+def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
-    _set_up_scheduling(setup, voice, Role.CONTROLLER)
+    _set_up_scheduling(setup, reporter, Role.CONTROLLER)
     try:
         link = open_controller_link(setup)
     except BusError as error:
-        voice.say("fault", text=str(error))
+        reporter.report("fault", text=str(error))
         return FAULT
     try:
         loop = ControlLoop(setup.control_task(), link)
         loop.warm_up()
-        voice.say("note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}")
+        reporter.report(
+            "note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}"
+        )
         link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
-        with _progress(voice, lambda: _controller_progress(loop)):
-            return _control(loop, link, stop, voice)
+        with _reporting_progress(reporter, lambda: _controller_progress(loop)):
+            return _control(loop, link, stop, reporter)
     except BusError as error:
-        voice.say("fault", text=str(error))
+        reporter.report("fault", text=str(error))
         return FAULT
     finally:
-        _leave_in_order()
+        _ignore_stop_requests()
         link.close()
 
 
@@ -163,63 +135,67 @@ def _control(
     loop: ControlLoop,
     link: ZenohControllerLink | CanControllerLink,
     stop: StopRequest,
-    voice: Voice,
+    reporter: StatusReporter,
 ) -> int:
-    """Answer states to the end, and say goodbye; the exit code."""
+    """Answer states to the end, and leave the bus in order; the exit code."""
     code = FINISHED
     try:
         link.join(is_stop_requested=lambda: stop.is_set)
     except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
-        voice.say("fault", text=str(error))
+        reporter.report("fault", text=str(error))
         loop.stop(str(error))
         code = FAULT
-    voice.say("result", **loop.end())
+    reporter.report("result", **loop.end())
     link.await_recorded()
     return code
 
 
-def run_recorder(setup: Setup, path: Path, voice: Voice, stop: StopRequest) -> int:
+def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
     """Be the recorder for one run; the exit code."""
     if setup.scenario.clock == "realtime":
-        _tell([request_precedence()], voice)
+        _report_settings([request_precedence()], reporter)
     else:
         forgo_preemption()
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
-        voice.say("fault", text=f"{path}: {error}")
+        reporter.report("fault", text=f"{path}: {error}")
         return FAULT
-    voice.say("note", text=f"recording to {path}")
+    reporter.report("note", text=f"recording to {path}")
     code = FINISHED
     try:
         recorder.run(lambda: stop.is_set)
     except BusError as error:
-        voice.say("fault", text=str(error))
+        reporter.report("fault", text=str(error))
         code = FAULT
-    _leave_in_order()
+    _ignore_stop_requests()
     recorder.close()
     if recorder.failure is not None:
-        voice.say("fault", text=f"{path}: the recording is partial: {recorder.failure.strerror}")
+        reporter.report(
+            "fault", text=f"{path}: the recording is partial: {recorder.failure.strerror}"
+        )
         code = FAULT
     lost = recorder.lost
     by_topic = "".join(f", {topic} {count}" for topic, count in lost.items())
-    voice.say("note", text=f"{recorder.messages} messages recorded, {lost.total()} lost{by_topic}")
+    reporter.report(
+        "note", text=f"{recorder.messages} messages recorded, {lost.total()} lost{by_topic}"
+    )
     return code
 
 
-def _set_up_scheduling(setup: Setup, voice: Voice, role: Role) -> None:
+def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> None:
     """For a loop; before other threads exist."""
     if setup.scenario.clock == "realtime":
-        _tell(go_realtime(cpu=_own_cpu(setup, role)), voice)
+        _report_settings(go_realtime(cpu=_own_cpu(setup, role)), reporter)
     else:
         forgo_preemption()
 
 
-def _tell(grants: list[Grant], voice: Voice) -> None:
-    voice.say("grants", grants=[vars(grant) for grant in grants])
-    for grant in grants:
-        if not grant.granted:
-            voice.say("lacks", text=f"works without {grant.name}: {grant.detail}")
+def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
+    reporter.report("realtime", settings=[vars(setting) for setting in settings])
+    for setting in settings:
+        if not setting.granted:
+            reporter.report("lacks", text=f"works without {setting.name}: {setting.detail}")
 
 
 def _own_cpu(setup: Setup, role: Role) -> int | None:
@@ -234,13 +210,15 @@ def _own_cpu(setup: Setup, role: Role) -> int | None:
 
 
 @contextlib.contextmanager
-def _progress(voice: Voice, look: Callable[[], dict[str, Any]]) -> Iterator[None]:
-    """Say how the loop is doing a few times a second, from outside the loop."""
+def _reporting_progress(
+    reporter: StatusReporter, progress: Callable[[], dict[str, Any]]
+) -> Iterator[None]:
+    """Report how the loop is doing a few times a second, from outside the loop."""
     over = threading.Event()
 
     def report() -> None:
         while not over.wait(_PROGRESS_S):
-            voice.say("progress", **look())
+            reporter.report("progress", **progress())
 
     thread = threading.Thread(target=report, daemon=True)
     thread.start()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import struct
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from pathlib import Path
 
 from bus_schema.errors import InvalidMessageError, PeerSilentError
 from bus_schema.messages import topics
+from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.recording.mcap_log import McapLog
@@ -28,11 +28,9 @@ DELAYS_ATTACHMENT = "{direction}_delays.txt"
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
-_STAMP = struct.Struct("<iI")
-_STAMP_OFFSET = 4
 _LARGEST_BACKLOG = 200_000
 _AT_ONCE = 10_000
-_FAREWELL_S = 2.0
+_CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
@@ -77,15 +75,6 @@ def close_log(log: McapLog, lost: Counter[str]) -> None:
     log.close()
 
 
-def stamp_of(payload: bytes) -> int | None:
-    """Header stamp of a CDR payload in ns; all our messages begin with a header."""
-    if len(payload) < _STAMP_OFFSET + _STAMP.size:
-        return None
-    sec, nanosec = _STAMP.unpack_from(payload, _STAMP_OFFSET)
-    stamp_ns: int = sec * 1_000_000_000 + nanosec
-    return stamp_ns if stamp_ns >= 0 else None
-
-
 class GapCounter:
     """Counts messages that never came, by the gaps in their senders' numbers.
 
@@ -105,7 +94,7 @@ class GapCounter:
 
 
 class Recorder:
-    """Writes what it hears until both sides have left.
+    """Writes every message on the bus until both sides have left.
 
     Its backlog is bounded. In real time the oldest of it makes room where the disk is too slow, so
     that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk that fails ends
@@ -149,26 +138,27 @@ class Recorder:
             PeerSilentError: nobody came.
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
-        has_heard = False
+        has_received = False
         silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
         while not is_stop_requested():
-            somebody_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
+            a_peer_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
             time.sleep(_PAUSE_S)
-            wrote = self._write_what_came()
-            has_heard = has_heard or wrote
-            if has_heard and not somebody_is_there and not wrote:
+            has_written = self._write_what_came()
+            has_received = has_received or has_written
+            if a_peer_is_there or has_written:
+                continue
+            if has_received:
                 return
-            if not has_heard and not somebody_is_there:
-                for silence in silences:
-                    silence.look()
-            if not has_heard and not somebody_is_there and time.monotonic() > give_up_s:
+            for silence in silences:
+                silence.look()
+            if time.monotonic() > give_up_s:
                 raise PeerSilentError(
                     "plant", self._setup.scenario.link.connect_timeout_s, "message"
                 )
 
     def close(self) -> None:
-        """Write what was heard, as far as there is time, and finish the file."""
-        give_up_s = time.monotonic() + _FAREWELL_S
+        """Write what was received, as far as there is time, and finish the file."""
+        give_up_s = time.monotonic() + _CLOSE_TIMEOUT_S
         while time.monotonic() < give_up_s and self._write_what_came():
             pass
         for key, delivery in iter(self._mailbox.take, None):
@@ -181,13 +171,13 @@ class Recorder:
 
     def _write_what_came(self) -> bool:
         """Write what has come in, or a good part of it; whether anything had."""
-        wrote = False
+        has_written = False
         for key, delivery in islice(iter(self._mailbox.take, None), _AT_ONCE):
             topic = self._topics.get(key)
             if topic is not None:
                 self._write(topic, delivery)
-                wrote = True
-        return wrote
+                has_written = True
+        return has_written
 
     def _write(self, topic: Topic, delivery: Delivery) -> None:
         attachment = self._count_gap(topic, delivery)
@@ -208,7 +198,7 @@ class Recorder:
         return attachment
 
     def _acknowledge(self, payload: bytes, gid: bytes) -> None:
-        """Tell a process that said its last word that all of it is recorded."""
+        """Tell a process whose last message this is that all of its messages are recorded."""
         with contextlib.suppress(InvalidMessageError):
             if RunEvent.decode(payload).kind == EventKind.ENDED:
                 self._node.acknowledge(gid)

@@ -23,7 +23,7 @@ _FIELDS = {
 def fault_record(run: RunData) -> dict[str, Any] | None:
     """The record of a run's first fault, ready for JSON; None for a run without one.
 
-    Only what the recorder had heard can be in it.
+    Only what the recorder had received can be in it.
     """
     faults = [event for event in run.events if event.kind == EventKind.FAULT]
     if not faults:

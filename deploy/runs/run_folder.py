@@ -74,7 +74,8 @@ class RunFolder:
             raise ScenarioError(f"--out {path}: is not writable")
         folder = RunFolder(path)
         judged = (folder.summary, folder.manifest, folder.report, folder.fault)
-        for file in (folder.log, folder.can_log, *judged):
+        later_logs = [*path.glob("run-*.mcap"), *path.glob("can-*.log")]  # of restarted processes
+        for file in (folder.log, folder.can_log, *judged, *later_logs):
             file.unlink(missing_ok=True)
             partial_path(file).unlink(missing_ok=True)
         return folder

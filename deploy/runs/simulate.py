@@ -8,16 +8,21 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
+from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import RUN_EVENTS, Role, Topic
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
-from deploy.processes.recorder import close_log, open_log, stamp_of
+from deploy.processes.recorder import close_log, open_log
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.runs.simulate_can import run_over_can
-from deploy.scenario.faults import Blow, Order, process_faults, process_strikes
 from deploy.scenario.scenario import Setup
 from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.faults.process_faults import (
+    ProcessAction,
+    process_actions,
+    process_faults,
+)
 from plant_emulator.plant_loop import PlantLoop
 
 CLOCK = "virtual"
@@ -80,7 +85,7 @@ def simulate(
         can_log: file for the frames of a CAN bus.
 
     Raises:
-        ScenarioError: it strikes a process that is not there.
+        ScenarioError: a fault is of a process that is not there.
     """
     _require_simulable(setup)
     clock = VirtualClock()
@@ -91,12 +96,13 @@ def simulate(
     controllers_link = InProcessControllerLink(bus)
     controller = ControlLoop(setup.control_task(), controllers_link)
 
-    def strike(order: Order) -> None:
+    def silence(action: ProcessAction) -> None:
         """Silence the controller for good: the plant gives up on it at the first missed reply."""
-        if order.blow not in (Blow.THAW, Blow.BRING_BACK):
+        if action.verb not in ("resume", "start"):
             controllers_link.close()
 
-    task = setup.plant_task(lockstep=True, strikes=process_strikes(setup.scenario.faults, strike))
+    actions = process_actions(setup.scenario.faults, silence)
+    task = setup.plant_task(lockstep=True, process_actions=actions)
     arm = setup.arm()
     plant = PlantLoop(task, arm, InProcessPlantLink(bus), clock)
     if on_start is not None:
@@ -120,12 +126,12 @@ def _require_simulable(setup: Setup) -> None:
         if setup.scenario.link.kind == "can":
             raise ScenarioError(
                 f"{setup.source}: faults: kind = {fault.kind!r}: must be of another kind for"
-                " simulate over CAN; run strikes processes"
+                " simulate over CAN; run has processes"
             )
         if Role(fault.target) is not Role.CONTROLLER:
             raise ScenarioError(
                 f"{setup.source}: faults: target = {fault.target!r}: must be controller for"
-                " simulate, which has no other process to strike; run has"
+                " simulate, which has no other process; run has"
             )
 
 

@@ -35,14 +35,16 @@ from controller.funnel import Funnel
 from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import Reference, sample_positions
 from controller.reference_configuration import ReferenceConfiguration
-from deploy.scenario.faults import ScheduledFault, check_faults, plant_faults
 from deploy.scenario.link_files import find_delay_files
 from deploy.scenario.robot_files import find_urdf
 from deploy.scenario.yaml_files import ScenarioError, explain, override, read_yaml
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.driven_arm import DrivenArm
-from plant_emulator.faults.faulty_link import Strike
+from plant_emulator.faults.fault import FaultContext
+from plant_emulator.faults.kinds import ScheduledFault, check_faults
+from plant_emulator.faults.process_faults import plant_faults
+from plant_emulator.faults.scheduler import ScheduledAction
 from plant_emulator.plant_task import PlantTask
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
@@ -132,12 +134,14 @@ class Setup:
             compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
         )
 
-    def plant_task(self, *, lockstep: bool, strikes: tuple[Strike, ...] = ()) -> PlantTask:
+    def plant_task(
+        self, *, lockstep: bool, process_actions: tuple[ScheduledAction, ...] = ()
+    ) -> PlantTask:
         """The task of a plant.
 
         Args:
             lockstep: wait for the reply to every state that is delivered.
-            strikes: what is done to processes on the plant's clock.
+            process_actions: what the plant asks for to be done to processes, on its clock.
         """
         return PlantTask(
             robot=self.robot,
@@ -148,7 +152,7 @@ class Setup:
             lockstep=lockstep,
             seed=self.scenario.seed,
             faults=plant_faults(self.scenario.faults),
-            strikes=strikes,
+            process_actions=process_actions,
         )
 
     def can_run(self, *, lockstep: bool) -> CanRun:
@@ -258,10 +262,10 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
         raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
-    check_faults(
-        scenario.faults, robot.joint_names, scenario.duration_s, scenario.plant.payload_kg,
-        scenario.link.kind,
-    )  # fmt: skip
+    context = FaultContext(
+        robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, scenario.link.kind
+    )
+    check_faults(scenario.faults, context)
     link = find_delay_files(scenario.link, source.parent)
     setup = Setup(
         scenario=scenario.model_copy(update={"link": link}),

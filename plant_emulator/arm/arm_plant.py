@@ -19,8 +19,8 @@ from plant_emulator.arm.bullet_server import require_loadable
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.fault_configuration import Fault
-from plant_emulator.faults.arm_faults import ArmFaults
+from plant_emulator.faults.fault import Fault
+from plant_emulator.faults.faulty_arm import ArmFaults
 
 
 class ArmPlant:
@@ -60,12 +60,14 @@ class ArmPlant:
         randoms = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)]
         self._stop_damping = _stop_damping(configuration, robot)
         self.torques = JointTorques(configuration, robot, grid.substep_s, randoms[0], limits)
-        self._faults = ArmFaults(faults, robot.joint_names, randoms[2]) if faults else None
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
         self._arm = BulletArm(
             robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
+        )
+        self._faults = (
+            ArmFaults(faults, robot.joint_names, randoms[2], self._arm) if faults else None
         )
         self._arm.place(start_position_rad)
         self.position: Vector = self._arm.position
@@ -101,7 +103,7 @@ class ArmPlant:
         """Bring `measured` up to date; `now_ns` is for faults that come and go."""
         self._encoders.read()
         if self._faults is not None:
-            self._faults.sense(self.measured, now_ns)
+            self._faults.spoil_readings(self.measured, now_ns)
 
     def begin(self) -> None:
         """Take part in a run: the brakes hold until the first torque."""
@@ -163,9 +165,8 @@ class ArmPlant:
 
     def _apply_faults(self, faults: ArmFaults, now_ns: int) -> None:
         """Change what the actuators are asked for as the faults would."""
-        if faults.payload_falls(now_ns):
-            self._arm.drop_payload()
-        faults.ask(self._commanded, now_ns, self.torques.asked)
+        faults.begin_due(now_ns)
+        self.torques.asked[:] = faults.faulty_torques(self._commanded, now_ns)
 
     def _go(self, first: int, end: int) -> None:
         if self._is_braked:

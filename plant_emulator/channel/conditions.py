@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from bus_schema.link.channel_configuration import (
     ChangeableConditions,
     ChannelConfiguration,
     Outage,
 )
-from plant_emulator.fault_configuration import ChannelFault, LinkCut, LinkDuplicated, LinkSlowed
 
 _NS_PER_BYTE_AT_1_KBIT_S = 8e6
 _CHAIN = ("p", "r", "loss_in_bad", "loss_in_good")
@@ -45,6 +44,18 @@ class Conditions(NamedTuple):
     ns_per_byte: float = 0.0
 
 
+class ConditionFault(Protocol):
+    """What changes the conditions of a channel for a time."""
+
+    def is_active(self, now_ns: int) -> bool:
+        """Whether it does so now."""
+        ...
+
+    def changed(self, conditions: Conditions) -> Conditions:
+        """The conditions while it does so."""
+        ...
+
+
 class _Change(NamedTuple):
     start_ns: int
     end_ns: int
@@ -60,7 +71,7 @@ class ConditionsSchedule:
     """
 
     def __init__(
-        self, configuration: ChannelConfiguration, faults: Sequence[ChannelFault] = ()
+        self, configuration: ChannelConfiguration, faults: Sequence[ConditionFault] = ()
     ) -> None:
         self._faults = faults
         self._settled = target = Conditions(**_given(configuration))
@@ -87,7 +98,7 @@ class ConditionsSchedule:
             conditions = conditions._replace(loss=1.0)
         for fault in self._faults:
             if fault.is_active(now_ns):
-                conditions = _faulty(conditions, fault)
+                conditions = fault.changed(conditions)
         return conditions
 
 
@@ -109,16 +120,6 @@ def _given(section: ChannelConfiguration | ChangeableConditions) -> dict[str, fl
     if isinstance(section, ChannelConfiguration) and section.distribution == "empirical":
         given["jitter_ns"] = 1e6  # its draws are delays in ms
     return given
-
-
-def _faulty(conditions: Conditions, fault: ChannelFault) -> Conditions:
-    match fault:
-        case LinkCut():
-            return conditions._replace(loss=1.0)
-        case LinkSlowed():
-            return conditions._replace(delay_ns=conditions.delay_ns + fault.delay_ms * 1e6)
-        case LinkDuplicated():
-            return conditions._replace(duplicate=max(conditions.duplicate, fault.share))
 
 
 def _between(before: Conditions, ramp: _Change, now_ns: int) -> Conditions:

@@ -8,7 +8,7 @@ leaves what the others draw as it was, and runs that differ in one value are com
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +16,12 @@ import numpy as np
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from plant_emulator.channel.channel import NEVER_NS, Channel, Item
-from plant_emulator.channel.conditions import Conditions, ConditionsSchedule
+from plant_emulator.channel.conditions import ConditionFault, Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.channel.random_numbers import uniform_numbers
 from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
-from plant_emulator.fault_configuration import ChannelFault, Fault
 
 
 class Loss:
@@ -72,7 +71,7 @@ class ImpairedChannel(Channel[Item]):
         self,
         configuration: ChannelConfiguration,
         seed: np.random.SeedSequence,
-        faults: Sequence[ChannelFault] = (),
+        faults: Sequence[ConditionFault] = (),
     ) -> None:
         super().__init__(configuration.delay_ns)
         randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
@@ -128,45 +127,41 @@ class ImpairedChannel(Channel[Item]):
         return due_ns
 
 
-def open_uplink(link: LinkConfiguration, seed: int, faults: Iterable[Fault] = ()) -> Channel[Item]:
+def open_uplink(
+    link: LinkConfiguration, seed: int, faults: Sequence[ConditionFault] = ()
+) -> Channel[Item]:
     """The way of states to the controller.
 
     Args:
         link: section of the scenario.
         seed: the scenario's seed.
-        faults: all faults of the plant; those of other parts are passed over.
+        faults: scheduled faults of this direction.
 
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    return _open(link.uplink, seed, _UPLINK, _of_channel(faults, "uplink"))
+    return _open(link.uplink, seed, _UPLINK, faults)
 
 
 def open_downlink(
-    link: LinkConfiguration, seed: int, faults: Iterable[Fault] = ()
+    link: LinkConfiguration, seed: int, faults: Sequence[ConditionFault] = ()
 ) -> Channel[Command] | PlayoutBuffer:
     """The way of commands to the joints, with a play-out buffer where one is asked for.
 
     Args:
         link: section of the scenario.
         seed: the scenario's seed.
-        faults: all faults of the plant; those of other parts are passed over.
+        faults: scheduled faults of this direction.
 
     Raises:
         ValueError: its file of delays cannot be used.
     """
-    channel: Channel[Command] = _open(
-        link.downlink, seed, _DOWNLINK, _of_channel(faults, "downlink")
-    )
+    channel: Channel[Command] = _open(link.downlink, seed, _DOWNLINK, faults)
     return PlayoutBuffer(channel, link.playout_ns) if link.playout_ns else channel
 
 
-def _of_channel(faults: Iterable[Fault], direction: str) -> list[ChannelFault]:
-    return [f for f in faults if isinstance(f, ChannelFault) and f.direction == direction]
-
-
 def _open(
-    configuration: ChannelConfiguration, seed: int, stream: int, faults: Sequence[ChannelFault]
+    configuration: ChannelConfiguration, seed: int, stream: int, faults: Sequence[ConditionFault]
 ) -> Channel[Item]:
     if configuration.is_constant and not faults:
         return Channel(configuration.delay_ns)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.runtime.clock import Clock, TickGrid
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.drives.bank import DriveBank
-from plant_emulator.drives.fault_plan import FaultPlan
+from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
 
 
 @dataclass
@@ -35,10 +35,10 @@ class DriveRig:
     Args:
         arm: the arm.
         bank: its drives.
-        bus: what the drives hear.
+        bus: what the drives are connected to.
         clock: the rig's time.
         grid: when drives and physics have their turns.
-        plan: what goes wrong.
+        faults: what goes wrong.
         on_frame: called with every frame that comes, before the drives get it.
         on_event: called with a sentence when something happens.
 
@@ -54,14 +54,15 @@ class DriveRig:
         clock: Clock,
         grid: TickGrid,
         *,
-        plan: FaultPlan,
+        faults: Sequence[PlannedFault],
         on_frame: Callable[[CanFrame], None],
         on_event: Callable[[str], None],
     ) -> None:
         self._arm, self._bank, self._bus = arm, bank, bus
-        self._clock, self._grid, self._plan = clock, grid, plan
+        self._clock, self._grid = clock, grid
+        self._faults = schedule_faults(faults, bank)
         self._on_frame, self._on_event = on_frame, on_event
-        self._told: list[str] = []
+        self._reported: list[str] = []
         self._stop_requested = False
         self.counts = RigCounts()
 
@@ -77,10 +78,9 @@ class DriveRig:
         while not self._stop_requested and (ticks is None or self.counts.ticks < ticks):
             self._hear_until(self._grid.tick_ns(self.counts.ticks + 1))
             now_ns = self._clock.now_ns()
-            for sentence in self._plan.carry_out(self._bank, now_ns):
-                self._on_event(sentence)
+            self._faults.run_due(now_ns, self._on_event)
             self._bank.advance(now_ns)
-            self._tell()
+            self._report_changes()
             self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))
             self._measure()
         self._arm.brake()
@@ -110,10 +110,10 @@ class DriveRig:
         position, velocity = self._arm.measured
         self._bank.measure(position, velocity, self._arm.torques.actuator)
 
-    def _tell(self) -> None:
-        """Say which drives have changed their state."""
+    def _report_changes(self) -> None:
+        """Report which drives have changed their state."""
         statuses = self._bank.statuses
         for status in statuses:
-            if status not in self._told:
+            if status not in self._reported:
                 self._on_event(status)
-        self._told = statuses
+        self._reported = statuses

@@ -13,7 +13,7 @@ from bus_schema.runtime.clock import TickGrid
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
-from plant_emulator.fault_configuration import Fault
+from plant_emulator.faults.fault import Fault
 
 
 class DrivenArm(ArmPlant):

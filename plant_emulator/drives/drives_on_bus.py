@@ -9,7 +9,7 @@ from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
 from bus_schema.can.medium import CanMedium
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.drive import Send
-from plant_emulator.drives.fault_plan import FaultPlan
+from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
 
 
 class DrivesOnBus:
@@ -17,7 +17,7 @@ class DrivesOnBus:
 
     Args:
         bus: the bus.
-        plan: what goes wrong with drives, in the time of the run.
+        faults: what goes wrong with drives, in the time of the run.
         build: makes the drives, given where they send to.
         medium: keeps the bus's time.
         log: takes every frame; None for no log.
@@ -32,24 +32,25 @@ class DrivesOnBus:
     def __init__(
         self,
         bus: CanBus,
-        plan: FaultPlan,
+        faults: Sequence[PlannedFault],
         build: Callable[[Send], DriveBank],
         medium: CanMedium,
         log: CandumpLog | None,
     ) -> None:
-        self._bus, self._plan, self._log = bus, plan, log
+        self._bus, self._log = bus, log
         self.medium = medium
         self.answers: list[CanFrame] = []
         self.is_off = False
         self._began_ns = 0
         self._is_running = False
         self.bank = build(self._send)
+        self._faults = schedule_faults(faults, self.bank)
         self.receive = bus.receive
 
     def begin_run(self, now_ns: int) -> None:
         """The run's time 0 is now. The drives' own time goes on: they have been on for a while."""
         self._began_ns, self._is_running = now_ns, True
-        self._plan.postpone(now_ns)
+        self._faults.postpone(now_ns)
         self.medium.start_counting()
 
     def handle(self, frame: CanFrame, now_ns: int) -> None:
@@ -66,7 +67,7 @@ class DrivesOnBus:
         """Let happen to the drives what is planned, and let them do what is due."""
         self.answers.clear()
         if self._is_running:
-            self._plan.carry_out(self.bank, self._began_ns + now_ns)
+            self._faults.run_due(self._began_ns + now_ns)
         self.bank.advance(self._began_ns + now_ns)
         self._note(self.answers, now_ns)
 

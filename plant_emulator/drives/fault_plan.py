@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 from bus_schema.configuration import ConfigurationError
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.drive import DriveFault
+from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 _KINDS = "|".join(re.escape(kind) for kind in DriveFault)
 _TIME = r"(?:\d+\.?\d*|\.\d+)(?:ms|s)"
@@ -17,7 +19,7 @@ _NS = {"ms": 1_000_000, "s": 1_000_000_000}
 
 
 class PlannedFault(NamedTuple):
-    """Something that goes wrong.
+    """Something that goes wrong with a drive.
 
     Attributes:
         joint: whose drive, counted from 0.
@@ -53,31 +55,17 @@ def parse_fault(text: str, node_ids: Sequence[int]) -> PlannedFault:
     return PlannedFault(DriveFault(kind), list(node_ids).index(int(node)), start_ns, end_ns)
 
 
-class FaultPlan:
-    """Makes faults happen when their time has come."""
-
-    def __init__(self, faults: Sequence[PlannedFault]) -> None:
-        starts = [(fault.start_ns, True, fault) for fault in faults]
-        ends = [(fault.end_ns, False, fault) for fault in faults if fault.end_ns is not None]
-        self._steps = sorted([*starts, *ends])
-
-    def postpone(self, by_ns: int) -> None:
-        """Let everything happen later."""
-        self._steps = [(start_ns + by_ns, is_start, f) for start_ns, is_start, f in self._steps]
-
-    def carry_out(self, bank: DriveBank, now_ns: int) -> list[str]:
-        """Do what is due; a sentence for each."""
-        said = []
-        while self._steps and self._steps[0][0] <= now_ns:
-            _, is_start, (fault, joint, *_) = self._steps.pop(0)
-            if is_start:
-                bank.inject(joint, fault, now_ns)
-            else:
-                bank.heal(joint, fault, now_ns)
-            said.append(
-                f"{fault} {'injected' if is_start else 'over'} at node {bank.node_ids[joint]}"
-            )
-        return said
+def schedule_faults(faults: Sequence[PlannedFault], bank: DriveBank) -> FaultScheduler:
+    """Have faults happen to drives at their times."""
+    begins, ends = [], []
+    for fault, joint, start_ns, end_ns in faults:
+        node = bank.node_ids[joint]
+        begin = partial(bank.inject, joint, fault)
+        begins.append(ScheduledAction(start_ns, f"{fault} injected at node {node}", begin))
+        if end_ns is not None:
+            end = partial(bank.heal, joint, fault)
+            ends.append(ScheduledAction(end_ns, f"{fault} over at node {node}", end))
+    return FaultScheduler([*ends, *begins])
 
 
 def _nanoseconds(text: str) -> int:

@@ -1,1 +1,1 @@
-"""Scheduled faults of the arm and of the link."""
+"""Scheduled faults: what breaks, when, for how long, and what it does."""

@@ -1,79 +1,154 @@
-"""Faults of the arm's hardware: encoders that lie, actuators that do not do what they are told."""
+"""Faults of the arm's hardware: encoders that show, and actuators that give, something else."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from bus_schema.arrays import Matrix, Vector
-from plant_emulator.fault_configuration import (
-    ActuatorDead,
-    ActuatorWeak,
-    ArmFault,
-    EncoderBiased,
-    EncoderNoisy,
-    EncoderStuck,
-    Fault,
-    PayloadDropped,
-    TorqueOffset,
-)
+from bus_schema.configuration import ConfigurationError, NonNegative
+from plant_emulator.faults.fault import Fault, FaultContext, Share
 
 
-class ArmFaults:
-    """What the scheduled faults do to the arm at an instant of the plant's clock.
+class ArmHardware(Protocol):
+    """What a fault can do to the arm as a whole."""
 
-    Args:
-        faults: all faults of the plant; those of other parts are passed over.
-        joint_names: names of the joints, which the faults refer to.
-        random: source of an encoder's noise.
+    def drop_payload(self) -> None:
+        """Take the payload off for good."""
+        ...
+
+
+class EncoderReading(NamedTuple):
+    """What an encoder shows."""
+
+    position_rad: float
+    velocity_rad_s: float
+
+
+class FaultyEncoder(NamedTuple):
+    """An encoder as a fault finds it.
+
+    Attributes:
+        reading: what it would show now.
+        first: what it would have shown when the fault began.
+        random: source of noise, drawn from the scenario's seed.
     """
 
-    def __init__(
-        self, faults: Iterable[Fault], joint_names: tuple[str, ...], random: np.random.Generator
-    ) -> None:
-        self._faults = [fault for fault in faults if isinstance(fault, ArmFault)]
-        self._joint = {name: joint for joint, name in enumerate(joint_names)}
-        self._random = random
-        self._stuck_at_rad: dict[int, float] = {}
-        self._payload_falls_ns = [
-            fault.start_ns for fault in self._faults if isinstance(fault, PayloadDropped)
-        ]
+    reading: EncoderReading
+    first: EncoderReading
+    random: np.random.Generator
 
-    def ask(self, commanded_nm: Vector, now_ns: int, asked: Vector) -> None:
-        """Write the torques that the actuators are asked for in place of those commanded."""
-        asked[:] = commanded_nm
-        for fault in self._faults:
-            if fault.is_active(now_ns):
-                match fault:
-                    case ActuatorDead():
-                        asked[self._joint[fault.joint]] = 0.0
-                    case ActuatorWeak():
-                        asked[self._joint[fault.joint]] *= fault.share
-                    case TorqueOffset():
-                        asked[self._joint[fault.joint]] += fault.torque_nm
 
-    def sense(self, motion: Matrix, now_ns: int) -> None:
-        """Spoil what the encoders read, positions and velocities as rows, in place."""
-        position, velocity = motion
-        for index, fault in enumerate(self._faults):
-            if fault.is_active(now_ns):
-                match fault:
-                    case EncoderStuck():
-                        joint = self._joint[fault.joint]
-                        position[joint] = self._stuck_at_rad.setdefault(index, position[joint])
-                        velocity[joint] = 0.0
-                    case EncoderBiased():
-                        position[self._joint[fault.joint]] += fault.bias_rad
-                    case EncoderNoisy():
-                        joint = self._joint[fault.joint]
-                        noise = self._random.standard_normal(2)
-                        position[joint] += fault.noise_rad * noise[0]
-                        velocity[joint] += fault.noise_rad_s * noise[1]
+class ArmFault(Fault):
+    """A fault of the arm."""
 
-    def payload_falls(self, now_ns: int) -> bool:
-        """Whether the payload falls off now; true once."""
-        if self._payload_falls_ns and self._payload_falls_ns[0] <= now_ns:
-            self._payload_falls_ns.clear()
-            return True
-        return False
+    def begin(self, arm: ArmHardware) -> None:
+        """Do what is done once, at the beginning."""
+
+
+class JointFault(ArmFault):
+    """Attributes: joint: name of the joint."""
+
+    joint: str
+
+    def check(self, key: str, context: FaultContext) -> None:
+        super().check(key, context)
+        if self.joint not in context.joint_names:
+            allowed = f"one of {', '.join(context.joint_names)}"
+            raise ConfigurationError(f"{key}.joint", self.joint, allowed)
+
+
+class EncoderFault(JointFault):
+    """A fault of the encoder of a joint."""
+
+    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
+        """What the encoder shows while the fault lasts."""
+        raise NotImplementedError
+
+
+class ActuatorFault(JointFault):
+    """A fault of the actuator of a joint."""
+
+    def faulty_torque_nm(self, requested_nm: float) -> float:
+        """What the actuator takes for the torque requested while the fault lasts."""
+        raise NotImplementedError
+
+
+class EncoderStuck(EncoderFault):
+    """Shows the position it showed first, and no velocity."""
+
+    kind: Literal["encoder_stuck"]
+
+    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
+        return EncoderReading(encoder.first.position_rad, 0.0)
+
+
+class EncoderBiased(EncoderFault):
+    """Attributes: bias_rad: what is added to the position."""
+
+    kind: Literal["encoder_biased"]
+    bias_rad: float
+
+    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
+        position_rad, velocity_rad_s = encoder.reading
+        return EncoderReading(position_rad + self.bias_rad, velocity_rad_s)
+
+
+class EncoderNoisy(EncoderFault):
+    """Attributes: noise_rad, noise_rad_s: standard deviations of white noise that is added."""
+
+    kind: Literal["encoder_noisy"]
+    noise_rad: NonNegative = 0.0
+    noise_rad_s: NonNegative = 0.0
+
+    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
+        position_rad, velocity_rad_s = encoder.reading
+        noise = encoder.random.standard_normal(2).tolist()
+        return EncoderReading(
+            position_rad + self.noise_rad * noise[0], velocity_rad_s + self.noise_rad_s * noise[1]
+        )
+
+
+class TorqueOffset(ActuatorFault):
+    """Attributes: torque_nm: what the actuator adds to the torque requested."""
+
+    kind: Literal["torque_offset"]
+    torque_nm: float
+
+    def faulty_torque_nm(self, requested_nm: float) -> float:
+        return requested_nm + self.torque_nm
+
+
+class ActuatorWeak(ActuatorFault):
+    """Attributes: share: what the actuator delivers of the torque requested."""
+
+    kind: Literal["actuator_weak"]
+    share: Share
+
+    def faulty_torque_nm(self, requested_nm: float) -> float:
+        return requested_nm * self.share
+
+
+class ActuatorDead(ActuatorFault):
+    """Delivers nothing."""
+
+    kind: Literal["actuator_dead"]
+
+    def faulty_torque_nm(self, _requested_nm: float) -> float:
+        return 0.0
+
+
+class PayloadDropped(ArmFault):
+    """The payload of ``plant.payload_kg`` falls off, for good."""
+
+    kind: Literal["payload_dropped"]
+    for_s: None = None
+
+    def begin(self, arm: ArmHardware) -> None:
+        arm.drop_payload()
+
+    def check(self, key: str, context: FaultContext) -> None:
+        super().check(key, context)
+        if context.payload_kg == 0.0:
+            allowed = "there is nothing to drop: plant.payload_kg must be above 0"
+            raise ConfigurationError(f"{key}.kind", self.kind, allowed)

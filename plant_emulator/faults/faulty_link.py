@@ -1,60 +1,37 @@
-"""Faults between the plant and its bus: messages are spoilt, whole processes are struck.
+"""A link on which scheduled faults happen.
 
 It stands in front of any link, so that the loop, the gate and the bus are those of every other run.
 """
 
 from __future__ import annotations
 
-import math
-import struct
-from collections import deque
-from collections.abc import Callable, Iterable
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
-from bus_schema.errors import InvalidMessageError
-from bus_schema.link.interface import CommandArrival, PlantLink
+from bus_schema.link.interface import CommandArrival, PlantLink, never
 from bus_schema.messages import topics
-from bus_schema.messages.layout import Record
+from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock
 from plant_emulator.channel.random_numbers import uniform_numbers
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.fault_configuration import (
-    FOREVER_NS,
-    ClockStep,
-    Fault,
-    LinkCorrupted,
-    NonFiniteCommand,
-    SecondCommander,
+from plant_emulator.faults.channel_faults import Direction
+from plant_emulator.faults.fault import FOREVER_NS, Fault
+from plant_emulator.faults.message_faults import (
+    AddedCommander,
+    MessageEditor,
+    MessageFault,
 )
+from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
-SECOND_COMMANDER = b"second commander"
-"""Sender id of the second commander."""
-_STAMP = struct.Struct("<iI")
-_STAMP_OFFSET = 4
 _STREAM = 102
-_F = TypeVar("_F", bound=Fault)
-
-
-class Strike(NamedTuple):
-    """Something done to a whole process.
-
-    Attributes:
-        at_ns: when, on the plant's clock.
-        text: what is told of it.
-        act: does it.
-    """
-
-    at_ns: int
-    text: str
-    act: Callable[[], None]
 
 
 class FaultyLink:
-    """A link on which the scheduled faults happen, and every fault's beginning and end is told.
+    """A link on which scheduled faults happen; it announces where every fault begins and ends.
 
     The plant waits for one answer to each state. An answer that came is one that came, whatever
     has become of it; to a state that nobody can read, none will come.
@@ -64,8 +41,8 @@ class FaultyLink:
         clock: the plant's clock.
         gate: the gate that commands go to.
         joint_names: names of the joints.
-        faults: all faults of the plant; those of other parts are told of, no more.
-        strikes: what is done to processes.
+        faults: all faults of the plant; those of other parts are only announced.
+        process_actions: what is asked of whoever started the processes.
         seed: the scenario's seed.
     """
 
@@ -75,42 +52,32 @@ class FaultyLink:
         clock: Clock,
         gate: CommandGate,
         joint_names: tuple[str, ...],
-        faults: Iterable[Fault],
-        strikes: Iterable[Strike],
+        faults: Sequence[Fault],
+        process_actions: Iterable[ScheduledAction],
         seed: int,
     ) -> None:
         self._link, self._clock, self._gate = link, clock, gate
-        self._faults = tuple(faults)
+        message_faults = [fault for fault in faults if isinstance(fault, MessageFault)]
+        # What a sender does wrong comes before what the link does to it.
+        self._message_faults = sorted(message_faults, key=lambda fault: fault.happens_on_the_way)
+        self._commanders = [fault for fault in faults if isinstance(fault, AddedCommander)]
         stream = np.random.SeedSequence(seed, spawn_key=(_STREAM,))
-        self._numbers = uniform_numbers(np.random.default_rng(stream))
-        self._timeline = _timeline(self._faults, strikes)
-        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
-        self._command = Record(self._layout)
-        self._sent_stamp_ns = -1
+        self._editor = MessageEditor(joint_names, uniform_numbers(np.random.default_rng(stream)))
+        self._schedule = FaultScheduler([*process_actions, *_announcements(faults)])
+        self._sent_stamp_ns: int | None = None
         self._was_unreadable = False
-        self._intruders_sequence = 0
-        self.await_controller = link.await_controller
-        self.controller_has_left = link.controller_has_left
-        self.sender_has_left = link.sender_has_left
-        self.fault, self.report, self.overflow = link.fault, link.report, link.overflow
-        self.close = link.close
+        self._added_commands = 0
 
     def publish(self, topic: Topic, payload: bytes) -> int:
-        self._advance()
+        self._run_schedule()
         return self._link.publish(topic, payload)
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        self._advance()
-        for step in self._active(ClockStep):
-            if step.side == "plant":
-                state, status = _shifted(state, step.step_ns), _shifted(status, step.step_ns)
-        self._sent_stamp_ns = _stamp_ns(state)
-        self._was_unreadable = False
-        for fault in self._active(LinkCorrupted):
-            if fault.direction == "uplink" and next(self._numbers) < fault.share:
-                state = self._cut_off(state)
-                self._was_unreadable = True
-        self._link.send_state(state, status)
+        self._run_schedule()
+        sent, sent_status = self._changed((state, status), "uplink")
+        self._was_unreadable = len(sent) != len(state)
+        self._sent_stamp_ns = stamp_of(sent)
+        self._link.send_state(sent, sent_status)
 
     def await_command(self, timeout_s: float) -> bool:
         if self._was_unreadable:
@@ -121,81 +88,62 @@ class FaultyLink:
     def take_commands(self) -> list[CommandArrival]:
         taken: list[CommandArrival] = []
         for arrival in self._link.take_commands():
-            if self._gate.is_waiting and self._answers_last_state(arrival):
+            answered_ns = stamp_of(arrival.payload)
+            if answered_ns is not None and answered_ns == self._sent_stamp_ns:
                 self._gate.stop_waiting()
-            taken.extend(self._intruders(arrival))
-            taken.append(arrival._replace(payload=self._spoilt(arrival.payload)))
+            taken.extend(self._added(arrival))
+            (payload,) = self._changed((arrival.payload,), "downlink")
+            taken.append(arrival._replace(payload=payload))
         return taken
 
-    def _answers_last_state(self, arrival: CommandArrival) -> bool:
-        is_whole = len(arrival.payload) >= _STAMP_OFFSET + _STAMP.size
-        return is_whole and _stamp_ns(arrival.payload) == self._sent_stamp_ns
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self._link.await_controller(timeout_s, is_stop_requested)
 
-    def _spoilt(self, command: bytes) -> bytes:
-        for step in self._active(ClockStep):
-            if step.side == "controller":
-                command = _shifted(command, step.step_ns)
-        for _ in self._active(NonFiniteCommand):
-            command = self._with_torque(command, math.nan, joints=slice(1))
-        for fault in self._active(LinkCorrupted):
-            if fault.direction == "downlink" and next(self._numbers) < fault.share:
-                command = self._cut_off(command)
-        return command
+    def controller_has_left(self) -> bool:
+        return self._link.controller_has_left()
 
-    def _intruders(self, arrival: CommandArrival) -> Iterable[CommandArrival]:
-        for fault in self._active(SecondCommander):
-            self._intruders_sequence += 1
-            yield CommandArrival(
-                self._with_torque(arrival.payload, fault.torque_nm, joints=slice(None)),
-                self._intruders_sequence, SECOND_COMMANDER, arrival.arrival_ns,
-            )  # fmt: skip
+    def sender_has_left(self, sender: bytes) -> bool:
+        return self._link.sender_has_left(sender)
 
-    def _with_torque(self, command: bytes, torque_nm: float, *, joints: slice) -> bytes:
-        """A command that asks for another torque; as it is where it cannot be read."""
-        try:
-            self._layout.decode(command, self._command)
-        except InvalidMessageError:
-            return command
-        self._command.fields["effort"][joints] = torque_nm
-        return self._command.payload()
+    def overflow(self) -> int:
+        return self._link.overflow()
 
-    def _cut_off(self, payload: bytes) -> bytes:
-        return payload[: int(next(self._numbers) * len(payload))]
+    def fault(self) -> str | None:
+        return self._link.fault()
 
-    def _active(self, kind: type[_F]) -> list[_F]:
+    def report(self) -> dict[str, Any]:
+        return self._link.report()
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _changed(self, messages: tuple[bytes, ...], direction: Direction) -> tuple[bytes, ...]:
         now_ns = self._clock.now_ns()
-        return [f for f in self._faults if isinstance(f, kind) and f.is_active(now_ns)]
+        for fault in self._message_faults:
+            if fault.acts_on() == direction and fault.is_active(now_ns):
+                messages = fault.changed(messages, self._editor)
+        return messages
 
-    def _advance(self) -> None:
-        """Do and tell what has fallen due."""
-        while self._timeline and self._timeline[0].at_ns <= self._clock.now_ns():
-            strike = self._timeline.popleft()
-            event = RunEvent(self._clock.now_ns(), Role.PLANT, EventKind.INJECTED, strike.text)
-            self._link.publish(topics.RUN_EVENTS, event.encode())
-            strike.act()
+    def _added(self, arrival: CommandArrival) -> Iterable[CommandArrival]:
+        now_ns = self._clock.now_ns()
+        for fault in self._commanders:
+            if fault.is_active(now_ns):
+                self._added_commands += 1
+                command = fault.added_command(arrival, self._editor)
+                yield command._replace(sequence=self._added_commands)
+
+    def _run_schedule(self) -> None:
+        self._schedule.run_due(self._clock.now_ns(), self._announce)
+
+    def _announce(self, text: str) -> None:
+        event = RunEvent(self._clock.now_ns(), Role.PLANT, EventKind.INJECTED, text)
+        self._link.publish(topics.RUN_EVENTS, event.encode())
 
 
-def _timeline(faults: Iterable[Fault], strikes: Iterable[Strike]) -> deque[Strike]:
-    entries = list(strikes)
+def _announcements(faults: Iterable[Fault]) -> Iterable[ScheduledAction]:
     for fault in faults:
-        entries.append(Strike(fault.start_ns, f"{fault}: begins", _nothing))
+        yield ScheduledAction(fault.start_ns, f"{fault}: begins")
         if fault.end_ns < FOREVER_NS:
-            entries.append(Strike(fault.end_ns, f"{fault}: is over", _nothing))
-    return deque(sorted(entries, key=lambda entry: entry.at_ns))
-
-
-def _nothing() -> None:
-    """All that is left to do is to tell of it."""
-
-
-def _stamp_ns(payload: bytes) -> int:
-    sec, nanosec = _STAMP.unpack_from(payload, _STAMP_OFFSET)
-    return int(sec * 1_000_000_000 + nanosec)
-
-
-def _shifted(payload: bytes, by_ns: int) -> bytes:
-    """A message with a header whose stamp is so much later, but not before 0."""
-    if len(payload) < _STAMP_OFFSET + _STAMP.size:
-        return payload
-    word = _STAMP.pack(*divmod(max(0, _stamp_ns(payload) + by_ns), 1_000_000_000))
-    return payload[:_STAMP_OFFSET] + word + payload[_STAMP_OFFSET + _STAMP.size :]
+            yield ScheduledAction(fault.end_ns, f"{fault}: is over")

@@ -21,9 +21,9 @@ import yaml
 from numpy.lib.recfunctions import repack_fields
 
 from bus_schema.messages import topics
+from bus_schema.messages.header import stamp_of
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.zenoh.session import Delivery, ZenohSession
-from deploy.processes.recorder import stamp_of
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 

@@ -1,7 +1,7 @@
 """Whoever dies or freezes in the middle of a run: the arm stops, the file is there, nobody stays.
 
-Every run is watched by a stranger on the bus, so that the strike comes at a known time of the run
-and the end of the plant is known from outside the recording.
+Every run is watched by a stranger on the bus, so that the disruption comes at a known time of the
+run and the end of the plant is known from outside the recording.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from running import (
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.runtime.modes import Mode
 
-STRUCK_AT_S = 1.0
+DISRUPTED_AT_S = 1.0
 PERIOD_S = 0.001
 # In real time a busy machine may well hold up a loop for the 200 ms that are the default.
 COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 1.0}
@@ -40,15 +40,15 @@ both_clocks = pytest.mark.parametrize(
 
 
 @dataclass(frozen=True)
-class Struck:
-    """A run that was struck, and the time to which its plant had come then and at its end."""
+class DisruptedRun:
+    """A run that was disrupted; how far its plant had come then, and at its end."""
 
     run: Finished
-    struck_s: float
+    disrupted_s: float
     plant_end_s: float
 
     @property
-    def blamed(self) -> list[str]:
+    def causes(self) -> list[str]:
         """The lines that say who was killed or frozen."""
         return [
             line.partition("fault")[2].strip()
@@ -62,21 +62,21 @@ class Struck:
         return self.plant_end_s - float(self.run.data.times_s(PLANT_TRUTH)[-1])
 
 
-def strike(
+def disrupt(
     tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str
-) -> Struck:
+) -> DisruptedRun:
     """Send a signal to a process of a run, or to the run itself, in the middle of it."""
     timeout_ms = 1e3 * COMMAND_TIMEOUT_S[clock]
     plant = settings(clock=clock, plant__command_timeout_ms=timeout_ms)
     words = ["run", "paper_arm", *LONG, *plant, *more]
     with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
-        watcher.await_time(STRUCK_AT_S, run)
-        struck_s = watcher.last_stamp_ns * 1e-9
+        watcher.await_time(DISRUPTED_AT_S, run)
+        disrupted_s = watcher.last_stamp_ns * 1e-9
         run.send(number, role)
         ended = run.end()
         left_over = processes_of(run.folder)
     assert left_over == {}
-    return Struck(ended, struck_s, watcher.last_stamp_ns * 1e-9)
+    return DisruptedRun(ended, disrupted_s, watcher.last_stamp_ns * 1e-9)
 
 
 @both_clocks
@@ -91,14 +91,14 @@ def strike(
 def test_arm_is_stopped_when_the_controller_falls_silent(
     tmp_path: Path, clock: str, number: signal.Signals, fate: str
 ) -> None:
-    struck = strike(tmp_path, clock, number, "controller")
-    assert struck.run.code == 1
-    assert struck.blamed == [fate]
-    assert fate in struck.run.summary["faults"]
-    assert not struck.run.summary["completed"]
-    assert struck.run.data.complete
-    assert struck.unrecorded_s <= allowed_gap_s(clock)
-    assert_stopped_in_time(struck.run, COMMAND_TIMEOUT_S[clock])
+    disrupted = disrupt(tmp_path, clock, number, "controller")
+    assert disrupted.run.code == 1
+    assert disrupted.causes == [fate]
+    assert fate in disrupted.run.summary["faults"]
+    assert not disrupted.run.summary["completed"]
+    assert disrupted.run.data.complete
+    assert disrupted.unrecorded_s <= allowed_gap_s(clock)
+    assert_stopped_in_time(disrupted.run, COMMAND_TIMEOUT_S[clock])
 
 
 def allowed_gap_s(clock: str) -> float:
@@ -120,27 +120,27 @@ def assert_stopped_in_time(run: Finished, timeout_s: float) -> None:
 
 @both_clocks
 def test_run_ends_when_the_plant_is_killed(tmp_path: Path, clock: str) -> None:
-    struck = strike(tmp_path, clock, signal.SIGKILL, "plant")
-    assert struck.run.code == 1
-    assert struck.blamed == ["the plant was killed by SIGKILL"]
-    assert not struck.run.summary["completed"]
-    assert struck.run.data.complete  # the recorder finished its file
-    assert struck.unrecorded_s <= 1.0
+    disrupted = disrupt(tmp_path, clock, signal.SIGKILL, "plant")
+    assert disrupted.run.code == 1
+    assert disrupted.causes == ["the plant was killed by SIGKILL"]
+    assert not disrupted.run.summary["completed"]
+    assert disrupted.run.data.complete  # the recorder finished its file
+    assert disrupted.unrecorded_s <= 1.0
 
 
 @both_clocks
 def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> None:
-    struck = strike(tmp_path, clock, signal.SIGKILL, "recorder")
-    assert struck.run.code == 1
-    assert struck.blamed == ["the recorder was killed by SIGKILL"]
-    assert not struck.run.summary["completed"]
-    assert not struck.run.data.complete
+    disrupted = disrupt(tmp_path, clock, signal.SIGKILL, "recorder")
+    assert disrupted.run.code == 1
+    assert disrupted.causes == ["the recorder was killed by SIGKILL"]
+    assert not disrupted.run.summary["completed"]
+    assert not disrupted.run.data.complete
     # What the recorder had heard up to a second before it died is on the disk.
-    assert struck.run.data.times_s(PLANT_TRUTH)[-1] >= struck.struck_s - 1.0
-    assert not (struck.run.folder / "run.mcap").exists()  # there is no whole recording
-    assert struck.run.summary["recorder"]["lost"] is None  # nobody counted to the end
+    assert disrupted.run.data.times_s(PLANT_TRUTH)[-1] >= disrupted.disrupted_s - 1.0
+    assert not (disrupted.run.folder / "run.mcap").exists()  # there is no whole recording
+    assert disrupted.run.summary["recorder"]["lost"] is None  # nobody counted to the end
     for command in ("report", "replay") if clock == "lockstep" else ():
-        looked_at = funnel_hil(command, str(struck.run.folder), out=None)
+        looked_at = funnel_hil(command, str(disrupted.run.folder), out=None)
         assert looked_at.code == 0, looked_at.output
         assert "The recording is partial" in looked_at.output
 
@@ -182,13 +182,13 @@ def test_interrupted_run_leaves_complete_files(
     tmp_path: Path, clock: str, number: signal.Signals
 ) -> None:
     patient = settings(plant__command_timeout_ms=5000)  # a busy machine is another matter
-    struck = strike(tmp_path, clock, number, None, *patient)
-    assert struck.run.code == 130
-    assert struck.run.summary["completed"] is False
-    assert struck.run.summary["faults"] == []
-    assert struck.run.data.complete
-    assert struck.unrecorded_s <= allowed_gap_s(clock)
-    assert (struck.run.folder / "report.html").is_file()
+    disrupted = disrupt(tmp_path, clock, number, None, *patient)
+    assert disrupted.run.code == 130
+    assert disrupted.run.summary["completed"] is False
+    assert disrupted.run.summary["faults"] == []
+    assert disrupted.run.data.complete
+    assert disrupted.unrecorded_s <= allowed_gap_s(clock)
+    assert (disrupted.run.folder / "report.html").is_file()
 
 
 @pytest.mark.parametrize("moment", ["processes have started", "recording has begun"])
@@ -210,10 +210,13 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
     assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
 
 
-def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frozen", [None, "recorder", "plant"])
+def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path, frozen: str | None) -> None:
     words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]
     with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
         watcher.await_time(0.1, run)
+        if frozen is not None:
+            run.send(signal.SIGSTOP, frozen)
         run.send(signal.SIGKILL)
         await_true(lambda: not processes_of(run.folder), "the others follow")
         run.end()

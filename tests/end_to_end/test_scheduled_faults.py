@@ -18,7 +18,7 @@ from deploy.scenario.scenario import load_setup
 
 
 def run(tmp_path: Path, name: str, **values: object) -> Finished:
-    """Run a shipped fault; nobody is left over, and the recording tells when it was struck."""
+    """Run a shipped fault; nobody is left over, and the recording tells when the fault began."""
     ended = funnel_hil("run", f"faults/{name}", *settings(**values), out=tmp_path / "run")
     assert processes_of(ended.folder) == {}
     assert "Traceback" not in ended.output
@@ -29,41 +29,56 @@ def run(tmp_path: Path, name: str, **values: object) -> Finished:
 
 @pytest.mark.parametrize("name", ["controller_killed", "plant_clock_step"])
 def test_lockstep_gives_the_bits_of_the_simulation(tmp_path: Path, name: str) -> None:
-    struck = run(tmp_path, name, clock="lockstep")
+    disrupted = run(tmp_path, name, clock="lockstep")
     simulated = simulate(load_setup(f"faults/{name}")).data()
-    assert struck.code == 1
-    assert struck.digest == simulated.digest
-    assert to_safe_state_ms(struck.data) == to_safe_state_ms(simulated) == 200.0
+    assert disrupted.code == 1
+    assert disrupted.digest == simulated.digest
+    assert to_safe_state_ms(disrupted.data) == to_safe_state_ms(simulated) == 200.0
 
 
 def test_recorder_that_is_restarted_goes_on_in_another_file(tmp_path: Path) -> None:
-    struck = run(tmp_path, "recorder_restarted", clock="lockstep")
-    assert struck.code == 1
-    assert struck.summary["faults"][0] == "the recorder was killed by SIGKILL"
-    assert not struck.data.complete
-    second = read_log(struck.folder / "run-2.mcap")
+    disrupted = run(tmp_path, "recorder_restarted", clock="lockstep")
+    assert disrupted.code == 1
+    assert disrupted.summary["faults"][0] == "the recorder was killed by SIGKILL"
+    assert not disrupted.data.complete
+    second = read_log(disrupted.folder / "run-2.mcap")
     assert second.complete
     assert len(second.payloads[PLANT_TRUTH.name]) > 0
 
 
+def test_recorder_that_is_restarted_twice_overwrites_nothing(tmp_path: Path) -> None:
+    restarts = [
+        {"kind": "process_restarted", "target": "recorder", "at_s": at_s, "for_s": 0.2}
+        for at_s in (1.0, 1.5)
+    ]
+    disrupted = run(tmp_path, "recorder_restarted", clock="lockstep", duration_s=4, faults=restarts)
+    assert [fault for fault in disrupted.summary["faults"] if "killed" in fault] == [
+        "the recorder was killed by SIGKILL"
+    ] * 2
+    assert not read_log(disrupted.folder / "run-2.partial.mcap").complete
+    last = read_log(disrupted.folder / "run-3.mcap")
+    assert last.complete
+    assert last.payloads[PLANT_TRUTH.name]
+
+
 def test_controller_that_is_restarted_does_not_move_a_stopped_arm(tmp_path: Path) -> None:
-    struck = run(tmp_path, "controller_restarted", clock="lockstep")
-    assert struck.code == 1
-    truth = struck.data.tables[PLANT_TRUTH.name]
-    assert to_safe_state_ms(struck.data) == 200.0
+    disrupted = run(tmp_path, "controller_restarted", clock="lockstep")
+    assert disrupted.code == 1
+    truth = disrupted.data.tables[PLANT_TRUTH.name]
+    assert to_safe_state_ms(disrupted.data) == 200.0
     assert set(truth["mode"][1500:]) <= {Mode.STOPPING, Mode.FAULT}
     assert np.abs(truth["velocity"][1500:]).max() < 1e-3
-    senders = [event.source for event in struck.data.events if event.kind == EventKind.ENDED]
+    senders = [event.source for event in disrupted.data.events if event.kind == EventKind.ENDED]
     assert "controller" in senders  # the newcomer was there to the end
 
 
 @pytest.mark.serial
 def test_arm_stops_in_time_when_the_controller_is_killed_in_real_time(tmp_path: Path) -> None:
     patient = {"plant__command_timeout_ms": 1000, "duration_s": 4}
-    struck = run(tmp_path, "controller_killed", clock="realtime", **patient)
-    assert struck.code == 1
-    assert "the controller was killed by SIGKILL" in struck.summary["faults"]
-    silence_ms = to_safe_state_ms(struck.data)
+    disrupted = run(tmp_path, "controller_killed", clock="realtime", **patient)
+    assert disrupted.code == 1
+    assert "the controller was killed by SIGKILL" in disrupted.summary["faults"]
+    silence_ms = to_safe_state_ms(disrupted.data)
     assert silence_ms is not None
     assert silence_ms <= 1002.0
 
@@ -72,8 +87,8 @@ def test_arm_stops_in_time_when_the_controller_is_killed_in_real_time(tmp_path: 
 def test_short_freeze_of_the_controller_is_survived_in_real_time(tmp_path: Path) -> None:
     fault = [{"kind": "process_frozen", "target": "controller", "at_s": 1, "for_s": 0.3}]
     patient = {"clock": "realtime", "plant__command_timeout_ms": 2000, "faults": fault}
-    struck = run(tmp_path, "controller_frozen", **patient)
-    assert struck.code == 0, struck.output
-    assert to_safe_state_ms(struck.data) is None
+    disrupted = run(tmp_path, "controller_frozen", **patient)
+    assert disrupted.code == 0, disrupted.output
+    assert to_safe_state_ms(disrupted.data) is None
     # Frozen for 300 ms, but for the 50 ms that the launcher may be late on either side.
-    assert struck.summary["timing"]["deadline_misses"] >= 150
+    assert disrupted.summary["timing"]["deadline_misses"] >= 150

@@ -14,6 +14,7 @@ from mutation import Mutator
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
+from bus_schema.messages.header import stamp_of
 from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
@@ -25,7 +26,6 @@ from bus_schema.zenoh.link import arrival_of
 from bus_schema.zenoh.ros_graph import Attachment, Entity, EntityKind, endpoint_token
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError
-from deploy.processes.recorder import stamp_of
 from deploy.scenario.scenario import load_setup
 from plant_emulator.command_gate import Command, CommandGate
 

@@ -1,4 +1,4 @@
-"""Random trouble for whole simulations: a bad link, and hostile hands on the command key."""
+"""Random trouble for whole simulations: a bad link, and hostile commands."""
 
 from __future__ import annotations
 
@@ -72,47 +72,47 @@ class HostilePlantLink(InProcessPlantLink):
         self, bus: InProcessBus, names: tuple[str, ...], random: np.random.Generator, share: float
     ) -> None:
         super().__init__(bus)
-        self._hunted, self._random, self._share = bus, random, share
+        self._attacked_bus, self._random, self._share = bus, random, share
         self._states = layout(JOINT_STATES, names)
         self._state = Record(self._states)
         self._command = Record(layout(JOINT_COMMANDS, names))
-        self._heard: list[CommandArrival] = []
+        self._received: list[CommandArrival] = []
         self.arrivals = 0
         self.hostile = 0
 
     def send_state(self, state: bytes, status: bytes) -> None:
         super().send_state(state, status)
         self._states.decode(state, self._state)
-        commands, self._hunted.commands = self._hunted.commands, []
+        commands, self._attacked_bus.commands = self._attacked_bus.commands, []
         for command in commands:
             own = command._replace(sender=_COMMANDER)
             attack = self._random.choice(ATTACKS)
-            is_attacked = bool(self._heard) and self._random.random() < self._share
-            self._hunted.commands.append(own)
+            is_attacked = bool(self._received) and self._random.random() < self._share
+            self._attacked_bus.commands.append(own)
             if is_attacked:
-                place = int(self._random.integers(2)) - 1 or len(self._hunted.commands)
-                self._hunted.commands.insert(place, self._shot(str(attack), own))
+                place = int(self._random.integers(2)) - 1 or len(self._attacked_bus.commands)
+                self._attacked_bus.commands.insert(place, self._hostile_command(str(attack), own))
                 self.hostile += 1
-            self._heard.append(own)
+            self._received.append(own)
 
     def take_commands(self) -> list[CommandArrival]:
         taken = super().take_commands()
         self.arrivals += len(taken)
         return taken
 
-    def _shot(self, attack: str, own: CommandArrival) -> CommandArrival:
-        """A hostile command that no plant may heed."""
+    def _hostile_command(self, attack: str, own: CommandArrival) -> CommandArrival:
+        """A hostile command that no plant may obey."""
         stamp_ns, torque = self._state.stamp_ns, HUGE_NM
         payload, sequence, sender = None, own.sequence + 10**6, b"stranger"
         match attack:
             case "replay":
-                return self._heard[int(self._random.integers(len(self._heard)))]
+                return self._received[int(self._random.integers(len(self._received)))]
             case "old_stamp":
-                stamp_ns, sequence, sender = 0, self._heard[-1].sequence, _COMMANDER
+                stamp_ns, sequence, sender = 0, self._received[-1].sequence, _COMMANDER
             case "not_finite":
                 torque, sender = float(self._random.choice([np.nan, np.inf, -np.inf])), _COMMANDER
             case "huge":
-                sequence, sender = self._heard[-1].sequence, _COMMANDER
+                sequence, sender = self._received[-1].sequence, _COMMANDER
             case "garbage":
                 payload = self._random.bytes(int(self._random.integers(0, 300)))
             case "future":
@@ -126,8 +126,8 @@ class HostilePlantLink(InProcessPlantLink):
 
 
 @dataclass(frozen=True)
-class Ordeal:
-    """A run that went through it.
+class AttackedRun:
+    """A run under attack.
 
     Attributes:
         largest_nm: largest torque that any command in force asked for.
@@ -140,7 +140,7 @@ class Ordeal:
     largest_nm: float
 
 
-def endure(seed: int) -> Ordeal:
+def run_under_attack(seed: int) -> AttackedRun:
     """Run a random setup under random attacks."""
     random = np.random.default_rng(seed)
     setup = random_setup(random)
@@ -160,4 +160,4 @@ def endure(seed: int) -> Ordeal:
     outcome = PlantLoop(setup.plant_task(lockstep=True), arm, link, clock).run()
     controller.end()
     arm.close()
-    return Ordeal(setup, bus, link, outcome, max(asked))
+    return AttackedRun(setup, bus, link, outcome, max(asked))

@@ -22,12 +22,12 @@ SCHEDULES = 100
 STEPS = {(before, after) for (before, _), after in TRANSITIONS.items()}
 
 
-def data_of(ordeal: chaos.Ordeal) -> RunData:
-    return Simulation(ordeal.setup, ordeal.bus.topics, ordeal.bus.payloads, None).data()
+def data_of(attacked: chaos.AttackedRun) -> RunData:
+    return Simulation(attacked.setup, attacked.bus.topics, attacked.bus.payloads, None).data()
 
 
-def limit_nm(ordeal: chaos.Ordeal) -> Vector:
-    return ordeal.setup.scenario.limits.of_plant(ordeal.setup.robot).torque_nm
+def limit_nm(attacked: chaos.AttackedRun) -> Vector:
+    return attacked.setup.scenario.limits.of_plant(attacked.setup.robot).torque_nm
 
 
 def modes_of(run: RunData, role: Role) -> list[Mode]:
@@ -39,31 +39,31 @@ def modes_of(run: RunData, role: Role) -> list[Mode]:
 
 @pytest.mark.parametrize("seed", range(SCHEDULES))
 def test_what_holds_whatever_happens(seed, tmp_path):
-    ordeal = chaos.endure(seed)
-    run = data_of(ordeal)
-    assert_torque_is_within_limits(ordeal, run)
-    assert_every_command_is_accounted_for(ordeal, run)
-    assert_nothing_hostile_came_into_force(ordeal, run)
+    attacked = chaos.run_under_attack(seed)
+    run = data_of(attacked)
+    assert_torque_is_within_limits(attacked, run)
+    assert_every_command_is_accounted_for(attacked, run)
+    assert_nothing_hostile_came_into_force(attacked, run)
     assert_modes_follow_the_table(run)
-    assert_recording_is_whole_and_losses_are_known(ordeal, tmp_path)
-    if not ordeal.outcome.completed:
-        assert ordeal.outcome.faults
+    assert_recording_is_whole_and_losses_are_known(attacked, tmp_path)
+    if not attacked.outcome.completed:
+        assert attacked.outcome.faults
 
 
-def assert_torque_is_within_limits(ordeal, run):
-    limit = limit_nm(ordeal)
+def assert_torque_is_within_limits(attacked, run):
+    limit = limit_nm(attacked)
     for name, field in ((PLANT_TRUTH, "torque"), (JOINT_COMMANDS, "effort")):
         torque = run.tables[name.name][field]
         assert np.isfinite(torque).all()
         assert (np.abs(torque) <= limit).all()
 
 
-def assert_every_command_is_accounted_for(ordeal, run):
+def assert_every_command_is_accounted_for(attacked, run):
     """Whatever arrived was refused, lost, used, found out of date, or is on its way at the end."""
     down = run.last_event(Role.PLANT, EventKind.COUNTS).values()["downlink"]
     after_the_gate = {"overtaken", "after_stop"}
     rejected = {why: n for why, n in down["rejected"].items() if why not in after_the_gate}
-    assert down["sent"] + sum(rejected.values()) == ordeal.link.arrivals
+    assert down["sent"] + sum(rejected.values()) == attacked.link.arrivals
     unused = sum(down["rejected"].get(why, 0) for why in after_the_gate)
     truth = run.tables[PLANT_TRUTH.name]
     in_force = len(np.unique(truth["command_sequence"][truth["command_sequence"] > 0]))
@@ -73,13 +73,13 @@ def assert_every_command_is_accounted_for(ordeal, run):
     assert on_their_way >= 0
 
 
-def assert_nothing_hostile_came_into_force(ordeal, run):
+def assert_nothing_hostile_came_into_force(attacked, run):
     """The command in force is at any tick one that the controller sent."""
     rejected = run.last_event(Role.PLANT, EventKind.COUNTS).values()["downlink"]["rejected"]
     refused = sum(n for why, n in rejected.items() if why not in ("overtaken", "after_stop"))
-    assert refused >= ordeal.link.hostile
-    assert ordeal.largest_nm <= limit_nm(ordeal).max()  # the hostile ones ask for far more
-    assert run.tables[PLANT_TRUTH.name]["command_sequence"].max() <= ordeal.bus.commands_sent
+    assert refused >= attacked.link.hostile
+    assert attacked.largest_nm <= limit_nm(attacked).max()  # the hostile ones ask for far more
+    assert run.tables[PLANT_TRUTH.name]["command_sequence"].max() <= attacked.bus.commands_sent
 
 
 def assert_modes_follow_the_table(run):
@@ -92,14 +92,14 @@ def assert_modes_follow_the_table(run):
     assert set(pairwise(seen)) <= STEPS
 
 
-def assert_recording_is_whole_and_losses_are_known(ordeal, tmp_path):
-    bus = ordeal.bus
-    simulation = Simulation(ordeal.setup, bus.topics, bus.payloads, None)
+def assert_recording_is_whole_and_losses_are_known(attacked, tmp_path):
+    bus = attacked.bus
+    simulation = Simulation(attacked.setup, bus.topics, bus.payloads, None)
     simulation.write_log(tmp_path / "run.mcap")
     log = read_log(tmp_path / "run.mcap")
     assert log.complete
     assert sum(map(len, log.payloads.values())) == len(bus.payloads)
-    assert_losses_are_known(bus, ordeal.outcome)
+    assert_losses_are_known(bus, attacked.outcome)
 
 
 def assert_losses_are_known(bus, outcome):
@@ -124,7 +124,7 @@ def test_the_schedules_are_trouble_indeed() -> None:
     modes: set[Mode] = set()
     limits: Counter[str] = Counter()
     for seed in range(12):
-        run = data_of(chaos.endure(seed))
+        run = data_of(chaos.run_under_attack(seed))
         counts = run.last_event(Role.PLANT, EventKind.COUNTS).values()
         rejected.update(counts["downlink"]["rejected"])
         limits.update(counts["limits"])

@@ -35,7 +35,7 @@ def bare_machine(monkeypatch: pytest.MonkeyPatch) -> None:
         raise importlib.metadata.PackageNotFoundError(name)
 
     names = (realtime.SCHEDULER, realtime.MEMORY_LOCK, realtime.TIMER_SLACK)
-    refused = [realtime.Grant(name, False, "refused") for name in names]
+    refused = [realtime.RealtimeSetting(name, False, "refused") for name in names]
     monkeypatch.setattr(realtime, "probe", lambda: refused)
     monkeypatch.setattr(importlib.metadata, "version", not_installed)
     monkeypatch.setattr(socket, "socket", refuse)

@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 import yaml
 
+from bus_schema.messages.header import stamp_of
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.recording.record_file import RecordFile
 from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes import recorder as recorder_module
-from deploy.processes.recorder import Recorder, stamp_of
+from deploy.processes.recorder import Recorder
 from deploy.scenario.scenario import Setup, load_setup
 from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
 

@@ -32,7 +32,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
 SIMULATED = [name for name in fault_scenarios() if not needs_processes(load_setup(name))]
-STRUCK_TICK, TIMEOUT_MS = 1000, 200.0
+FAULT_TICK, TIMEOUT_MS = 1000, 200.0
 measured = cache(measure)
 
 
@@ -74,7 +74,7 @@ def test_fault_has_the_outcome_stated(name):
     assert TIMEOUT_MS - 2.0 <= outcome.to_safe_state_ms <= outcome.allowed_ms == TIMEOUT_MS + 2.0
     stopped = np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))
     assert (np.diff(stopped.astype(int)) >= 0).all()  # there is no way back
-    assert np.argmax(stopped) <= STRUCK_TICK + TIMEOUT_MS + 2
+    assert np.argmax(stopped) <= FAULT_TICK + TIMEOUT_MS + 2
     assert np.abs(truth["velocity"][-1]).max() < 1e-3
 
 
@@ -97,7 +97,7 @@ def test_fault_is_told_and_begins_on_time(name):
     states = run.tables[topics.JOINT_STATES.name]
     before = healthy().data().tables[topics.JOINT_STATES.name]
     if name != "faults/payload_dropped":  # its arm is heavier from the start
-        assert states[:STRUCK_TICK].tobytes() == before[:STRUCK_TICK].tobytes()
+        assert states[:FAULT_TICK].tobytes() == before[:FAULT_TICK].tobytes()
 
 
 OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500", "duration_s=1.5"]
@@ -128,7 +128,7 @@ def test_fault_of_the_arm_does_the_same_over_can(name):
     "name", sorted({name.removeprefix("faults/") for name in SIMULATED} - ARM_FAULTS)
 )
 def test_fault_of_messages_or_processes_is_refused_over_can_with_a_way_out(name):
-    with pytest.raises(ScenarioError, match=r"link\.can\.faults|run strikes processes"):
+    with pytest.raises(ScenarioError, match=r"link\.can\.faults|run has processes"):
         simulate(load_setup(f"faults/{name}", OVER_CAN))
 
 
@@ -144,7 +144,7 @@ def test_slowed_link_delays_by_what_it_says():
 
 def test_stuck_encoder_shows_one_position_and_no_velocity():
     run = measured("faults/encoder_stuck").run
-    states = run.tables[topics.JOINT_STATES.name][STRUCK_TICK : STRUCK_TICK + 300]
+    states = run.tables[topics.JOINT_STATES.name][FAULT_TICK : FAULT_TICK + 300]
     assert len(set(states["position"][:, 2])) == 1
     assert (states["velocity"][:, 2] == 0.0).all()
     assert len(set(states["position"][:, 1])) == 300
@@ -155,7 +155,7 @@ def test_biased_encoder_is_off_by_its_bias():
     seen = run.tables[topics.JOINT_STATES.name]["position"][:2000, 2]
     true = run.tables[topics.PLANT_TRUTH.name]["position"][:2000, 2]
     expected = np.zeros(2000)
-    expected[STRUCK_TICK : STRUCK_TICK + 300] = 0.005
+    expected[FAULT_TICK : FAULT_TICK + 300] = 0.005
     np.testing.assert_allclose(seen - true, expected, atol=1e-15)
 
 
@@ -164,10 +164,10 @@ def test_noisy_encoder_has_the_noise_asked_for():
     states = run.tables[topics.JOINT_STATES.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
     noise = (states["position"] - truth["position"][:2000])[:, 2]
-    assert not noise[:STRUCK_TICK].any()
-    assert not noise[STRUCK_TICK + 300 :].any()
+    assert not noise[:FAULT_TICK].any()
+    assert not noise[FAULT_TICK + 300 :].any()
     # 300 draws tell a standard deviation to 4 %; four times that is no accident.
-    assert np.std(noise[STRUCK_TICK : STRUCK_TICK + 300]) == pytest.approx(1e-4, rel=0.16)
+    assert np.std(noise[FAULT_TICK : FAULT_TICK + 300]) == pytest.approx(1e-4, rel=0.16)
 
 
 @pytest.mark.parametrize(
@@ -182,10 +182,10 @@ def test_faulty_actuator_delivers_another_torque(name, joint, delivered):
     run = measured(f"faults/{name}").run
     asked = run.tables[topics.JOINT_COMMANDS.name]["effort"]
     torque = run.tables[topics.PLANT_TRUTH.name]["torque"]
-    during = np.arange(STRUCK_TICK, STRUCK_TICK + 300)
+    during = np.arange(FAULT_TICK, FAULT_TICK + 300)
     # The answer to the state of a tick is what acts until the next one.
     np.testing.assert_array_equal(torque[during + 1, joint], delivered(asked[during, joint]))
-    after = np.arange(STRUCK_TICK + 300, 1999)
+    after = np.arange(FAULT_TICK + 300, 1999)
     np.testing.assert_array_equal(torque[after + 1], asked[after])
 
 
@@ -229,11 +229,11 @@ def test_same_bits_in_every_run_and_in_replay(tmp_path, name):
     again.write_log(tmp_path / "run.mcap")
     repeated = replay(again.setup, read_log(tmp_path / "run.mcap"))
     assert repeated.is_identical
-    assert repeated.recorded > STRUCK_TICK - 1
+    assert repeated.recorded > FAULT_TICK - 1
 
 
 @pytest.mark.parametrize("target", ["plant", "recorder"])
-def test_simulation_refuses_to_strike_what_it_has_not(target):
+def test_simulation_refuses_faults_of_processes_it_has_not(target):
     fault = f"faults=[{{kind: process_killed, target: {target}, at_s: 1}}]"
     with pytest.raises(ScenarioError, match=f"target = '{target}': must be controller"):
         simulate(load_setup("paper_arm", [fault]))

@@ -26,7 +26,6 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
-from plant_emulator.drives.fault_plan import FaultPlan
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 START = np.array([0.2, -1.0, 0.9])
@@ -51,7 +50,7 @@ class Rig:
         self.events = []
         self._rig = DriveRig(
             self.arm, bank, self._bus, MonotonicClock(), GRID,
-            plan=FaultPlan([]), on_frame=lambda frame: None, on_event=self.events.append,
+            faults=[], on_frame=lambda frame: None, on_event=self.events.append,
         )  # fmt: skip
         self._thread = threading.Thread(target=self._rig.run, daemon=True)
 

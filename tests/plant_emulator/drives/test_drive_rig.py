@@ -14,7 +14,7 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
-from plant_emulator.drives.fault_plan import FaultPlan, parse_fault
+from plant_emulator.drives.fault_plan import parse_fault
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 START = np.array([0.2, -1.0, 0.9])
@@ -66,7 +66,7 @@ def make():
         events = []
         rig = DriveRig(
             arm, bank, bus, clock, GRID,
-            plan=FaultPlan([parse_fault(text, NODES) for text in faults]),
+            faults=[parse_fault(text, NODES) for text in faults],
             on_frame=lambda frame: None, on_event=events.append,
         )  # fmt: skip
         return rig, arm, bank, events

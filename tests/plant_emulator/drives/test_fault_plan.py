@@ -5,7 +5,7 @@ from bus_schema.configuration import ConfigurationError
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
 from plant_emulator.drives.drive import DriveFault, DriveSettings
-from plant_emulator.drives.fault_plan import FaultPlan, PlannedFault, parse_fault
+from plant_emulator.drives.fault_plan import PlannedFault, parse_fault, schedule_faults
 
 NODES = (4, 7)
 S = 1_000_000_000
@@ -35,10 +35,12 @@ def test_faults_come_and_go_at_their_times():
     sent = []
     bank = DriveBank(Cia402Drive, [DriveSettings(node, 1.0, 1.0) for node in NODES], sent.append)
     bank.measure(np.zeros(2), np.zeros(2), np.zeros(2))
-    plan = FaultPlan([parse_fault("silent:4@1s+1s", NODES), parse_fault("drive:7@1500ms", NODES)])
+    faults = [parse_fault("silent:4@1s+1s", NODES), parse_fault("drive:7@1500ms", NODES)]
+    schedule = schedule_faults(faults, bank)
     said = {}
     for now_ns in range(0, 3 * S, S // 4):
-        said[now_ns / S] = plan.carry_out(bank, now_ns)
+        said[now_ns / S] = []
+        schedule.run_due(now_ns, said[now_ns / S].append)
         sent.clear()
         bank.advance(now_ns)
         assert (0x704 in [frame.identifier for frame in sent]) == (not S <= now_ns < 2 * S)

@@ -13,13 +13,13 @@ THREADS, SENTENCES = 4, 2000
 SPEAKER = f"""
 import sys, threading
 from bus_schema.messages.topics import Role
-from deploy.processes.processes import Voice
+from deploy.processes.status import StatusReporter
 
-voice = Voice(Role.PLANT, to_parent=True)
+reporter = StatusReporter(Role.PLANT, to_parent=True)
 
 def speak(thread):
     for number in range({SENTENCES}):
-        voice.say("note", text=f"{{thread}} {{number}}")
+        reporter.report("note", text=f"{{thread}} {{number}}")
 
 sys.setswitchinterval(1e-6)
 threads = [threading.Thread(target=speak, args=(thread,)) for thread in range({THREADS})]

@@ -1,0 +1,143 @@
+"""One process of a run, as `run` sees it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from bus_schema.messages.topics import Role
+from deploy.processes.status import StatusMessage
+
+_LAST_LINES = 50
+_OUTPUT_TIMEOUT_S = 1.0
+
+
+class Failure(NamedTuple):
+    """How a process failed.
+
+    Attributes:
+        text: one sentence.
+        is_cause: it was killed or frozen from outside, of which other failures are consequences.
+    """
+
+    text: str
+    is_cause: bool
+
+
+class Child:
+    """One child process. It ends with its parent, and no signal of the terminal reaches it.
+
+    Args:
+        role: the process.
+        arguments: words of its command line.
+        inbox: takes the messages it sends.
+
+    Attributes:
+        has_started: set with its first message, once it is on the bus.
+    """
+
+    def __init__(
+        self, role: Role, arguments: list[str], inbox: queue.SimpleQueue[StatusMessage]
+    ) -> None:
+        self.role = role
+        self.has_started = threading.Event()
+        self._inbox = inbox
+        self._was_asked_to_stop = False
+        self._faults: list[str] = []
+        self._errors: list[str] = []
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "deploy.cli", *arguments, "--to-parent", str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self._readers = [
+            threading.Thread(target=read, args=(pipe,), daemon=True)
+            for read, pipe in (
+                (self._read_messages, self._process.stdout),
+                (self._read_errors, self._process.stderr),
+            )
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def is_running(self) -> bool:
+        return self._process.poll() is None
+
+    def is_frozen(self) -> bool:
+        """Whether the process is stopped by a signal."""
+        try:
+            stat = Path(f"/proc/{self._process.pid}/stat").read_text()
+        except OSError:
+            return False
+        return stat.rpartition(")")[2].split()[0] in ("T", "t")
+
+    def ask_to_stop(self) -> None:
+        """Ask once; a second signal could meet an interpreter that is already shutting down."""
+        if self.is_running() and not self._was_asked_to_stop:
+            self._was_asked_to_stop = True
+            self._process.terminate()
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        if self.is_running():
+            self._process.send_signal(number)
+
+    def confirm(self) -> None:
+        """Tell a child that waits for it that what it asked for is done."""
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.write("done\n")
+                self._process.stdin.flush()
+
+    def kill(self) -> None:
+        """Kill it, and wait until it is gone."""
+        if self.is_running():
+            self._process.kill()
+        self._process.wait()
+
+    def failure(self) -> Failure | None:
+        """What went wrong with the process, which has ended; None if nothing did."""
+        code = self._process.returncode
+        for reader in self._readers:
+            reader.join(timeout=_OUTPUT_TIMEOUT_S)
+        if code == -signal.SIGTERM and self._was_asked_to_stop:
+            return None  # it had not got as far as to leave in order, or was past it
+        if code < 0:
+            by = signal.Signals(-code).name
+            return Failure(f"the {self.role} was killed by {by}", is_cause=True)
+        if self._faults:
+            return Failure(f"the {self.role} failed: {self._faults[0]}", is_cause=False)
+        if code:
+            last = self._errors[-1] if self._errors else "it left no message"
+            text = f"the {self.role} failed with exit code {code}: {last}"
+            return Failure(text, is_cause=False)
+        return None
+
+    def _read_messages(self, pipe: IO[str]) -> None:
+        for line in pipe:
+            try:
+                message = StatusMessage.parse(self.role, line)
+            except ValueError:
+                self._errors.append(line.rstrip())
+                continue
+            if message.kind == "note":
+                self.has_started.set()
+            elif message.kind == "fault":
+                self._faults.append(message.values["text"])
+            self._inbox.put(message)
+
+    def _read_errors(self, pipe: IO[str]) -> None:
+        for line in pipe:
+            if line.strip():
+                self._errors.append(line.rstrip())
+                del self._errors[:-_LAST_LINES]

@@ -1,0 +1,78 @@
+"""Status messages of a process to whoever started it: sentences for people, JSON for `run`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from bus_schema.messages.topics import Role
+from plant_emulator.faults.process_faults import ProcessAction
+
+
+class StatusMessage(NamedTuple):
+    """A message of a process about itself.
+
+    Attributes:
+        role: the process.
+        kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action`` or
+            ``result``.
+        values: what belongs to the kind.
+    """
+
+    role: Role
+    kind: str
+    values: dict[str, Any]
+
+    @staticmethod
+    def parse(role: Role, line: str) -> StatusMessage:
+        """A message from the JSON of a line.
+
+        Raises:
+            ValueError: the line is something else.
+        """
+        values = json.loads(line)
+        if not isinstance(values, dict) or "kind" not in values:
+            raise ValueError("not a status message")
+        return StatusMessage(role, values.pop("kind"), values)
+
+    def process_action(self) -> ProcessAction:
+        """The action that a message of the kind ``process_action`` asks for."""
+        return ProcessAction(**self.values)._replace(target=Role(self.values["target"]))
+
+
+class StatusReporter:
+    """Sends the status messages of a process.
+
+    Args:
+        role: the process.
+        to_parent: write JSON lines.
+    """
+
+    def __init__(self, role: Role, *, to_parent: bool) -> None:
+        self._role = role
+        self._to_parent = to_parent
+        self._console = Console(highlight=False)
+
+    def report(self, kind: str, **values: Any) -> None:
+        """Report something; the kinds are those of a `StatusMessage`."""
+        if self._to_parent:
+            # print writes the end of a line by itself, and another thread's line may get before it.
+            with contextlib.suppress(BrokenPipeError):
+                sys.stdout.write(json.dumps({"kind": kind, **values}) + "\n")
+                sys.stdout.flush()
+        elif kind in ("note", "lacks", "fault"):
+            self._console.print(f"{self._role}: {values['text']}", markup=False)
+        elif kind in ("progress", "result"):
+            shown = ", ".join(f"{name} {value}" for name, value in values.items())
+            self._console.print(f"{self._role}: {shown}", markup=False)
+
+    def request(self, action: ProcessAction, *, await_execution: bool) -> None:
+        """Have `run` do something to a process; without `run` nobody does."""
+        if self._to_parent:
+            self.report("process_action", **action._asdict())
+            if await_execution:
+                sys.stdin.readline()

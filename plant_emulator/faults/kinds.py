@@ -1,0 +1,64 @@
+"""The table of faults: a class that is in it is a kind of fault that scenarios can schedule."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache, reduce
+from operator import or_
+from typing import Annotated, Any
+
+from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
+
+from plant_emulator.faults import arm_faults, channel_faults, message_faults, process_faults
+from plant_emulator.faults.fault import Fault, FaultContext
+
+FAULT_KINDS: list[type[Fault]] = [
+    arm_faults.EncoderStuck,
+    arm_faults.EncoderBiased,
+    arm_faults.EncoderNoisy,
+    arm_faults.TorqueOffset,
+    arm_faults.ActuatorWeak,
+    arm_faults.ActuatorDead,
+    arm_faults.PayloadDropped,
+    channel_faults.LinkCut,
+    channel_faults.LinkSlowed,
+    channel_faults.LinkDuplicated,
+    message_faults.LinkCorrupted,
+    message_faults.NonFiniteCommand,
+    message_faults.SecondCommander,
+    message_faults.ClockStep,
+    process_faults.ProcessKilled,
+    process_faults.ProcessFrozen,
+    process_faults.ProcessRestarted,
+]
+"""Each declares its ``kind`` as a literal, its keys, and what it does."""
+
+
+def parse_fault(values: Any) -> Fault:
+    """The fault that an entry of a scenario describes.
+
+    Raises:
+        ValidationError: it is of no kind of the table, or its keys are wrong.
+    """
+    fault: Fault = _adapter(tuple(FAULT_KINDS)).validate_python(values)
+    return fault
+
+
+@cache
+def _adapter(kinds: tuple[type[Fault], ...]) -> TypeAdapter[Any]:
+    union: Any = Annotated[reduce(or_, kinds), Field(discriminator="kind")]
+    return TypeAdapter(union)
+
+
+ScheduledFault = Annotated[SerializeAsAny[Fault], PlainValidator(parse_fault)]
+"""An entry of the section ``faults``; the table is looked at when a scenario is read."""
+
+
+def check_faults(faults: Iterable[Fault], context: FaultContext) -> None:
+    """Check faults against the scenario they are part of.
+
+    Raises:
+        ConfigurationError: one refers to what is not there, or begins after the end.
+    """
+    for index, fault in enumerate(faults):
+        fault.check(f"faults.{index}", context)

@@ -1,0 +1,152 @@
+"""Faults in messages: their content is wrong, or they come from another sender."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import ClassVar, Literal
+
+from bus_schema.errors import InvalidMessageError
+from bus_schema.link.interface import CommandArrival
+from bus_schema.messages import topics
+from bus_schema.messages.header import stamp_of, with_stamp
+from bus_schema.messages.layout import Record
+from plant_emulator.faults.channel_faults import Direction, LinkFault
+from plant_emulator.faults.fault import Share
+
+SECOND_COMMANDER = b"second commander"
+"""Sender id of the second commander."""
+
+
+class MessageEditor:
+    """Changes messages as faults ask for it.
+
+    Args:
+        joint_names: names of the joints.
+        uniform: random numbers from 0 to below 1.
+    """
+
+    def __init__(self, joint_names: tuple[str, ...], uniform: Iterator[float]) -> None:
+        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
+        self._command = Record(self._layout)
+        self._uniform = uniform
+
+    def happens(self, probability: float) -> bool:
+        """Whether something of this probability happens now."""
+        return next(self._uniform) < probability
+
+    def cut_off(self, payload: bytes) -> bytes:
+        """A message that ends at a random byte."""
+        return payload[: int(next(self._uniform) * len(payload))]
+
+    @staticmethod
+    def with_later_stamp(payload: bytes, by_ns: int) -> bytes:
+        """A message with a header whose stamp is so much later, but not before 0."""
+        stamp_ns = stamp_of(payload)
+        return payload if stamp_ns is None else with_stamp(payload, max(0, stamp_ns + by_ns))
+
+    def with_torque(self, command: bytes, torque_nm: float, *, joints: slice) -> bytes:
+        """A command that asks for another torque; as it is where it cannot be read."""
+        try:
+            self._layout.decode(command, self._command)
+        except InvalidMessageError:
+            return command
+        self._command.fields["effort"][joints] = torque_nm
+        return self._command.payload()
+
+
+class MessageFault(LinkFault):
+    """A fault in messages.
+
+    Attributes:
+        happens_on_the_way: the link does it; else the sender does, which comes before.
+    """
+
+    happens_on_the_way: ClassVar[bool] = False
+
+    def acts_on(self) -> Direction:
+        """Which messages are faulty."""
+        raise NotImplementedError
+
+    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
+        """What becomes of messages that are sent together while the fault lasts.
+
+        Args:
+            messages: on the uplink a joint state and its plant status, on the downlink a command.
+            editor: does it.
+        """
+        raise NotImplementedError
+
+
+class LinkCorrupted(MessageFault):
+    """A message comes cut off at a random byte; nobody can read it.
+
+    Attributes:
+        share: probability that this becomes of a message.
+    """
+
+    kind: Literal["link_corrupted"]
+    direction: Direction
+    share: Share = 1.0
+    happens_on_the_way: ClassVar[bool] = True
+
+    def acts_on(self) -> Direction:
+        return self.direction
+
+    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
+        first, *others = messages
+        return (editor.cut_off(first), *others) if editor.happens(self.share) else messages
+
+
+class NonFiniteCommand(MessageFault):
+    """Every command reads NaN for the torque of one joint, as from a law that divides by zero."""
+
+    kind: Literal["non_finite_command"]
+
+    def acts_on(self) -> Direction:
+        return "downlink"
+
+    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
+        return tuple(editor.with_torque(each, math.nan, joints=slice(1)) for each in messages)
+
+
+class ClockStep(MessageFault):
+    """The clock of one side leaps: the stamps that it writes are wrong.
+
+    Attributes:
+        side: whose clock; that of the plant stamps states, that of the controller commands.
+        step_ms: by how much.
+    """
+
+    kind: Literal["clock_step"]
+    side: Literal["plant", "controller"]
+    step_ms: float
+
+    def acts_on(self) -> Direction:
+        return "uplink" if self.side == "plant" else "downlink"
+
+    def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
+        return tuple(editor.with_later_stamp(each, round(self.step_ms * 1e6)) for each in messages)
+
+
+class AddedCommander(LinkFault):
+    """A fault by which another session sends commands too."""
+
+    def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
+        """What arrives just before a command of the controller's; its number is given later."""
+        raise NotImplementedError
+
+
+class SecondCommander(AddedCommander):
+    """Another session answers every state too, just before the controller does.
+
+    Attributes:
+        torque_nm: torque that it commands of every joint.
+    """
+
+    kind: Literal["second_commander"]
+    torque_nm: float
+
+    def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
+        payload = editor.with_torque(arrival.payload, self.torque_nm, joints=slice(None))
+        return arrival._replace(payload=payload, sender=SECOND_COMMANDER)
