@@ -12,8 +12,8 @@ from deploy.runs.run_rows import Row
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.dask_workers import DaskWorkers
+from deploy.study.folder import StudyFolder
 from deploy.study.study import carry_out
-from deploy.study.study_folder import StudyFolder
 from deploy.study.sweep import Sweep, SweepDefinition
 
 BARE = "run of simulate"

@@ -18,16 +18,16 @@ from deploy.reports.study_text import write_margin_table
 from deploy.scenario.yaml_files import ScenarioError, parse_override, read_yaml
 from deploy.study import margin as margins
 from deploy.study import sweep as sweeps
-from deploy.study.margin import Margin, MarginDefinition
-from deploy.study.study import carry_out, retrace
-from deploy.study.study_definition import find_study, validated
-from deploy.study.study_folder import (
+from deploy.study.definition import find_study, validated
+from deploy.study.folder import (
     StudyFolder,
     create_folder,
     find_folder,
     read_study,
     study_text,
 )
+from deploy.study.margin import Margin, MarginDefinition
+from deploy.study.study import carry_out, retrace
 from deploy.study.sweep import Sweep, load_sweep
 
 Study = Sweep | Margin

@@ -40,7 +40,7 @@ from controller.reference import Reference, sample_positions
 from controller.torque_guard import TorqueGuard
 from deploy.scenario.faults import ScheduledFault, check_faults, plant_faults
 from deploy.scenario.link_files import find_delay_files
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.yaml_files import ScenarioError, explain, override, read_yaml
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration

@@ -15,11 +15,11 @@ from controller.laws import LAWS
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.definition import Name, Seeds, override, scenario_from
 from deploy.study.margin_quantities import QUANTITIES
 from deploy.study.margin_search import MarginSearch
+from deploy.study.statistics import held, spread_of_runs
 from deploy.study.study import Run
-from deploy.study.study_definition import Name, Seeds, override, scenario_from
-from deploy.study.study_statistics import held, spread_of_runs
 
 KIND = "margin"
 _COLUMNS = {"arm": "string", "compensation": "bool", "quantity": "string", "value": "double",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deploy.study.study_definition import override
+from deploy.study.definition import override
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from bus_schema.configuration import StrictModel
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import Run
-from deploy.study.study_definition import (
+from deploy.study.definition import (
     Name,
     Seeds,
     find_study,
@@ -24,7 +23,8 @@ from deploy.study.study_definition import (
     read_definition,
     scenario_from,
 )
-from deploy.study.study_statistics import spread_of_runs
+from deploy.study.statistics import spread_of_runs
+from deploy.study.study import Run
 
 KIND = "sweep"
 _MOST_VALUES = 10_000

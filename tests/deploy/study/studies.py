@@ -6,9 +6,9 @@ import random
 import threading
 from pathlib import Path
 
+from deploy.study.folder import StudyFolder
 from deploy.study.margin import Margin, MarginDefinition
 from deploy.study.study import carry_out, execute
-from deploy.study.study_folder import StudyFolder
 from deploy.study.sweep import Sweep, SweepDefinition
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"

@@ -14,8 +14,8 @@ import pytest
 import yaml
 from pyarrow import parquet
 
+from deploy.study.folder import StudyFolder
 from deploy.study.study import carry_out
-from deploy.study.study_folder import StudyFolder
 from deploy.study.sweep import load_sweep
 from tests.deploy.study.studies import Here, Silent
 

@@ -10,10 +10,10 @@ from controller.laws import LAWS
 from deploy.reports.study_report import write_study_report
 from deploy.reports.study_text import margin_table
 from deploy.scenario.scenario import load_setup
+from deploy.study.definition import find_study, read_definition
+from deploy.study.folder import create_folder, study_text
 from deploy.study.margin import Margin, MarginDefinition
 from deploy.study.study import retrace
-from deploy.study.study_definition import find_study, read_definition
-from deploy.study.study_folder import create_folder, study_text
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
 

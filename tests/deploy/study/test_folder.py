@@ -8,7 +8,7 @@ import pytest
 
 from deploy.reports.study_report import write_study_report
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study_folder import create_folder, find_folder, study_text
+from deploy.study.folder import create_folder, find_folder, study_text
 from tests.deploy.study.studies import TIED, folder_of, make_sweep, margin_of
 
 
