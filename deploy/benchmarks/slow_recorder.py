@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from bus_schema.recording import mcap_log
-from bus_schema.recording.record_file import RecordFile
+from bus_schema.recording.atomic_files import RecordFile
 from deploy import cli
 
 _BYTES_PER_S = 2e6
