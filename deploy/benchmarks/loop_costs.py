@@ -79,8 +79,7 @@ def recorded_run(setup: Setup) -> RunData:
         RuntimeError: one of them failed.
     """
     with TemporaryDirectory() as path:
-        folder = RunFolder.create(setup.scenario.name, Path(path))
-        folder.write_scenario(setup)
+        folder = RunFolder.begin(setup, Path(path))
         failures = Launcher(setup, folder).run(lambda _: None).failures
         if failures:
             raise RuntimeError("; ".join(failures))

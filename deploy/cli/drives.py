@@ -12,14 +12,8 @@ from bus_schema.can.session import open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.cli.common import (
-    FAULT,
-    FINISHED,
-    INTERRUPTED,
-    Overrides,
-    ScenarioArgument,
-    on_interrupt,
-)
+from deploy.cli.common import Overrides, ScenarioArgument, on_interrupt
+from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.scenario.scenario import Setup, load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.drives.bank import DriveBank

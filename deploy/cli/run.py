@@ -5,8 +5,14 @@ from __future__ import annotations
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
-from deploy.cli.common import Out, Overrides, RequireBounds, ScenarioArgument, on_interrupt
-from deploy.cli.finish import finish
+from deploy.cli.common import (
+    Out,
+    Overrides,
+    RequireBounds,
+    ScenarioArgument,
+    finish,
+    on_interrupt,
+)
 from deploy.cli.show_run import RunProgress
 from deploy.processes.launcher import Launcher, with_free_endpoints
 from deploy.processes.links import check_link, require_keys
@@ -25,9 +31,7 @@ def run(
     check_link(setup, one_process=False)
     require_keys(setup, *Role)
     console = Console()
-    folder = RunFolder.create(setup.scenario.name, out)
-    folder.write_scenario(setup)
-    folder.write_manifest(setup, {})
+    folder = RunFolder.begin(setup, out)
     launcher = Launcher(setup, folder)
     on_interrupt(launcher.request_stop)
     with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:

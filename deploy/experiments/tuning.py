@@ -35,7 +35,7 @@ from bus_schema.arrays import Vector
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.scenario_text import plain
+from deploy.scenario.yaml_files import plain
 
 BUDGET_S = 480.0
 DURATION_S = 8.0

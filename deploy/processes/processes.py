@@ -24,6 +24,7 @@ from bus_schema.runtime.realtime import Grant, forgo_preemption, go_realtime, re
 from bus_schema.zenoh.link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
+from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.links import open_controller_link, open_plant_link
 from deploy.processes.process_faults import order_values
 from deploy.processes.recorder import Recorder
@@ -34,7 +35,6 @@ from plant_emulator.plant_loop import PlantLoop
 if TYPE_CHECKING:
     from bus_schema.can.link import CanControllerLink
 
-FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2
 
 

@@ -1,25 +1,20 @@
-"""What sweeps and margins have in common as definitions: files, overrides, seeds."""
+"""What sweeps and margins have in common as definitions: name, overrides, seeds, scenarios."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
-from deploy.scenario.scenario import find_scenario
-from deploy.scenario.yaml_files import ScenarioError, explain, read_yaml
+from deploy.scenario.yaml_files import find_yaml, override
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
 _MOST_SEEDS = 10_000
-
-Definition = TypeVar("Definition", bound=StrictModel)
 
 
 def _to_seeds(value: Any) -> Any:
@@ -38,48 +33,25 @@ Seeds = Annotated[list[int], BeforeValidator(_to_seeds)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
-def find_study(name_or_path: str) -> Path:
-    """The file of a study.
+class StudyDefinition(StrictModel):
+    """What every study's YAML file may have.
 
-    Raises:
-        ScenarioError: there is none.
+    Attributes:
+        name: of the study.
+        fixed: (in YAML ``set``) scenario values that are the same in all runs, by dotted key.
+        seeds: how many, or which.
     """
-    path, shipped = Path(name_or_path), SHIPPED / f"{name_or_path}.yaml"
-    if path.is_file():
-        return path.resolve()
-    if shipped.is_file():
-        return shipped
-    names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
-    raise ScenarioError(f"{name_or_path}: no such file, nor one of the shipped studies {names}")
+
+    name: Name
+    fixed: Annotated[dict[str, Any], Field(alias="set", default_factory=dict)]
+    seeds: Seeds = Field(default=[1])
+
+    @property
+    def fixed_overrides(self) -> tuple[str, ...]:
+        return tuple(override(key, value) for key, value in self.fixed.items())
 
 
-def read_definition(path: Path, model: type[Definition], **more: Any) -> Definition:
-    """A definition from a file.
-
-    Args:
-        path: the YAML file.
-        model: what it has to be.
-        more: values that take precedence over the file's.
-
-    Raises:
-        ScenarioError: a value cannot be used.
-    """
-    return validated({**read_yaml(path), **more}, model, path)
-
-
-def validated(values: Mapping[str, Any], model: type[Definition], source: Path) -> Definition:
-    """A definition from its values.
-
-    Raises:
-        ScenarioError: one of them cannot be used; `source` is named.
-    """
-    try:
-        return model.model_validate(values)
-    except ValidationError as error:
-        raise ScenarioError(explain(error, source)) from error
-
-
-def scenario_from(name_or_path: str, folder: Path) -> str:
+def scenario_name(name_or_path: str, folder: Path) -> str:
     """A scenario as a study names it: shipped ones by name, files by their absolute path.
 
     Args:
@@ -89,11 +61,5 @@ def scenario_from(name_or_path: str, folder: Path) -> str:
     Raises:
         ScenarioError: there is no such scenario.
     """
-    beside = folder / name_or_path
-    found = beside.resolve() if beside.is_file() else find_scenario(name_or_path)
+    found = find_yaml(name_or_path, SHIPPED_SCENARIOS, folder)
     return found.stem if found.parent == SHIPPED_SCENARIOS else str(found)
-
-
-def override(key: str, value: Any) -> str:
-    """``dotted.key=value`` for a value of any type that YAML has."""
-    return f"{key}={json.dumps(value, default=str)}"

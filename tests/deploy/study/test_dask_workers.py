@@ -14,8 +14,8 @@ import pytest
 import yaml
 from pyarrow import parquet
 
+from deploy.study.conduct import carry_out
 from deploy.study.folder import StudyFolder
-from deploy.study.study import carry_out
 from deploy.study.sweep import load_sweep
 from tests.deploy.study.studies import Here, Silent
 
@@ -111,7 +111,7 @@ def done_here(definition, folder):
     """The table of a sweep that was done in this process, one run after another."""
     sweep = load_sweep(str(definition))
     folder.mkdir()
-    table, workers = StudyFolder(folder, "sweep", sweep.columns, sweep.seeds[0]), Here()
+    table, workers = StudyFolder(folder, sweep), Here()
     carry_out(sweep, workers, table, Silent(), workers.stop)
     table.put_together()
     return table.rows_file.read_bytes()

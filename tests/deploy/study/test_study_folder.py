@@ -8,7 +8,7 @@ import pytest
 
 from deploy.reports.study_report import write_study_report
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.folder import create_folder, find_folder, study_text
+from deploy.study.folder import create_folder, find_folder
 from tests.deploy.study.studies import TIED, folder_of, make_sweep, margin_of
 
 
@@ -22,19 +22,16 @@ def test_an_unfinished_study_of_nothing_has_a_report(tmp_path):
 
 def test_a_folder_holds_one_study(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    one, other = (
-        study_text("sweep", sweep.definition_values(), sweep.bases)
-        for sweep in (make_sweep(tmp_path, {TIED: [0]}), make_sweep(tmp_path, {TIED: [1]}))
-    )
-    path = create_folder("sweep", "s", tmp_path / "out", one)
-    assert find_folder("sweep", "s", path, one) == path
+    one, other = make_sweep(tmp_path, {TIED: [0]}), make_sweep(tmp_path, {TIED: [1]})
+    path = create_folder(one, tmp_path / "out")
+    assert find_folder(one, path) == path
     with pytest.raises(ScenarioError, match=r"study\.yaml"):
-        find_folder("sweep", "s", path, other)
-    assert find_folder("sweep", "s", None, one) is None
-    begun = create_folder("sweep", "s", None, one)
-    assert find_folder("sweep", "s", None, one) == begun
+        find_folder(other, path)
+    assert find_folder(one, None) is None
+    begun = create_folder(one, None)
+    assert find_folder(one, None) == begun
     (begun / "summary.json").write_text(json.dumps({"completed": True}))
-    assert find_folder("sweep", "s", None, one) is None
+    assert find_folder(one, None) is None
 
 
 def test_two_commands_do_not_write_to_one_folder(tmp_path):
