@@ -47,21 +47,20 @@ class Check(NamedTuple):
 
 def soak(minutes: float, folder: Path) -> list[Check]:
     """Run for so long; what must hold, and whether it did."""
-    words, log = _scenario(minutes), folder / "run.mcap"
+    overrides, log = _overrides(minutes), folder / "run.mcap"
     folder.mkdir(parents=True, exist_ok=True)
+    words = [word for override in overrides for word in ("--set", override)]
     roles = {
-        "recorder": ["deploy.benchmarks.slow_recorder", "record", "--log", str(log)],
-        "plant": ["deploy.cli", "plant", "--await-recorder"],
-        "controller": ["deploy.cli", "controller", "--await-recorder"],
+        "recorder": ["deploy.benchmarks.slow_recorder", "paper_arm", str(log), *overrides],
+        "plant": ["deploy.cli", "plant", "paper_arm", "--await-recorder", *words],
+        "controller": ["deploy.cli", "controller", "paper_arm", "--await-recorder", *words],
     }
     with contextlib.ExitStack() as stack:
         for _ in range(os.cpu_count() or 1):
             stack.enter_context(_process([sys.executable, "-c", _BURN]))
         processes = {
-            role: stack.enter_context(
-                _process([sys.executable, "-m", module, verb, "paper_arm", *options, *words])
-            )
-            for role, (module, verb, *options) in roles.items()
+            role: stack.enter_context(_process([sys.executable, "-m", *module_and_words]))
+            for role, module_and_words in roles.items()
         }
         samples = _sample(processes, partial_path(log))
         codes = {role: process.wait() for role, process in processes.items()}
@@ -73,14 +72,13 @@ def soak(minutes: float, folder: Path) -> list[Check]:
     return checks + _counts(data, summarise(data))
 
 
-def _scenario(minutes: float) -> list[str]:
+def _overrides(minutes: float) -> list[str]:
     """The shipped arm on a path that does not sink, so that it may go on for hours."""
-    values = with_free_endpoints([
+    return with_free_endpoints([
         f"duration_s={60 * minutes}",
         "reference.x.velocity_m_s=0",
         "plant.command_timeout_ms=2000",
     ])  # fmt: skip
-    return [word for value in values for word in ("--set", value)]
 
 
 @contextlib.contextmanager

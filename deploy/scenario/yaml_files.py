@@ -118,6 +118,8 @@ def plain(value: Any) -> Any:
         case BaseModel():
             fields = {name: getattr(value, name) for name in type(value).model_fields}
             return {name: plain(inner) for name, inner in fields.items() if inner is not None}
+        case dict():
+            return {name: plain(inner) for name, inner in value.items()}
         case tuple() if hasattr(value, "_asdict"):
             return {name: plain(inner) for name, inner in value._asdict().items()}
         case np.ndarray():

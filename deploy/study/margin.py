@@ -83,7 +83,9 @@ class MarginDefinition(StudyDefinition):
 
     name: Name = "margin"
     scenarios: Annotated[list[str], AfterValidator(_different)] = Field(default=["paper_arm"])
-    laws: Annotated[list[str], AfterValidator(_different)] = Field(default=list(LAWS))
+    laws: Annotated[list[str], AfterValidator(_different)] = Field(
+        default_factory=lambda: list(LAWS)
+    )
     compensation: Annotated[list[bool], AfterValidator(_different)] | None = None
     quantity: Literal["delay", "jitter", "loss"] = "delay"
     duration_s: Positive | None = 8.0
