@@ -87,7 +87,7 @@ def recorded_run(setup: Setup) -> RunData:
 
 
 def _wall_us(run: RunData) -> float:
-    ended = run.last_event(Role.PLANT, EventKind.ENDED)
-    if ended is None:
+    ended = run.last_values(Role.PLANT, EventKind.ENDED)
+    if not ended:
         raise RuntimeError("a run did not come to its end")
-    return float(ended.values()["wall_s"]) / run.setup.ticks * 1e6
+    return float(ended["wall_s"]) / run.setup.ticks * 1e6

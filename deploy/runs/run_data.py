@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +63,10 @@ class RunData:
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
         return np.asarray(truth["position"] - wanted)
 
-    def last_event(self, role: Role, kind: EventKind) -> RunEvent | None:
-        """The last event of a kind that one of the processes told of."""
+    def last_values(self, role: Role, kind: EventKind) -> dict[str, Any]:
+        """What the last event of a kind says that is of one of the processes; {} without one."""
         found = [e for e in self.events if e.kind == kind and e.source == role]
-        return found[-1] if found else None
+        return found[-1].values() if found else {}
 
     def faults(self) -> list[str]:
         """All faults, a sentence each."""
