@@ -43,6 +43,7 @@ from deploy.scenario.referenced_files import find_delay_files, find_urdf
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
+    naming,
     parse_override,
     plain,
     read_yaml,
@@ -232,13 +233,11 @@ def check(scenario: Scenario, source: Path) -> Setup:
     Raises:
         ScenarioError: something does not fit.
     """
-    try:
-        return _check(scenario, source)
-    except RobotDescriptionError as error:
-        key = f"robot.urdf = {scenario.robot.urdf!r}"
-        raise ScenarioError(f"{source}: {key}: {error}") from error
-    except ConfigurationError as error:
-        raise ScenarioError(f"{source}: {error}") from error
+    with naming(source):
+        try:
+            return _check(scenario, source)
+        except RobotDescriptionError as error:
+            raise ScenarioError(f"robot.urdf = {scenario.robot.urdf!r}: {error}") from error
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 from pydantic import BaseModel, ValidationError
+
+from bus_schema.configuration import ConfigurationError
 
 # Several times as fast, where they are there.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -24,6 +27,19 @@ class InputError(Exception):
 
 class ScenarioError(InputError):
     """A scenario cannot be used; the message names file, key, value and what is allowed."""
+
+
+@contextmanager
+def naming(source: Path) -> Iterator[None]:
+    """What is wrong with the values of a file is told with the file's name.
+
+    Raises:
+        ScenarioError: for a `ConfigurationError`, or another one that names no file yet.
+    """
+    try:
+        yield
+    except (ConfigurationError, ScenarioError) as error:
+        raise ScenarioError(f"{source}: {error}") from error
 
 
 def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:

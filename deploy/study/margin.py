@@ -14,7 +14,7 @@ from bus_schema.configuration import Positive
 from controller.laws import LAWS
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.yaml_files import ScenarioError, override, validated
+from deploy.scenario.yaml_files import naming, override, validated
 from deploy.study.definition import Name, Seeds, StudyDefinition, scenario_name
 from deploy.study.margin_search import MarginSearch
 from deploy.study.statistics import held, spread_of_runs
@@ -134,12 +134,10 @@ class Margin(Study):
         self._quantity = QUANTITIES[given.quantity]
         self._resolution = given.resolution or self._quantity.resolution
         self._limit = given.limit or self._quantity.limit
-        try:
+        with naming(source):
             scenarios = [scenario_name(name, source.parent) for name in given.scenarios]
             self.definition = given.model_copy(update={"scenarios": scenarios})
             self.cases = list(self._build_cases())
-        except ScenarioError as error:
-            raise ScenarioError(f"{source}: {error}") from error
         self.bases = list({case.base.scenario.name: case.base for case in self.cases}.values())
         first = max(1, round(self._quantity.first / self._resolution))
         limit = max(1, round(self._limit / self._resolution))

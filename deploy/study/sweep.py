@@ -14,7 +14,14 @@ from pydantic import BeforeValidator
 
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, read_yaml, validated
+from deploy.scenario.yaml_files import (
+    ScenarioError,
+    find_yaml,
+    naming,
+    override,
+    read_yaml,
+    validated,
+)
 from deploy.study.definition import SHIPPED, StudyDefinition, scenario_name
 from deploy.study.statistics import spread_of_runs
 from deploy.study.study import Run, Study
@@ -79,15 +86,13 @@ class Sweep(Study):
         given = validated(values, SweepDefinition, source)
         self.axes = given.axes
         self.columns = {k: _kind(values) for keys, values in self.axes.items() for k in keys}
-        try:
+        with naming(source):
             _check_keys(self.axes, given.fixed)
             scenario = scenario_name(given.scenario, source.parent)
             self.definition = given.model_copy(update={"scenario": scenario})
             self.bases = [load_setup(scenario, given.fixed_overrides)]
             for run in self.points():
                 load_setup(run.scenario, run.overrides)
-        except ScenarioError as error:
-            raise ScenarioError(f"{source}: {error}") from error
 
     @property
     def expected(self) -> int:
