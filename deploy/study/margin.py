@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -95,13 +95,16 @@ class MarginDefinition(StudyDefinition):
     limit: Positive | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Case:
     """Something that has a margin: a law on an arm, with or without compensation.
 
     Attributes:
         scenario: file or name.
         base: the scenario as it is without the quantity.
+        overrides: what is set in it but for the quantity and the start.
+        search: how far its search is.
+        rows: what came of its runs, by the probed value in steps of the resolution.
     """
 
     scenario: str
@@ -109,6 +112,8 @@ class Case:
     law: str
     compensation: bool | None
     overrides: tuple[str, ...]
+    search: MarginSearch
+    rows: dict[int, list[Row]] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -120,8 +125,7 @@ class Margin(Study):
     """The runs of a search for margins.
 
     Attributes:
-        cases: what has a margin.
-        searches: the search of each case.
+        cases: what has a margin, each with its search.
     """
 
     kind = "margin"
@@ -139,39 +143,37 @@ class Margin(Study):
             self.definition = given.model_copy(update={"scenarios": scenarios})
             self.cases = list(self._build_cases())
         self.bases = list({case.base.scenario.name: case.base for case in self.cases}.values())
-        first = max(1, round(self._quantity.first / self._resolution))
-        limit = max(1, round(self._limit / self._resolution))
-        self.searches = [MarginSearch(min(first, limit), limit) for _ in self.cases]
-        self._rows: dict[tuple[int, int], list[Row]] = {}
 
     @property
     def expected(self) -> int:
-        probes = sum(search.probes_left + len(search.outcomes) for search in self.searches)
+        searches = [case.search for case in self.cases]
+        probes = sum(search.probes_left + len(search.outcomes) for search in searches)
         return probes * self._runs_per_probe
 
     def first(self) -> Iterable[Run]:
         return [run for case in range(len(self.cases)) for run in self._next_probe(case)]
 
     def follow(self, run: Run, values: Row) -> Iterable[Run]:
-        case, steps, _ = _parse_point(run.point)
-        rows = self._rows.setdefault((case, steps), [])
+        index, steps = map(int, run.point.split("-")[:2])
+        case = self.cases[index]
+        rows = case.rows.setdefault(steps, [])
         rows.append(values)
         if len(rows) < self._runs_per_probe:
             return ()
-        self.searches[case].outcomes[steps] = all(held(row) for row in rows)
-        return self._next_probe(case)
+        case.search.outcomes[steps] = all(held(row) for row in rows)
+        return self._next_probe(index)
 
-    def findings(self, rows: list[Row]) -> dict[str, Any]:
+    def findings(self, _rows: list[Row]) -> dict[str, Any]:
         return {
             "quantity": self.definition.quantity,
             "title": self._quantity.title,
             "unit": self._quantity.unit,
             "resolution": self._resolution,
             "limit": self._limit,
-            "completed": all(search.next() is None for search in self.searches),
+            "completed": all(case.search.next() is None for case in self.cases),
             "offsets": self.definition.offsets,
             "duration_s": {base.scenario.name: base.scenario.duration_s for base in self.bases},
-            "cases": [self._case_summary(index, rows) for index in range(len(self.cases))],
+            "cases": [self._case_summary(case) for case in self.cases],
         }
 
     @property
@@ -184,6 +186,8 @@ class Margin(Study):
         fixed = wanted.fixed_overrides
         if wanted.duration_s is not None:
             fixed = (*fixed, override("duration_s", wanted.duration_s))
+        first = max(1, round(self._quantity.first / self._resolution))
+        limit = max(1, round(self._limit / self._resolution))
         compensations: Sequence[bool | None] = wanted.compensation or [None]
         chosen = itertools.product(wanted.scenarios, wanted.laws, compensations)
         for scenario, law, compensation in chosen:
@@ -191,7 +195,9 @@ class Margin(Study):
             if compensation is not None:
                 key = "controller.delay_compensation.enabled"
                 overrides = (*overrides, override(key, compensation))
-            case = Case(scenario, load_setup(scenario, overrides), law, compensation, overrides)
+            base = load_setup(scenario, overrides)
+            search = MarginSearch(min(first, limit), limit)
+            case = Case(scenario, base, law, compensation, overrides, search)
             for scale in wanted.offsets:
                 load_setup(scenario, self._overrides(case, self._limit, scale))
             yield case
@@ -205,7 +211,8 @@ class Margin(Study):
         return round(steps * self._resolution, 9)
 
     def _next_probe(self, index: int) -> list[Run]:
-        steps, case = self.searches[index].next(), self.cases[index]
+        case = self.cases[index]
+        steps = case.search.next()
         if steps is None:
             return []
         value, runs = self._value(steps), []
@@ -219,13 +226,12 @@ class Margin(Study):
             ]
         return runs
 
-    def _case_summary(self, index: int, rows: list[Row]) -> dict[str, Any]:
-        case, search = self.cases[index], self.searches[index]
-        by_steps: dict[int, list[Row]] = {}
-        for row in rows:
-            of_case, steps, _ = _parse_point(row["point"])
-            if of_case == index:
-                by_steps.setdefault(steps, []).append(row)
+    def _case_summary(self, case: Case) -> dict[str, Any]:
+        search = case.search
+        probes = {
+            steps: sorted(rows, key=lambda row: (row["point"], row["seed"]))
+            for steps, rows in sorted(case.rows.items())
+        }
 
         def value(steps: int | None) -> float | None:
             return None if steps is None else self._value(steps)
@@ -246,7 +252,7 @@ class Margin(Study):
                     "worst_point": max(of_probe, key=_badness)["point"],
                     **spread_of_runs(of_probe),
                 }
-                for steps, of_probe in sorted(by_steps.items())
+                for steps, of_probe in probes.items()
             ],
         }
 
@@ -259,8 +265,3 @@ def _badness(row: Row) -> tuple[bool, float]:
 def _point(case: int, steps: int, start: int) -> str:
     """Name of a point: case, value and start, so that names sort as they are searched."""
     return f"{case:03d}-{steps:06d}-{start:02d}"
-
-
-def _parse_point(point: str) -> tuple[int, int, int]:
-    case, steps, start = map(int, point.split("-"))
-    return case, steps, start
