@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,12 +55,16 @@ def soak(minutes: float, folder: Path) -> list[Check]:
         "controller": ["deploy.cli", "controller", "paper_arm", "--await-recorder", *words],
     }
     with contextlib.ExitStack() as stack:
+
+        def start(*words: str) -> subprocess.Popen[bytes]:
+            command = [sys.executable, *words]
+            process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.DEVNULL))
+            stack.callback(process.kill)
+            return process
+
         for _ in range(os.cpu_count() or 1):
-            stack.enter_context(_process([sys.executable, "-c", _BURN]))
-        processes = {
-            role: stack.enter_context(_process([sys.executable, "-m", *module_and_words]))
-            for role, module_and_words in roles.items()
-        }
+            start("-c", _BURN)
+        processes = {role: start("-m", *words) for role, words in roles.items()}
         samples = _sample(processes, partial_path(log))
         codes = {role: process.wait() for role, process in processes.items()}
     checks = [
@@ -79,17 +82,6 @@ def _overrides(minutes: float) -> list[str]:
         "reference.x.velocity_m_s=0",
         "plant.command_timeout_ms=2000",
     ])  # fmt: skip
-
-
-@contextlib.contextmanager
-def _process(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
 
 
 def _sample(processes: dict[str, subprocess.Popen[bytes]], recording: Path) -> dict[str, list[int]]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
@@ -15,6 +16,19 @@ from deploy.scenario.yaml_files import find_yaml, override
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
 _MOST_SEEDS = 10_000
+
+Value = TypeVar("Value")
+
+
+def require_different(values: list[Any]) -> list[Any]:
+    """For lists of values to try: one or more, of whatever type YAML has, and none twice."""
+    if not values or len({json.dumps(value, default=str) for value in values}) < len(values):
+        raise ValueError("a list of different values")
+    return values
+
+
+Different = Annotated[list[Value], AfterValidator(require_different)]
+"""Different values of a type."""
 
 
 def _to_seeds(value: Any) -> Any:

@@ -184,9 +184,11 @@ def _identity(study: Study) -> dict[str, Any]:
 
 def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
     """Whether a folder holds a study that came to no end."""
-    file = path / STUDY_FILE
-    is_it = file.is_file() and read_yaml(file) == wanted
-    return is_it and not read_summary(path).get("completed", False)
+    try:
+        found = read_yaml(path / STUDY_FILE)
+    except ScenarioError:
+        return False
+    return found == wanted and not read_summary(path).get("completed", False)
 
 
 def _digest(setup: Setup) -> str:

@@ -6,16 +6,22 @@ import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from bus_schema.configuration import Positive
 from controller.laws import LAWS
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
 from deploy.scenario.yaml_files import naming, override, validated
-from deploy.study.definition import Name, Seeds, StudyDefinition, scenario_name
+from deploy.study.definition import (
+    Different,
+    Name,
+    Seeds,
+    StudyDefinition,
+    scenario_name,
+)
 from deploy.study.margin_search import MarginSearch
 from deploy.study.statistics import held, spread_of_runs
 from deploy.study.study import Run, Study
@@ -58,12 +64,6 @@ QUANTITIES = {
 }
 
 
-def _different(values: list[Any]) -> list[Any]:
-    if not values or len(set(values)) < len(values):
-        raise ValueError("one or more different values")
-    return values
-
-
 class MarginDefinition(StudyDefinition):
     """What to find margins of, as a study's YAML file has it.
 
@@ -82,15 +82,13 @@ class MarginDefinition(StudyDefinition):
     """
 
     name: Name = "margin"
-    scenarios: Annotated[list[str], AfterValidator(_different)] = Field(default=["paper_arm"])
-    laws: Annotated[list[str], AfterValidator(_different)] = Field(
-        default_factory=lambda: list(LAWS)
-    )
-    compensation: Annotated[list[bool], AfterValidator(_different)] | None = None
+    scenarios: Different[str] = Field(default=["paper_arm"])
+    laws: Different[str] = Field(default_factory=lambda: list(LAWS))
+    compensation: Different[bool] | None = None
     quantity: Literal["delay", "jitter", "loss"] = "delay"
     duration_s: Positive | None = 8.0
     seeds: Seeds = Field(default=[1, 2])
-    offsets: Annotated[list[float], AfterValidator(_different)] = Field(default=[1.0, -0.5])
+    offsets: Different[float] = Field(default=[1.0, -0.5])
     resolution: Positive | None = None
     limit: Positive | None = None
 

@@ -22,7 +22,7 @@ from deploy.scenario.yaml_files import (
     read_yaml,
     validated,
 )
-from deploy.study.definition import SHIPPED, StudyDefinition, scenario_name
+from deploy.study.definition import SHIPPED, StudyDefinition, require_different, scenario_name
 from deploy.study.statistics import spread_of_runs
 from deploy.study.study import Run, Study
 
@@ -34,9 +34,7 @@ def _to_values(given: Any) -> Any:
     values = _steps(given) if isinstance(given, dict) else given
     if not isinstance(values, list) or not values:
         raise ValueError("a list of values, or numbers {from, to, step} with a step above 0")
-    if len({json.dumps(value, default=str) for value in values}) < len(values):
-        raise ValueError("a list of different values")
-    return values
+    return require_different(values)
 
 
 def _steps(given: dict[str, Any]) -> list[float] | None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 
 import pytest
+import yaml
 
 from deploy.reports.study_report import write_study_report
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.folder import create_folder, find_folder
 from tests.deploy.study.studies import TIED, folder_of, make_sweep, margin_of
 
@@ -29,6 +30,12 @@ def test_a_folder_holds_one_study(tmp_path, monkeypatch):
         find_folder(other, path)
     assert find_folder(one, None) is None
     begun = create_folder(one, None)
+    assert find_folder(one, None) == begun
+    values = read_yaml(begun / "study.yaml")
+    (begun / "study.yaml").write_text(yaml.safe_dump(values, sort_keys=True))
+    assert find_folder(one, None) == begun  # what it says counts, not how
+    (tmp_path / "runs" / "sweep-s-broken").mkdir()
+    (tmp_path / "runs" / "sweep-s-broken" / "study.yaml").write_text("{")
     assert find_folder(one, None) == begun
     (begun / "summary.json").write_text(json.dumps({"completed": True}))
     assert find_folder(one, None) is None
