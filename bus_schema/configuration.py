@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+)
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import BusError
@@ -52,30 +59,25 @@ def _number_in(text: str) -> float | str:
         return text
 
 
-def _to_positive(value: Any) -> Vector:
-    vector = _to_vector(value)
+def _require_positive(vector: Vector) -> Vector:
     if np.any(vector <= 0.0):
         raise ValueError("numbers above 0")
     return vector
 
 
-def _to_non_negative(value: Any) -> Vector:
-    vector = _to_vector(value)
+def _require_non_negative(vector: Vector) -> Vector:
     if np.any(vector < 0.0):
         raise ValueError("numbers of at least 0")
     return vector
 
 
-if TYPE_CHECKING:
-    PerJoint = Vector
-    PerJointPositive = Vector
-    PerJointNonNegative = Vector
-else:
-    _WRITTEN = PlainSerializer(lambda vector: vector.tolist(), return_type=list[float])
-    _SCHEMA = WithJsonSchema({"type": "array", "items": {"type": "number"}})
-    PerJoint = Annotated[Any, PlainValidator(_to_vector), _WRITTEN, _SCHEMA]
-    PerJointPositive = Annotated[Any, PlainValidator(_to_positive), _WRITTEN, _SCHEMA]
-    PerJointNonNegative = Annotated[Any, PlainValidator(_to_non_negative), _WRITTEN, _SCHEMA]
+PerJoint = Annotated[
+    Vector,
+    PlainValidator(_to_vector),
+    PlainSerializer(lambda vector: vector.tolist(), return_type=list[float]),
+]
+PerJointPositive = Annotated[PerJoint, AfterValidator(_require_positive)]
+PerJointNonNegative = Annotated[PerJoint, AfterValidator(_require_non_negative)]
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

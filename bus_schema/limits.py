@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Annotated, Literal
 
@@ -87,14 +87,12 @@ class LimitsConfiguration(StrictModel):
         """
         plant = self.of_plant(robot)
         margin = expand(self.position_margin_rad, robot.joints, "limits.position_margin_rad")
-        return JointLimits(
-            torque_nm=plant.torque_nm,
+        return replace(
+            plant,
             torque_rate_nm_s=np.minimum(plant.torque_rate_nm_s, torque_rate_nm_s),
             lower_rad=plant.lower_rad + margin,
             upper_rad=plant.upper_rad - margin,
             velocity_rad_s=plant.velocity_rad_s * (1.0 - self.velocity_margin),
-            cuts_position=plant.cuts_position,
-            cuts_velocity=plant.cuts_velocity,
         )
 
     @property

@@ -126,14 +126,10 @@ def _require_physical(path: Path, root: ET.Element) -> None:
         inertia = link.find("inertial/inertia")
         if inertia is None:
             continue
-        try:
-            xx, xy, xz, yy, yz, zz = (
-                float(inertia.get(name, "0")) for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-            )
-        except ValueError as error:
-            raise RobotDescriptionError(
-                f"{path}: inertia of link {link.get('name')}: {error}"
-            ) from error
+        xx, xy, xz, yy, yz, zz = (
+            _number(path, f"link {link.get('name')}", name, inertia.get(name, "0"))
+            for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        )
         principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         slack = _INERTIA_TOLERANCE * max(abs(principal[-1]), 1e-12)
         if principal[0] < -slack or principal[-1] > principal[0] + principal[1] + slack:
@@ -157,29 +153,28 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
 
 
 def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float) -> Vector:
+    is_range = attribute in ("lower", "upper")
     values = []
     for joint in joints:
         limit = joint.find("limit")
         text = None if limit is None else limit.get(attribute)
-        is_range = attribute in ("lower", "upper")
         if text is None or (is_range and joint.get("type") == "continuous"):
             values.append(missing)
             continue
-        try:
-            value = float(text)
-        except ValueError as error:
-            name = joint.get("name")
-            raise RobotDescriptionError(
-                f"{path}: limit {attribute}={text!r} of joint {name} is no number"
-            ) from error
-        if not math.isfinite(value):
-            name = joint.get("name")
-            raise RobotDescriptionError(
-                f"{path}: limit {attribute}={text!r} of joint {name} must be finite"
-            )
+        value = _number(path, f"joint {joint.get('name')}", attribute, text)
         # A zero effort or velocity limit is how many exporters write "unknown".
         values.append(missing if value <= 0.0 and not is_range else value)
     return np.array(values)
+
+
+def _number(path: Path, owner: str, attribute: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RobotDescriptionError(f"{path}: {attribute}={text!r} of {owner} is no finite number")
+    return value
 
 
 def _tip_link(path: Path, root: ET.Element) -> str:

@@ -1,12 +1,17 @@
-"""Files that appear under their name only when they are complete.
+"""Files that are whole or not there, and records that are, however full the disk is.
 
-Until then they go by another: what was to become ``run.mcap`` is ``run.partial.mcap``.
+A file appears under its name only when it is complete. Until then it goes by another: what was to
+become ``run.mcap`` is ``run.partial.mcap``.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 
 def partial_path(path: Path) -> Path:
@@ -38,3 +43,56 @@ def write_whole(path: Path, text: str) -> None:
     except OSError:
         partial.unlink(missing_ok=True)
         raise
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write values as JSON; whatever happens, there is all of the file or none.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_whole(path, json.dumps(values, indent=2) + "\n")
+
+
+class RecordFile:
+    """A file of records that never ends in half of one.
+
+    It is unbuffered: what `write` returned from is with the operating system.
+
+    Args:
+        path: the file; an existing one is replaced.
+
+    Attributes:
+        size: bytes written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._raw = path.open("wb", buffering=0)
+        self.size = 0
+
+    def write(self, data: bytes) -> int:
+        """Write all of these bytes, or none.
+
+        Raises:
+            OSError: the disk does not take them; what it took is cut off again.
+        """
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._raw.write(rest) :]
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._raw.seek(self.size)
+                self._raw.truncate()
+            raise
+        self.size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        self._raw.close()

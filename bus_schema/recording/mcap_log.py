@@ -24,8 +24,7 @@ from zstandard import ZstdError
 
 from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
-from bus_schema.recording.atomic_files import complete, partial_path
-from bus_schema.recording.record_file import RecordFile
+from bus_schema.recording.atomic_files import RecordFile, complete, partial_path
 
 logger = logging.getLogger(__name__)
 
@@ -36,7 +35,7 @@ _TORN = (McapError, EOFError, ValueError, LookupError, struct.error, ZstdError)
 
 
 class McapLog:
-    """A recording being written, under its own name only once it is complete (`whole_files`).
+    """A recording being written, under its own name only once it is complete (`atomic_files`).
 
     A disk that fails ends the recording, and nothing else: what was written stays readable, and
     what comes later is counted.

@@ -6,9 +6,6 @@ candidates of a section are measured by turns so that they suffer alike.
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -17,12 +14,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from bus_schema.recording.atomic_files import write_json
 from deploy.benchmarks.control_step import measure_control_steps
 from deploy.benchmarks.loop_costs import measure_loop_costs
 from deploy.benchmarks.measure import Costs, Section
 from deploy.benchmarks.recorder_throughput import measure_recorder
 from deploy.benchmarks.round_trip import measure_round_trips
 from deploy.benchmarks.sweep_costs import measure_sweep
+from deploy.runs.run_folder import provenance
 from deploy.scenario.yaml_files import ScenarioError
 
 FAILED = "could not be measured:"
@@ -48,7 +47,7 @@ def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[
             sections.append(_measured(title, measure))
         show_section(console, sections[-1])
     if json_file is not None:
-        json_file.write_text(json.dumps(as_dict(sections, quick=quick), indent=2) + "\n")
+        write_json(json_file, as_dict(sections, quick=quick))
         console.print(f"numbers: {json_file}", soft_wrap=True)
     return sections
 
@@ -56,11 +55,10 @@ def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[
 def as_dict(sections: list[Section], *, quick: bool) -> dict[str, object]:
     """All numbers, for JSON."""
     return {
-        "host": {"machine": platform.machine(), "kernel": platform.release(),
-                 "cpus": os.cpu_count(), "python": platform.python_version()},
+        "host": provenance()["host"],
         "quick": quick,
         "sections": {section.title: section.as_dict() for section in sections},
-    }  # fmt: skip
+    }
 
 
 def show_section(console: Console, section: Section) -> None:

@@ -5,20 +5,17 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from typing import NamedTuple
+from typing import Any
+
+import numpy as np
+
+from bus_schema.percentiles import percentiles
 
 _PRIORITY = 50
 _LATEST_US = 20_000
 _PATIENCE_S = 30.0
 _BUCKET = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
 _OVERFLOWS = re.compile(r"^# Histogram Overflows:\s*(\d+)", re.MULTILINE)
-
-
-class Lateness(NamedTuple):
-    """Wake-up lateness, µs."""
-
-    p50: float
-    p99: float
 
 
 def why_not() -> str | None:
@@ -32,8 +29,8 @@ def why_not() -> str | None:
     return None
 
 
-def run_cyclictest(period_us: int, seconds: float) -> Lateness:
-    """Run it under SCHED_FIFO at the priority of a run's processes.
+def run_cyclictest(period_us: int, seconds: float) -> dict[str, Any]:
+    """Wake-up lateness in µs, under SCHED_FIFO at the priority of a run's processes.
 
     Raises:
         OSError, subprocess.SubprocessError: it does not run.
@@ -48,8 +45,8 @@ def run_cyclictest(period_us: int, seconds: float) -> Lateness:
     return parse_histogram(ended.stdout)
 
 
-def parse_histogram(output: str) -> Lateness:
-    """Percentiles of the histogram that ``cyclictest -h`` prints for one thread.
+def parse_histogram(output: str) -> dict[str, Any]:
+    """Percentiles of the histogram that ``cyclictest -h`` prints for one thread, in µs.
 
     Raises:
         ValueError: there is none in it.
@@ -57,16 +54,7 @@ def parse_histogram(output: str) -> Lateness:
     buckets = [(int(late), int(count)) for late, count in _BUCKET.findall(output)]
     overflows = _OVERFLOWS.search(output)
     buckets.append((_LATEST_US, int(overflows[1]) if overflows else 0))
-    if not any(count for _, count in buckets):
+    late_us, counts = np.array(buckets).T
+    if not counts.any():
         raise ValueError("it printed no histogram")
-    return Lateness(_percentile(buckets, 0.50), _percentile(buckets, 0.99))
-
-
-def _percentile(buckets: list[tuple[int, int]], fraction: float) -> float:
-    wanted = fraction * sum(count for _, count in buckets)
-    passed = 0
-    for late_us, count in sorted(buckets):
-        passed += count
-        if count and passed >= wanted:
-            return float(late_us)
-    raise ValueError("it printed no histogram")
+    return percentiles(late_us, counts)

@@ -14,7 +14,8 @@ import subprocess
 import sys
 import threading
 import time
-from types import ModuleType, TracebackType
+from abc import ABC, abstractmethod
+from types import ModuleType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -27,6 +28,7 @@ TIMEOUT_S = 10.0
 """For anything that should come at once."""
 
 _WARM_UP = 200
+_TRY_S = 0.1
 
 
 class Messages(NamedTuple):
@@ -53,6 +55,40 @@ class NearEnd(Protocol):
     def exchange(self) -> None:
         """Send a status and a state, and wait for the command."""
         ...
+
+
+class TryingNearEnd(ABC):
+    """A near end that tries until the far end answers, as nothing tells it when that is there.
+
+    Attributes:
+        address: what the far end has to know.
+    """
+
+    address: str
+
+    def await_far_end(self) -> None:
+        give_up_s = time.monotonic() + TIMEOUT_S
+        while not self._try(_TRY_S):
+            if time.monotonic() > give_up_s:
+                raise TimeoutError("the two ends do not find each other")
+        while self._took(_TRY_S):
+            pass  # late answers to earlier tries
+
+    def exchange(self) -> None:
+        if not self._try(TIMEOUT_S):
+            raise TimeoutError("a message was lost")
+
+    def _try(self, timeout_s: float) -> bool:
+        self._send()
+        return self._took(timeout_s)
+
+    @abstractmethod
+    def _send(self) -> None:
+        """Send a status and a state."""
+
+    @abstractmethod
+    def _took(self, timeout_s: float) -> bool:
+        """Take a command; whether one came in time."""
 
 
 class RoundTrips(NamedTuple):
@@ -84,12 +120,7 @@ class EchoPair:
         self.round_trips_us(_WARM_UP)
         return self
 
-    def __exit__(
-        self,
-        _type: type[BaseException] | None,
-        _value: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._near.communicate()
 
     def round_trips_us(self, exchanges: int, period_ns: int = 0) -> RoundTrips:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
+from deploy.scenario.yaml_files import to_yaml
 
 _LENGTH_M = 0.12
 _MASS_KG, _TAPER = 3.0, 0.85
@@ -33,7 +33,7 @@ def write_long_arm(folder: Path, joints: int) -> Path:
         "reference": {"kind": "joint_sinusoids", "centre_rad": 0.1, "terms": [sinusoid]},
     }
     file = folder / "long_arm.yaml"
-    file.write_text(yaml.safe_dump(scenario))
+    file.write_text(to_yaml(scenario))
     return file
 
 

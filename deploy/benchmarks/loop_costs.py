@@ -80,8 +80,7 @@ def recorded_run(setup: Setup) -> RunData:
         RuntimeError: one of them failed.
     """
     with TemporaryDirectory() as path:
-        folder = RunFolder.create(setup.scenario.name, Path(path))
-        folder.write_scenario(setup)
+        folder = RunFolder.begin(setup, Path(path))
         launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
         failures = launcher.run(lambda _: None).failures
         if failures:
@@ -90,7 +89,7 @@ def recorded_run(setup: Setup) -> RunData:
 
 
 def _wall_us(run: RunData) -> float:
-    ended = run.last_event(Role.PLANT, EventKind.ENDED)
-    if ended is None:
+    ended = run.last_values(Role.PLANT, EventKind.ENDED)
+    if not ended:
         raise RuntimeError("a run did not come to its end")
-    return float(ended.values()["wall_s"]) / run.setup.ticks * 1e6
+    return float(ended["wall_s"]) / run.setup.ticks * 1e6

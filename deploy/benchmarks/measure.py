@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -82,19 +83,22 @@ class Section:
         }
 
 
-def interleave(candidates: Mapping[str, Callable[[], float]], repetitions: int) -> Costs:
+def interleave(
+    candidates: Mapping[str, Callable[[], float | Mapping[str, float]]], repetitions: int
+) -> Costs:
     """Measure all candidates in turn, again and again.
 
     Args:
-        candidates: by name, a function that returns a cost in µs.
+        candidates: by name, a function that returns a cost in µs, or several costs by their names.
         repetitions: how often each is called, after one call that does not count.
     """
-    samples: dict[str, list[float]] = {name: [] for name in candidates}
+    samples: defaultdict[str, list[float]] = defaultdict(list)
     for repetition in range(repetitions + 1):
         for name, measure in candidates.items():
-            value_us = measure()
-            if repetition:
-                samples[name].append(value_us)
+            found = measure()
+            costs = found if isinstance(found, Mapping) else {name: found}
+            for each, cost_us in costs.items() if repetition else ():
+                samples[each].append(cost_us)
     return {name: Spread(tuple(values)) for name, values in samples.items()}
 
 

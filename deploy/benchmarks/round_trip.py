@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
-from typing import Any
 
 from deploy.benchmarks import cyclictest
 from deploy.benchmarks.echo import EchoPair
@@ -50,11 +49,10 @@ def measure_round_trips(scenario: str, seconds: float, repetitions: int) -> Sect
         f"plant.command_timeout_ms={_PATIENCE_MS}",
     ]  # fmt: skip
     setup = with_free_endpoints(load_setup(scenario, overrides))
-    loop, notes = _RealLoop(setup), [_NOTE]
-    candidates: dict[str, Callable[[], float]] = {
-        LOOP: loop.round_trip_us, WAKE_UP_P50: partial(loop.lateness_us, "p50"),
-        WAKE_UP_P99: partial(loop.lateness_us, "p99"),
-    }  # fmt: skip
+    notes = [_NOTE]
+    candidates: dict[str, Callable[[], float | Mapping[str, float]]] = {
+        LOOP: partial(_loop_us, setup)
+    }
     with ExitStack() as stack:
         transports = _start_transports(setup, stack, notes)
         candidates |= {
@@ -63,8 +61,7 @@ def measure_round_trips(scenario: str, seconds: float, repetitions: int) -> Sect
         }
         why_not = cyclictest.why_not()
         if why_not is None:
-            kernel = _Kernel(setup.grid.period_ns // 1000, seconds)
-            candidates |= {KERNEL_P50: kernel.p50_us, KERNEL_P99: kernel.p99_us}
+            candidates["cyclictest"] = partial(_kernel_us, setup.grid.period_ns // 1000, seconds)
         else:
             notes.append(why_not)
         costs = interleave(candidates, repetitions)
@@ -82,38 +79,21 @@ _NOTE = (
 )
 
 
-class _RealLoop:
-    """Runs in real time; one run gives all its numbers."""
-
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
-        self._timing: dict[str, Any] = {}
-
-    def round_trip_us(self) -> float:
-        """Median round trip of a new run."""
-        self._timing = summarise(recorded_run(self._setup))["timing"]
-        return float(self._timing["round_trip_us"]["p50"])
-
-    def lateness_us(self, percentile: str) -> float:
-        """Wake-up lateness of the newest run."""
-        return float(self._timing["wakeup_lateness_us"][percentile])
+def _loop_us(setup: Setup) -> dict[str, float]:
+    """Medians of a run in real time."""
+    timing = summarise(recorded_run(setup))["timing"]
+    lateness_us = timing["wakeup_lateness_us"]
+    return {
+        LOOP: timing["round_trip_us"]["p50"],
+        WAKE_UP_P50: lateness_us["p50"],
+        WAKE_UP_P99: lateness_us["p99"],
+    }
 
 
-class _Kernel:
-    """Runs of `cyclictest`; one run gives both its numbers."""
-
-    def __init__(self, period_us: int, seconds: float) -> None:
-        self._period_us, self._seconds = period_us, seconds
-        self._newest = cyclictest.Lateness(0.0, 0.0)
-
-    def p50_us(self) -> float:
-        """Median of a new run."""
-        self._newest = cyclictest.run_cyclictest(self._period_us, self._seconds)
-        return self._newest.p50
-
-    def p99_us(self) -> float:
-        """99 % of the newest run."""
-        return self._newest.p99
+def _kernel_us(period_us: int, seconds: float) -> dict[str, float]:
+    """What a run of `cyclictest` finds."""
+    lateness_us = cyclictest.run_cyclictest(period_us, seconds)
+    return {KERNEL_P50: lateness_us["p50"], KERNEL_P99: lateness_us["p99"]}
 
 
 def _start_transports(setup: Setup, stack: ExitStack, notes: list[str]) -> dict[str, EchoPair]:

@@ -1,16 +1,20 @@
-"""The recorder on a slow disk: `funnel-hil record`, each of whose writes takes its time.
+"""The recorder on a slow disk, each of whose writes takes its time.
 
-`python -m deploy.benchmarks.slow_recorder record SCENARIO --log FILE`
+`python -m deploy.benchmarks.slow_recorder SCENARIO FILE [KEY=VALUE…]`
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 from bus_schema.recording import mcap_log
-from bus_schema.recording.record_file import RecordFile
-from deploy import cli
+from bus_schema.recording.atomic_files import RecordFile
+from bus_schema.runtime.realtime import request_precedence
+from deploy.processes.recorder import Recorder
+from deploy.scenario.scenario import load_setup
 
 _BYTES_PER_S = 2e6
 _STALL_S, _STALL_AFTER_BYTES = 0.25, 1 << 20
@@ -37,6 +41,17 @@ class SlowFile(RecordFile):
         return super().write(data)
 
 
+def main() -> None:
+    """Record a run in real time; exit code 1 if the recording is not whole."""
+    scenario, file, *overrides = sys.argv[1:]
+    setup = load_setup(scenario, overrides)
+    request_precedence()
+    with mock.patch.object(mcap_log, "RecordFile", SlowFile):
+        recorder = Recorder(setup, Path(file))
+    recorder.run(lambda: False)
+    recorder.close()
+    sys.exit(recorder.failure is not None)
+
+
 if __name__ == "__main__":
-    mcap_log.RecordFile = SlowFile  # type: ignore[attr-defined]
-    cli.main()
+    main()

@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,22 +46,25 @@ class Check(NamedTuple):
 
 def soak(minutes: float, folder: Path) -> list[Check]:
     """Run for so long; what must hold, and whether it did."""
-    words, log = _scenario(minutes), folder / "run.mcap"
+    overrides, log = _overrides(minutes), folder / "run.mcap"
     folder.mkdir(parents=True, exist_ok=True)
+    words = [word for override in overrides for word in ("--set", override)]
     roles = {
-        "recorder": ["deploy.benchmarks.slow_recorder", "record", "--log", str(log)],
-        "plant": ["deploy.cli", "plant", "--await-recorder"],
-        "controller": ["deploy.cli", "controller", "--await-recorder"],
+        "recorder": ["deploy.benchmarks.slow_recorder", "paper_arm", str(log), *overrides],
+        "plant": ["deploy.cli", "plant", "paper_arm", "--await-recorder", *words],
+        "controller": ["deploy.cli", "controller", "paper_arm", "--await-recorder", *words],
     }
     with contextlib.ExitStack() as stack:
+
+        def start(*words: str) -> subprocess.Popen[bytes]:
+            command = [sys.executable, *words]
+            process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.DEVNULL))
+            stack.callback(process.kill)
+            return process
+
         for _ in range(os.cpu_count() or 1):
-            stack.enter_context(_process([sys.executable, "-c", _BURN]))
-        processes = {
-            role: stack.enter_context(
-                _process([sys.executable, "-m", module, verb, "paper_arm", *options, *words])
-            )
-            for role, (module, verb, *options) in roles.items()
-        }
+            start("-c", _BURN)
+        processes = {role: start("-m", *words) for role, words in roles.items()}
         samples = _sample(processes, partial_path(log))
         codes = {role: process.wait() for role, process in processes.items()}
     checks = [
@@ -73,28 +75,16 @@ def soak(minutes: float, folder: Path) -> list[Check]:
     return checks + _counts(data, summarise(data))
 
 
-def _scenario(minutes: float) -> list[str]:
+def _overrides(minutes: float) -> list[str]:
     """The shipped arm on a path that does not sink, so that it may go on for hours."""
     plant_port, controller_port = free_ports(2)
-    values = [
+    return [
         f"duration_s={60 * minutes}",
         "reference.x.velocity_m_s=0",
         "plant.command_timeout_ms=2000",
         f"link.plant_endpoint=tcp/127.0.0.1:{plant_port}",
         f"link.controller_endpoint=tcp/127.0.0.1:{controller_port}",
     ]
-    return [word for value in values for word in ("--set", value)]
-
-
-@contextlib.contextmanager
-def _process(words: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.wait()
 
 
 def _sample(processes: dict[str, subprocess.Popen[bytes]], recording: Path) -> dict[str, list[int]]:

@@ -11,10 +11,10 @@ from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
 from deploy.runs.run_rows import Row
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from deploy.study.conduct import carry_out
 from deploy.study.dask_workers import DaskWorkers
-from deploy.study.study import carry_out
-from deploy.study.study_folder import StudyFolder
-from deploy.study.sweep import Sweep, SweepDefinition
+from deploy.study.folder import StudyFolder
+from deploy.study.sweep import Sweep
 
 BARE = "run of simulate"
 ONE = "run of a sweep on 1 worker"
@@ -43,7 +43,7 @@ def measure_sweep(scenario: str, seconds: float, runs: int, repetitions: int) ->
     grid = {_DELAYS: [0.01 * index for index in range(runs)]}
     fixed = {"duration_s": seconds, "metrics.from_s": 0}
     values = {"name": "bench", "scenario": scenario, "set": fixed, "grid": grid}
-    sweep = Sweep(SweepDefinition.model_validate(values), Path(), "bench")
+    sweep = Sweep(values, Path("bench"))
     with DaskWorkers(1) as one, DaskWorkers(2) as two:
         costs = interleave(
             {
@@ -61,7 +61,7 @@ def measure_sweep(scenario: str, seconds: float, runs: int, repetitions: int) ->
 def _sweep_us(sweep: Sweep, workers: DaskWorkers) -> float:
     """Cost of one run of a whole sweep, in µs of wall time."""
     with tempfile.TemporaryDirectory() as path:
-        folder = StudyFolder(Path(path), sweep.kind, sweep.columns, sweep.seeds[0])
+        folder = StudyFolder(Path(path), sweep)
         started_ns = time.perf_counter_ns()
         carry_out(sweep, workers, folder, _Unheard(), threading.Event())
         folder.put_together()

@@ -11,7 +11,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from deploy.cli.common import BAD_INPUT, FAULT
+from deploy.exit_codes import BAD_INPUT, FAULT
 from deploy.scenario.yaml_files import InputError
 
 _COMMANDS = {

@@ -1,17 +1,31 @@
-"""What the commands of the command line share: exit codes, options, interrupts."""
+"""What the commands of the command line share: options, interrupts, and how a run is concluded."""
 
 from __future__ import annotations
 
+import inspect
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 
-FINISHED, FAULT, BAD_INPUT, BOUNDS_NOT_KEPT, INTERRUPTED = 0, 1, 2, 3, 130
-"""Exit codes."""
+from bus_schema.recording.atomic_files import write_json
+from controller.laws import LAWS
+from deploy.cli.show_run import show_summary
+from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
+from deploy.processes.launcher import RunOutcome
+from deploy.runs.fault_record import fault_record
+from deploy.runs.metrics import summarise
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.scenario.yaml_files import ScenarioError
+
+Options = TypeVar("Options")
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
@@ -28,6 +42,37 @@ RequireBounds = Annotated[
 ]
 
 
+def with_options(
+    options: type[Options],
+) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """A command whose options are the fields of a dataclass: too many for parameters."""
+
+    def decorate(command: Callable[[Options], None]) -> Callable[..., None]:
+        @wraps(command)
+        def from_words(**values: Any) -> None:
+            command(options(**values))
+
+        vars(from_words)["__signature__"] = inspect.signature(options, eval_str=True)
+        from_words.__annotations__ = {}
+        return from_words
+
+    return decorate
+
+
+def parse_laws(text: str | None) -> list[str]:
+    """Names of laws from ``a,b,…``; all registered ones by default.
+
+    Raises:
+        ScenarioError: there is no name in it.
+    """
+    if text is None:
+        return list(LAWS)
+    laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not laws:
+        raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
+    return laws
+
+
 def on_interrupt(stop: Callable[[], None]) -> None:
     """Call `stop` when the user or the system wants an end."""
 
@@ -36,3 +81,69 @@ def on_interrupt(stop: Callable[[], None]) -> None:
 
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
+
+
+def exit_code(*, interrupted: bool, whole: bool, kept: bool) -> int:
+    """What a command ends with.
+
+    Args:
+        interrupted: the user put an end to it.
+        whole: all runs came to their end, without a fault.
+        kept: the bounds were kept, or nobody requires it.
+    """
+    if interrupted:
+        return INTERRUPTED
+    if not whole:
+        return FAULT
+    return FINISHED if kept else BOUNDS_NOT_KEPT
+
+
+def show_places(console: Console, folder: ResultFolder) -> None:
+    """Say where the results are."""
+    console.print(f"results: {folder.path}", soft_wrap=True)
+    console.print(f"report:  {folder.report}", soft_wrap=True)
+
+
+def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
+    """Judge a run and write summary, report and the record of its fault; the summary.
+
+    Args:
+        folder: where.
+        run: its data.
+        more_faults: what the recording cannot know, such as a process that was killed; causes come
+            before what followed from them.
+    """
+    from deploy.reports.run_report import write_report  # figures take their time to import
+
+    summary = summarise(run)
+    summary["faults"] = [*more_faults, *summary["faults"]]
+    summary["completed"] = summary["completed"] and not more_faults
+    write_json(folder.summary, summary)
+    if (record := fault_record(run)) is not None:
+        write_json(folder.fault, record)
+    write_report(run, summary, folder.report)
+    return summary
+
+
+def finish(
+    console: Console, folder: RunFolder, outcome: RunOutcome, *, require_bounds: bool
+) -> None:
+    """Judge a run, show the result, and leave with the exit code it deserves."""
+    try:
+        data, _ = load_run(folder.path)
+    except RunFolderError as error:
+        faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
+        for fault in faults or ["stopped before the run began"]:
+            console.print(escape(fault))
+        write_json(folder.summary, {"completed": False, "faults": faults})
+        raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
+    summary = conclude(folder, data, outcome.failures)
+    show_summary(console, summary)
+    show_places(console, folder)
+    raise typer.Exit(
+        exit_code(
+            interrupted=outcome.interrupted,
+            whole=summary["completed"] and not summary["faults"],
+            kept=summary["bounds"]["kept"] or not require_bounds,
+        )
+    )

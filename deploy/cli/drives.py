@@ -12,16 +12,10 @@ from bus_schema.can.session import open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.cli.common import (
-    FAULT,
-    FINISHED,
-    INTERRUPTED,
-    Overrides,
-    ScenarioArgument,
-    on_interrupt,
-)
+from deploy.cli.common import Overrides, ScenarioArgument, on_interrupt
+from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError, naming
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
@@ -53,11 +47,14 @@ def drives(
     """Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code."""
     setup = load_setup(scenario, overrides or [])
     can = setup.scenario.link.can
-    plan = _plan(setup, faults or [])
+    with naming(setup.source):
+        node_ids = can.node_ids_of(setup.robot.joints)
     try:
-        bus = open_can_bus(can)
+        plan = [parse_fault(text, node_ids) for text in faults or []]
     except ConfigurationError as error:
-        raise ScenarioError(f"{setup.source}: {error}") from error
+        raise ScenarioError(str(error)) from error
+    with naming(setup.source):
+        bus = open_can_bus(can)
     try:
         code = _serve(setup, bus, plan, duration_s, verbose=verbose)
     finally:
@@ -65,55 +62,42 @@ def drives(
     raise typer.Exit(code)
 
 
-def _plan(setup: Setup, faults: list[str]) -> list[PlannedFault]:
-    try:
-        node_ids = setup.scenario.link.can.node_ids_of(setup.robot.joints)
-    except ConfigurationError as error:
-        raise ScenarioError(f"{setup.source}: {error}") from error
-    try:
-        return [parse_fault(text, node_ids) for text in faults]
-    except ConfigurationError as error:
-        raise ScenarioError(str(error)) from error
-
-
 def _serve(
     setup: Setup, bus: CanBus, plan: list[PlannedFault], duration_s: float | None, *, verbose: bool
 ) -> int:
     """Run the rig to its end; the exit code."""
     clock = MonotonicClock()
-    witness = Witness(bus, clock, verbose=verbose)
+    monitor = BusMonitor(bus, clock, verbose=verbose)
     can, robot = setup.scenario.link.can, setup.robot
-    try:
-        witness.bank = build_bank(can, robot, setup.scenario.plant, witness.send)
-    except ConfigurationError as error:
-        raise ScenarioError(f"{setup.source}: {error}") from error
+    with naming(setup.source):
+        monitor.bank = build_bank(can, robot, setup.scenario.plant, monitor.send)
     arm = setup.arm()
     rig = DriveRig(
-        arm, witness.bank, bus, clock, setup.grid,
-        faults=plan, on_frame=witness.hear, on_event=witness.say,
+        arm, monitor.bank, bus, clock, setup.grid,
+        faults=plan, on_frame=monitor.on_heard, on_event=monitor.print,
     )  # fmt: skip
     on_interrupt(rig.request_stop)
     clock.start()
     nodes = ", ".join(str(each) for each in can.node_ids_of(robot.joints))
-    witness.say(f"{can.protocol} drives {nodes} on {can.interface} {can.resolved_channel}")
+    monitor.print(f"{can.protocol} drives {nodes} on {can.interface} {can.resolved_channel}")
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     try:
         rig.run(ticks)
     except BusError as error:
-        witness.say(str(error))
+        monitor.print(str(error))
         return FAULT
     finally:
         arm.close()
     skipped = f", {rig.counts.skipped} of {rig.counts.ticks} ticks late" * bool(rig.counts.skipped)
-    rejected = dict(witness.bank.rejections.counts) or "none"
-    witness.say(
-        f"{rig.counts.heard} frames heard, {witness.sent} sent, rejected: {rejected}{skipped}"
+    rejected = dict(monitor.bank.rejections.counts) or "none"
+    monitor.print(
+        f"{rig.counts.heard} frames heard, {monitor.sent} sent, rejected: {rejected}{skipped}"
     )
     was_cut_short = ticks is not None and rig.counts.ticks < ticks
     return INTERRUPTED if was_cut_short else FINISHED
 
 
-class Witness:
+class BusMonitor:
     """Stands between drives and bus, and tells what passes.
 
     Without `verbose` it tells of the first frame of every identifier that is heard.
@@ -138,18 +122,18 @@ class Witness:
         if self._verbose:
             self._show("sent ", frame)
 
-    def hear(self, frame: CanFrame) -> None:
+    def on_heard(self, frame: CanFrame) -> None:
         """Look at a frame that comes from the bus."""
         is_first = frame.identifier not in self._heard
         self._heard.add(frame.identifier)
         if self._verbose or is_first:
             self._show("heard", frame)
 
-    def say(self, sentence: str) -> None:
+    def print(self, sentence: str) -> None:
         """Tell something that happened."""
         self._console.print(f"{self._clock.now_ns() * 1e-9:9.4f}  {sentence}")
 
     def _show(self, direction: str, frame: CanFrame) -> None:
         data = "remote" if frame.is_remote else frame.data.hex(" ")
         words = self.bank.describe(frame)
-        self.say(f"{direction} {frame.identifier:03X} {data:<23}  {words}")
+        self.print(f"{direction} {frame.identifier:03X} {data:<23}  {words}")

@@ -10,31 +10,27 @@ import typer
 from rich.console import Console
 
 from deploy.cli.common import (
-    BOUNDS_NOT_KEPT,
-    FAULT,
-    FINISHED,
-    INTERRUPTED,
     Out,
     Overrides,
     RequireBounds,
     ScenarioArgument,
+    conclude,
+    exit_code,
     on_interrupt,
+    parse_laws,
+    show_places,
 )
 from deploy.cli.show_comparison import CompareProgress, settling_sentence, show_comparison
 from deploy.cli.show_run import show_summary
 from deploy.cli.studies import is_study, report_study
-from deploy.comparison.compare import (
-    ComparisonFolder,
-    is_comparison,
-    load_comparison,
-    load_setups,
-    parse_laws,
-)
-from deploy.comparison.comparison import Comparison
+from deploy.comparison.comparison import Comparison, LawRun, load_setups
+from deploy.comparison.folder import KIND, ComparisonFolder
 from deploy.comparison.settling import settling_test
+from deploy.exit_codes import FAULT, FINISHED
+from deploy.reports.compare_report import write_comparison_report
 from deploy.reports.verdict import PARTIAL
 from deploy.runs.replay import replay as replay_run
-from deploy.runs.run_folder import RunFolder, load_run
+from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
 from deploy.scenario.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
@@ -58,15 +54,23 @@ def compare(
 ) -> None:
     """Run a scenario under several laws in virtual time, and set their results side by side."""
     setups = load_setups(scenario, overrides or [], parse_laws(laws))
-    folder = ComparisonFolder.create(f"compare-{setups[0].scenario.name}", out)
-    console = Console()
-    interrupted = _run_all(setups, folder, console)
+    folder = ComparisonFolder.begin(setups, out)
+    console, stop = Console(), threading.Event()
+    comparison = Comparison(_run_all(setups, folder, console, stop))
+    interrupted = stop.is_set()
     if settling and not interrupted:
-        _settle_all(setups, folder, console)
-    comparison = folder.conclude()
-    show_comparison(console, comparison)
-    _show_places(console, folder)
-    raise typer.Exit(_exit_code(comparison, interrupted=interrupted, require_bounds=require_bounds))
+        for setup in setups:
+            test = settling_test(setup)
+            comparison.settling.append(test)
+            console.print(settling_sentence(test), markup=False, highlight=False)
+    _conclude_comparison(comparison, folder, console)
+    raise typer.Exit(
+        exit_code(
+            interrupted=interrupted,
+            whole=all(run.is_whole for run in comparison.runs),
+            kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
+        )
+    )
 
 
 def replay(run_dir: RunDirectory) -> None:
@@ -94,16 +98,14 @@ def report(
     console = Console()
     if is_study(run_dir):
         report_study(run_dir, console)
-        return
-    if is_comparison(run_dir):
-        comparison_folder = load_comparison(run_dir)
-        show_comparison(console, comparison_folder.conclude())
-        _show_places(console, comparison_folder)
-        return
-    data, _ = load_run(run_dir)
-    folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-    show_summary(console, folder.conclude(data))
-    console.print(f"report: {folder.report}", soft_wrap=True)
+    elif read_summary(run_dir).get("kind") == KIND:
+        comparison_folder = ComparisonFolder(run_dir)
+        _conclude_comparison(comparison_folder.load(), comparison_folder, console)
+    else:
+        data, _ = load_run(run_dir)
+        folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
+        show_summary(console, conclude(folder, data))
+        console.print(f"report: {folder.report}", soft_wrap=True)
 
 
 def bench(
@@ -121,9 +123,11 @@ def bench(
     raise typer.Exit(FINISHED if all(section.ratios for section in sections) else FAULT)
 
 
-def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> bool:
-    """Simulate one law after another; whether the user put an end to it."""
-    stop = threading.Event()
+def _run_all(
+    setups: list[Setup], folder: ComparisonFolder, console: Console, stop: threading.Event
+) -> list[LawRun]:
+    """Simulate one law after another, until the user sets `stop` by an interrupt."""
+    runs = []
     with CompareProgress(console, setups) as progress:
         for setup in setups:
 
@@ -136,30 +140,18 @@ def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) ->
 
                 on_interrupt(request_stop)
 
-            progress.done(folder.add(attempt(setup, on_start)))
+            runs.append(folder.add(attempt(setup, on_start)))
+            progress.done(runs[-1])
             if stop.is_set():
-                return True
-    return False
+                break
+    return runs
 
 
-def _settle_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> None:
-    """Start every law from near and far."""
-    for setup in setups:
-        test = settling_test(setup)
-        folder.add_settling(test)
-        console.print(settling_sentence(test), markup=False, highlight=False)
-
-
-def _show_places(console: Console, folder: ComparisonFolder) -> None:
-    console.print(f"results: {folder.path}", soft_wrap=True)
-    console.print(f"report:  {folder.report}", soft_wrap=True)
-
-
-def _exit_code(comparison: Comparison, *, interrupted: bool, require_bounds: bool) -> int:
-    if interrupted:
-        return INTERRUPTED
-    if not all(run.is_whole for run in comparison.runs):
-        return FAULT
-    if require_bounds and not all(run.kept_bounds for run in comparison.runs):
-        return BOUNDS_NOT_KEPT
-    return FINISHED
+def _conclude_comparison(
+    comparison: Comparison, folder: ComparisonFolder, console: Console
+) -> None:
+    """Write rows, summary and report, and show what came of it."""
+    folder.conclude(comparison)
+    write_comparison_report(comparison, folder.report)
+    show_comparison(console, comparison)
+    show_places(console, folder)

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import partial_path
-from deploy.cli.common import FINISHED, Out, Overrides, ScenarioArgument
-from deploy.cli.finish import finish
+from deploy.cli.common import Out, Overrides, ScenarioArgument, finish
+from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.links import check_link, require_keys
 from deploy.processes.parent import end_with_parent
@@ -72,9 +72,7 @@ def record(
     stop = StopRequest()
     if log is not None:
         raise typer.Exit(run_recorder(setup, log, reporter, stop))
-    folder = RunFolder.create(setup.scenario.name, out)
-    folder.write_scenario(setup)
-    folder.write_manifest(setup, {})
+    folder = RunFolder.begin(setup, out)
     code = run_recorder(setup, folder.log, reporter, stop)
     if code == FINISHED or partial_path(folder.log).exists():
         outcome = RunOutcome(interrupted=stop.is_set)

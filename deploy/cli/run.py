@@ -5,8 +5,14 @@ from __future__ import annotations
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
-from deploy.cli.common import Out, Overrides, RequireBounds, ScenarioArgument, on_interrupt
-from deploy.cli.finish import finish
+from deploy.cli.common import (
+    Out,
+    Overrides,
+    RequireBounds,
+    ScenarioArgument,
+    finish,
+    on_interrupt,
+)
 from deploy.cli.show_run import RunProgress
 from deploy.processes.endpoints import with_free_endpoints
 from deploy.processes.launcher import Launcher
@@ -27,9 +33,7 @@ def run(
     require_keys(setup, *Role)
     setup = with_free_endpoints(setup)
     console = Console()
-    folder = RunFolder.create(setup.scenario.name, out)
-    folder.write_scenario(setup)
-    folder.write_manifest(setup, {})
+    folder = RunFolder.begin(setup, out)
     launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
     on_interrupt(launcher.request_stop)
     with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:

@@ -7,8 +7,14 @@ from collections.abc import Callable
 
 from rich.console import Console
 
-from deploy.cli.common import Out, Overrides, RequireBounds, ScenarioArgument, on_interrupt
-from deploy.cli.finish import finish
+from deploy.cli.common import (
+    Out,
+    Overrides,
+    RequireBounds,
+    ScenarioArgument,
+    finish,
+    on_interrupt,
+)
 from deploy.cli.show_run import RunProgress
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.links import check_link
@@ -30,9 +36,7 @@ def simulate(
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=True)
     console = Console()
-    folder = RunFolder.create(setup.scenario.name, out)
-    folder.write_scenario(setup)
-    folder.write_manifest(setup, {})
+    folder = RunFolder.begin(setup, out)
     outcome = RunOutcome()
     over = threading.Event()
 

@@ -1,13 +1,24 @@
-"""The runs of a comparison."""
+"""A comparison: the same scenario, plant and seed under several laws, in virtual time."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from bus_schema.messages import topics
 from deploy.comparison.settling import SettlingTest
 from deploy.runs.run_data import RunData
+from deploy.scenario.scenario import Setup, load_setup
+
+
+def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str]) -> list[Setup]:
+    """The scenario under each law, all checked before any of them runs.
+
+    Raises:
+        ScenarioError: anything about it is wrong, such as a law that does not exist.
+    """
+    return [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,7 @@ from deploy.experiments.ranking import (
 )
 from deploy.experiments.tuning import tune, tuning_setup, with_gains
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.scenario_text import plain
-from deploy.scenario.yaml_files import read_yaml
+from deploy.scenario.yaml_files import plain, read_yaml
 
 TRAVEL_LIMITS_PER_S = (2.0, 6.0, 20.0, 60.0, math.inf)
 AS_SHIPPED_PER_S = 6.0

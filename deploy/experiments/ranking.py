@@ -9,7 +9,6 @@ leaves out keep the gains of the scenario.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from deploy.experiments.tuning import cost, tuning_setup, varied, with_gains
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.yaml_files import read_yaml
+from deploy.scenario.yaml_files import override, read_yaml
 
 PROPOSED = "fixed_time_neural"
 RIVALS = ("pid", "smc", "tsmc", "ftsmc")
@@ -78,7 +77,7 @@ def load_gains(path: Path | None) -> list[str]:
 
 def gains_as_overrides(gains: Mapping[str, Any]) -> list[str]:
     """Gains by law as overrides of a scenario."""
-    return [f"controller.gains.{law}={json.dumps(values)}" for law, values in gains.items()]
+    return [override(f"controller.gains.{law}", values) for law, values in gains.items()]
 
 
 def verdict_table(scenario: str, overrides: Sequence[str]) -> Iterator[str]:

@@ -29,13 +29,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import yaml
 
 from bus_schema.arrays import Vector
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.scenario_text import plain
+from deploy.scenario.yaml_files import plain, to_yaml
 
 BUDGET_S = 480.0
 DURATION_S = 8.0
@@ -193,7 +192,7 @@ def main() -> None:
     setup = tuning_setup(options.scenario, options.law)
     gains, reached = tune(setup, options.budget_s, options.seed)
     print(f"# cost {reached:.3f} after {options.budget_s:g} simulated seconds")
-    print(yaml.safe_dump({options.law: plain(gains)}, sort_keys=False))
+    print(to_yaml({options.law: plain(gains)}))
 
 
 if __name__ == "__main__":

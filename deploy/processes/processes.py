@@ -26,6 +26,7 @@ from bus_schema.runtime.realtime import (
 from bus_schema.zenoh.link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
+from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.links import open_controller_link, open_plant_link
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
@@ -36,7 +37,6 @@ from plant_emulator.plant_loop import PlantLoop
 if TYPE_CHECKING:
     from bus_schema.can.link import CanControllerLink
 
-FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2
 
 

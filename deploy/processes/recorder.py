@@ -18,9 +18,8 @@ from bus_schema.recording.mcap_log import McapLog
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
-from deploy.scenario.link_files import delay_files
-from deploy.scenario.scenario import Setup
-from deploy.scenario.scenario_text import effective_scenario
+from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.scenario import Setup, effective_scenario
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"

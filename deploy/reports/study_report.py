@@ -12,7 +12,7 @@ from deploy.reports.page import page, render_sections
 from deploy.reports.study_panels import Rerun, StudyPage
 from deploy.reports.sweep_panels import sweep_page
 from deploy.reports.tables import table, tile
-from deploy.study.study_folder import StudyFolder
+from deploy.study.folder import StudyFolder
 
 
 def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from deploy.runs.metrics import PERCENTILES
+from bus_schema.percentiles import PERCENTILES
 from deploy.runs.run_data import RunData
 
 _ABSENT = "–"

@@ -11,11 +11,11 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
+from bus_schema.percentiles import PERCENTILES, percentiles
 from deploy.runs.chattering import chatter_shares
 from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.settling_bound import settling_bound_s
 
-PERCENTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
@@ -23,8 +23,7 @@ def summarise(run: RunData) -> dict[str, Any]:
     """The summary of a run, ready for JSON."""
     setup = run.setup
     truth = run.tables[topics.PLANT_TRUTH.name]
-    ended = run.last_event(Role.PLANT, EventKind.ENDED)
-    outcome = ended.values() if ended is not None else {}
+    outcome = run.last_values(Role.PLANT, EventKind.ENDED)
     ticks = int(outcome.get("ticks", max(len(truth) - 1, 0)))
     duration_s = ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
@@ -74,16 +73,6 @@ def judge_bounds(run: RunData) -> dict[str, Any]:
         "violation_fraction": float(outside.mean()),
         "first_violation_s": first,
         "margin_min": float(1.0 - usage.max()),
-    }
-
-
-def percentiles_us(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
-    """Exact percentiles of all values, in µs; null where there are none."""
-    if not values_ns.size:
-        return dict.fromkeys(PERCENTILES)
-    return {
-        name: float(np.quantile(values_ns, q, method="inverted_cdf")) * 1e-3
-        for name, q in PERCENTILES.items()
     }
 
 
@@ -138,15 +127,15 @@ def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]
     missed = truth["deadline_met"] == 0
     misses = int(missed.sum())
 
-    def known(values: NDArray[np.int64]) -> NDArray[np.int64]:
-        return values[values >= 0]
+    def in_us(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
+        return percentiles(values_ns[values_ns >= 0] * 1e-3)  # below 0: there is none
 
     return {
-        "round_trip_us": percentiles_us(known(truth["round_trip_ns"])),
-        "command_age_us": percentiles_us(known(truth["command_age_ns"])),
-        "state_age_us": percentiles_us(known(truth["state_age_ns"])),
-        "control_step_us": percentiles_us(run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"]),
-        "wakeup_lateness_us": percentiles_us(known(truth["timing.lateness_ns"])),
+        "round_trip_us": in_us(truth["round_trip_ns"]),
+        "command_age_us": in_us(truth["command_age_ns"]),
+        "state_age_us": in_us(truth["state_age_ns"]),
+        "control_step_us": in_us(run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"]),
+        "wakeup_lateness_us": in_us(truth["timing.lateness_ns"]),
         "deadline_misses": misses,
         "deadline_miss_longest_run": _longest_run(missed),
         "success_rate": 1.0 - misses / ticks if ticks else None,
@@ -161,17 +150,14 @@ def _longest_run(flags: NDArray[np.bool_]) -> int:
 
 def _limits(run: RunData) -> dict[str, Any]:
     """How often each side met each limit: the controller by torques, the plant by ticks."""
-    plant = run.last_event(Role.PLANT, EventKind.COUNTS)
-    controller = run.last_event(Role.CONTROLLER, EventKind.ENDED)
     return {
-        "controller": controller.values().get("limits") if controller is not None else None,
-        "plant": plant.values().get("limits") if plant is not None else None,
+        "controller": run.last_values(Role.CONTROLLER, EventKind.ENDED).get("limits"),
+        "plant": run.last_values(Role.PLANT, EventKind.COUNTS).get("limits"),
     }
 
 
 def _transport(run: RunData) -> dict[str, Any]:
-    event = run.last_event(Role.PLANT, EventKind.COUNTS)
-    counts = event.values() if event is not None else {}
+    counts = run.last_values(Role.PLANT, EventKind.COUNTS)
     unknown: dict[str, Any] = {
         **dict.fromkeys(_CHANNEL), "rejected": {},
         "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,10 +64,10 @@ class RunData:
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
         return np.asarray(truth["position"] - wanted)
 
-    def last_event(self, role: Role, kind: EventKind) -> RunEvent | None:
-        """The last event of a kind that one of the processes told of."""
+    def last_values(self, role: Role, kind: EventKind) -> dict[str, Any]:
+        """What the last event of a kind says that is of one of the processes; {} without one."""
         found = [e for e in self.events if e.kind == kind and e.source == role]
-        return found[-1] if found else None
+        return found[-1].values() if found else {}
 
     def faults(self) -> list[str]:
         """All faults, a sentence each."""
@@ -89,24 +91,6 @@ def digest(states: Sequence[bytes], commands: Sequence[bytes]) -> str:
     return hasher.hexdigest()
 
 
-def tabulate(
-    payloads: Mapping[str, Sequence[bytes]], joint_names: tuple[str, ...]
-) -> tuple[dict[str, Table], list[RunEvent]]:
-    """Tables of all fixed-size topics, and the events; unusable messages are left out."""
-    tables = {
-        topic.name: topics.layout(topic, joint_names).tabulate(payloads.get(topic.name, ()))
-        for topic in topics.TOPICS
-        if topic is not topics.RUN_EVENTS
-    }
-    events = []
-    for payload in payloads.get(topics.RUN_EVENTS.name, ()):
-        try:
-            events.append(RunEvent.decode(payload))
-        except InvalidMessageError:
-            continue
-    return tables, events
-
-
 def build_run_data(
     setup: Setup,
     payloads: Mapping[str, Sequence[bytes]],
@@ -116,18 +100,29 @@ def build_run_data(
     lost: Mapping[str, int] | None = MappingProxyType({}),
     complete: bool = True,
 ) -> RunData:
-    """The data of a run from its messages by topic name."""
-    tables, events = tabulate(payloads, setup.robot.joint_names)
+    """The data of a run from its messages by topic name; unusable messages are left out."""
+    names = setup.robot.joint_names
+    states, commands = (
+        payloads.get(topic.name, ()) for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS)
+    )
     return RunData(
         setup=setup,
         clock=clock,
         link=link,
-        tables=tables,
-        events=events,
-        digest=digest(
-            payloads.get(topics.JOINT_STATES.name, ()), payloads.get(topics.JOINT_COMMANDS.name, ())
-        ),
+        tables={
+            topic.name: topics.layout(topic, names).tabulate(payloads.get(topic.name, ()))
+            for topic in topics.TOPICS
+            if topic is not topics.RUN_EVENTS
+        },
+        events=list(_events(payloads.get(topics.RUN_EVENTS.name, ()))),
+        digest=digest(states, commands),
         messages=sum(len(messages) for messages in payloads.values()),
         lost=lost,
         complete=complete,
     )
+
+
+def _events(payloads: Sequence[bytes]) -> Iterator[RunEvent]:
+    for payload in payloads:
+        with contextlib.suppress(InvalidMessageError):
+            yield RunEvent.decode(payload)

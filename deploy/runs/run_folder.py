@@ -1,4 +1,4 @@
-"""What a run leaves behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``.
+"""What runs leave behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``.
 
 And, where something went wrong, ``fault.json``.
 """
@@ -13,10 +13,12 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from importlib import metadata
+from itertools import chain, count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from bus_schema.recording.atomic_files import partial_path, write_whole
+from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
 from bus_schema.recording.mcap_log import LogContents, read_log
 from deploy.processes.recorder import (
     DELAYS_ATTACHMENT,
@@ -25,98 +27,88 @@ from deploy.processes.recorder import (
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
-from deploy.runs.fault_record import fault_record
-from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData, build_run_data
-from deploy.scenario.link_files import DIRECTIONS
-from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.scenario_text import effective_scenario, plain
-from deploy.scenario.yaml_files import InputError, ScenarioError
+from deploy.scenario.referenced_files import DIRECTIONS
+from deploy.scenario.scenario import Setup, effective_scenario, load_setup
+from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 
 
 class RunFolderError(InputError):
-    """A folder holds no run that can be read."""
+    """A folder holds nothing of ours that can be read."""
 
 
-class RunFolder:
-    """The files of one run.
+class ResultFolder:
+    """What every command with results leaves in their folder: numbers, provenance and a report.
 
     Args:
-        path: the folder; created where it does not exist.
+        path: the folder.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.log = path / "run.mcap"
-        self.can_log = path / "can.log"
-        self.scenario = path / "scenario.yaml"
         self.summary = path / "summary.json"
         self.manifest = path / "manifest.json"
         self.report = path / "report.html"
+
+
+class RunFolder(ResultFolder):
+    """The files of one run."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.log = path / "run.mcap"
+        self.can_log = path / "can.log"
+        self.scenario = path / "scenario.yaml"
         self.fault = path / "fault.json"
 
     @staticmethod
-    def create(name: str, out: Path | None) -> RunFolder:
-        """The folder for a new run, by default ``runs/<name>-<time>``.
+    def begin(setup: Setup, out: Path | None) -> RunFolder:
+        """The folder of a new run, with the scenario in force and a manifest.
 
         Raises:
-            ScenarioError: it cannot be created or written to.
+            ScenarioError: as `new_folder`.
         """
-        stamp = time.strftime("%Y%m%d-%H%M%S")
-        path = (out or _unused(Path("runs") / f"{name}-{stamp}")).resolve()
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
-        if not os.access(path, os.W_OK):
-            raise ScenarioError(f"--out {path}: is not writable")
-        folder = RunFolder(path)
-        judged = (folder.summary, folder.manifest, folder.report, folder.fault)
-        later_logs = [*path.glob("run-*.mcap"), *path.glob("can-*.log")]  # of restarted processes
-        for file in (folder.log, folder.can_log, *judged, *later_logs):
-            file.unlink(missing_ok=True)
-            partial_path(file).unlink(missing_ok=True)
+        folder = RunFolder(new_folder(setup.scenario.name, out))
+        write_whole(folder.scenario, effective_scenario(setup))
+        folder.write_manifest(setup, {})
         return folder
 
     def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
         """Write what was run, with what, and where; `grants`: real-time setup, by role."""
-        manifest = {
-            **provenance(),
-            "realtime": dict(grants),
-            "gains": {setup.scenario.controller.law: plain(setup.gains)},
-            "scenario": plain(setup.scenario),
-        }
-        write_whole(self.manifest, json.dumps(manifest, indent=2) + "\n")
+        write_json(self.manifest, manifest_of([setup], grants))
 
-    def write_scenario(self, setup: Setup) -> None:
-        """Write the scenario in force, with all its overrides."""
-        write_whole(self.scenario, effective_scenario(setup))
 
-    def conclude(self, run: RunData, extra_faults: Sequence[str] = ()) -> dict[str, Any]:
-        """Judge a run and write summary and report; the summary.
+def new_folder(name: str, out: Path | None) -> Path:
+    """A folder for new results, by default ``runs/<name>-<time>``; those of a run are removed.
 
-        Args:
-            run: its data.
-            extra_faults: what the recording cannot know, such as a process that was killed; causes
-                come before what followed from them.
-        """
-        summary = summarise(run)
-        summary["faults"] = [*extra_faults, *summary["faults"]]
-        summary["completed"] = summary["completed"] and not extra_faults
-        self.write_summary(summary)
-        record = fault_record(run)
-        if record is not None:
-            write_whole(self.fault, json.dumps(record, indent=1) + "\n")
-        from deploy.reports.run_report import write_report  # figures take their time to import
+    Raises:
+        ScenarioError: it cannot be created or written to.
+    """
+    path = (out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")).resolve()
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
+    if not os.access(path, os.W_OK):
+        raise ScenarioError(f"--out {path}: is not writable")
+    old = RunFolder(path)
+    judged = (old.summary, old.manifest, old.report, old.fault)
+    later_logs = [*path.glob("run-*.mcap"), *path.glob("can-*.log")]  # of restarted processes
+    for file in (old.log, old.can_log, *judged, *later_logs):
+        file.unlink(missing_ok=True)
+        partial_path(file).unlink(missing_ok=True)
+    return path
 
-        write_report(run, summary, self.report)
-        return summary
 
-    def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write the summary."""
-        write_whole(self.summary, json.dumps(summary, indent=2) + "\n")
+def read_summary(path: Path) -> dict[str, Any]:
+    """What ``summary.json`` of a folder says; empty where there is none."""
+    try:
+        values = json.loads((path / "summary.json").read_text())
+    except (OSError, ValueError):
+        return {}
+    return values if isinstance(values, dict) else {}
 
 
 def load_run(path: Path) -> tuple[RunData, LogContents]:
@@ -159,6 +151,23 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
     return data, contents
 
 
+def manifest_of(
+    setups: Sequence[Setup], grants: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
+    """What is run, with what, and where.
+
+    Args:
+        setups: the scenario, under each law that it is run under.
+        grants: real-time setup, by role.
+    """
+    return {
+        **provenance(),
+        "realtime": dict(grants),
+        "gains": {setup.scenario.controller.law: plain(setup.gains) for setup in setups},
+        "scenario": plain(setups[0].scenario),
+    }
+
+
 def provenance() -> dict[str, Any]:
     """What was called, when, where and with which versions, for a manifest."""
     return {
@@ -174,9 +183,10 @@ def provenance() -> dict[str, Any]:
     }
 
 
-def _unused(path: Path) -> Path:
-    candidates: Mapping[int, Path] = {n: Path(f"{path}-{n}") for n in range(2, 1000)}
-    return next((p for p in (path, *candidates.values()) if not p.exists()), path)
+def _unused(name: str) -> Path:
+    """A path of that name, with a number behind it where there is one already."""
+    candidates = chain([name], (f"{name}-{number}" for number in count(2)))
+    return next(path for path in map(Path, candidates) if not path.exists())
 
 
 def _version(name: str) -> str | None:

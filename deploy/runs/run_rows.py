@@ -76,16 +76,12 @@ def write_rows(
     import pyarrow as pa  # heavy, and needed by few commands
     from pyarrow import parquet
 
-    kinds = {
-        "string": pa.string(),
-        "int64": pa.int64(),
-        "double": pa.float64(),
-        "bool": pa.bool_(),
-        "list<string>": pa.list_(pa.string()),
-        "list<double>": pa.list_(pa.float64()),
-    }
+    def arrow_type(kind: str) -> Any:
+        item = kind.removeprefix("list<").removesuffix(">")
+        return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
+
     columns = {**(more_columns or {}), **_COLUMNS}
-    schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
+    schema = pa.schema([(name, arrow_type(kind)) for name, kind in columns.items()])
     parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
     complete(path)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.can_run import CanRun
@@ -35,9 +35,18 @@ from controller.funnel import Funnel
 from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import Reference, sample_positions
 from controller.reference_configuration import ReferenceConfiguration
-from deploy.scenario.link_files import find_delay_files
-from deploy.scenario.robot_files import find_urdf
-from deploy.scenario.yaml_files import ScenarioError, explain, override, read_yaml
+from deploy.scenario.referenced_files import find_delay_files, find_urdf
+from deploy.scenario.yaml_files import (
+    ScenarioError,
+    find_yaml,
+    naming,
+    parse_override,
+    plain,
+    read_yaml,
+    set_value,
+    to_yaml,
+    validated,
+)
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.driven_arm import DrivenArm
@@ -184,15 +193,18 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
     Raises:
         ScenarioError: anything about it is wrong.
     """
-    path = find_scenario(name_or_path)
+    path = find_yaml(name_or_path, SHIPPED)
     values = _read_scenario(path)
     for text in overrides:
-        override(values, text)
-    try:
-        scenario = Scenario.model_validate(values)
-    except ValidationError as error:
-        raise ScenarioError(explain(error, path)) from error
-    return check(scenario, path)
+        set_value(values, *parse_override(text))
+    return check(validated(values, Scenario, path), path)
+
+
+def effective_scenario(setup: Setup) -> str:
+    """The scenario in force as YAML: every default and override written out, paths absolute."""
+    values = plain(setup.scenario)
+    values["robot"]["urdf"] = str(setup.robot.path)
+    return to_yaml(values)
 
 
 def _read_scenario(path: Path) -> dict[str, Any]:
@@ -203,7 +215,7 @@ def _read_scenario(path: Path) -> dict[str, Any]:
         return values
     if not isinstance(base, str):
         raise ScenarioError(f"{path}: extends = {base!r}: must be the name or path of a scenario")
-    base_values = read_yaml(find_scenario(base))
+    base_values = read_yaml(find_yaml(base, SHIPPED, path.parent))
     if "extends" in base_values:
         raise ScenarioError(f"{path}: extends = {base!r}: must be a scenario that extends no other")
     return _merged(base_values, values)
@@ -223,29 +235,11 @@ def check(scenario: Scenario, source: Path) -> Setup:
     Raises:
         ScenarioError: something does not fit.
     """
-    try:
-        return _check(scenario, source)
-    except RobotDescriptionError as error:
-        key = f"robot.urdf = {scenario.robot.urdf!r}"
-        raise ScenarioError(f"{source}: {key}: {error}") from error
-    except ConfigurationError as error:
-        raise ScenarioError(f"{source}: {error}") from error
-
-
-def find_scenario(name_or_path: str) -> Path:
-    """The file of a scenario.
-
-    Raises:
-        ScenarioError: there is none.
-    """
-    path = Path(name_or_path)
-    if path.is_file():
-        return path.resolve()
-    shipped = SHIPPED / f"{name_or_path}.yaml"
-    if shipped.is_file():
-        return shipped
-    names = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.yaml")))
-    raise ScenarioError(f"{name_or_path}: no such file, nor one of the shipped scenarios {names}")
+    with naming(source):
+        try:
+            return _check(scenario, source)
+        except RobotDescriptionError as error:
+            raise ScenarioError(f"robot.urdf = {scenario.robot.urdf!r}: {error}") from error
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:

@@ -1,14 +1,24 @@
-"""YAML files with values that a schema checks, and what to say when some are wrong."""
+"""YAML files with values that a schema checks, what to say of wrong ones, and values as YAML."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import numpy as np
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where it is there
+from bus_schema.configuration import ConfigurationError
+
+# Several times as fast, where they are there.
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class InputError(Exception):
@@ -17,6 +27,42 @@ class InputError(Exception):
 
 class ScenarioError(InputError):
     """A scenario cannot be used; the message names file, key, value and what is allowed."""
+
+
+@contextmanager
+def naming(source: Path) -> Iterator[None]:
+    """What is wrong with the values of a file is told with the file's name.
+
+    Raises:
+        ScenarioError: for a `ConfigurationError`, or another one that names no file yet.
+    """
+    try:
+        yield
+    except (ConfigurationError, ScenarioError) as error:
+        raise ScenarioError(f"{source}: {error}") from error
+
+
+def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
+    """A YAML file by its path, or one of those that are shipped in a folder by its name.
+
+    Args:
+        name_or_path: what the user says.
+        shipped: the folder; its name is what the files are called in messages.
+        beside: folder from which a path may also start.
+
+    Raises:
+        ScenarioError: there is none.
+    """
+    for path in (beside / name_or_path, Path(name_or_path)):
+        if path.is_file():
+            return path.resolve()
+    by_name = shipped / f"{name_or_path}.yaml"
+    if by_name.is_file():
+        return by_name
+    names = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
+    raise ScenarioError(
+        f"{name_or_path}: no such file, nor one of the shipped {shipped.name} {names}"
+    )
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -49,13 +95,13 @@ def parse_override(override: str) -> tuple[str, Any]:
         raise ScenarioError(f"--set {override}: {text!r} is no YAML value") from error
 
 
-def override(values: dict[str, Any], text: str) -> None:
-    """Set one value of a file by ``dotted.key=value``.
+def override(key: str, value: Any) -> str:
+    """``dotted.key=value`` for a value of any type that YAML has."""
+    return f"{key}={json.dumps(value, default=str)}"
 
-    Raises:
-        ScenarioError: it is not of that form.
-    """
-    key, value = parse_override(text)
+
+def set_value(values: dict[str, Any], key: str, value: Any) -> None:
+    """Set one of nested values by its dotted key."""
     *sections, last = key.split(".")
     for section in sections:
         inner = values.setdefault(section, {})
@@ -65,7 +111,42 @@ def override(values: dict[str, Any], text: str) -> None:
     values[last] = value
 
 
-def explain(error: ValidationError, path: Path) -> str:
+def validated(values: Mapping[str, Any], model: type[Model], source: Path) -> Model:
+    """What a model makes of values.
+
+    Raises:
+        ScenarioError: some of them cannot be used; `source` is named.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise ScenarioError(_explain(error, source)) from error
+
+
+def to_yaml(values: Mapping[str, Any]) -> str:
+    """Plain values as YAML, in their order."""
+    return str(yaml.dump(values, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
+
+
+def plain(value: Any) -> Any:
+    """Models, named tuples and arrays as mappings, lists and numbers; what is None is left out."""
+    match value:
+        case BaseModel():
+            fields = {name: getattr(value, name) for name in type(value).model_fields}
+            return {name: plain(inner) for name, inner in fields.items() if inner is not None}
+        case dict():
+            return {name: plain(inner) for name, inner in value.items()}
+        case tuple() if hasattr(value, "_asdict"):
+            return {name: plain(inner) for name, inner in value._asdict().items()}
+        case np.ndarray():
+            return value.tolist()
+        case list() | tuple():
+            return [plain(inner) for inner in value]
+        case _:
+            return value
+
+
+def _explain(error: ValidationError, path: Path) -> str:
     """What is wrong with the values of a file: key, value and what is allowed, a line each."""
     lines = []
     for problem in error.errors(include_url=False):

@@ -6,16 +6,16 @@ import asyncio
 import logging
 import os
 import queue
+import signal
 from collections import deque
-from types import TracebackType
 
 import dask
-from distributed import Client, Future, LocalCluster, rpc
+from distributed import Client, Future, LocalCluster, Worker, rpc
 from distributed.scheduler import KilledWorker
 
-from deploy.runs.run_rows import Row, failed_row
+from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import Run, execute, labelled
+from deploy.study.study import Run, execute, failed
 
 _ANSWER_S = 3.0
 _WORKERS_S = 5.0
@@ -62,19 +62,14 @@ class DaskWorkers:
                 dashboard_address=None,
                 scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
                 silence_logs=logging.CRITICAL,
-                preload=["deploy.study.dask_worker_setup"],
+                preload=[__name__],  # see `dask_setup`; and no first run waits for imports
             )
         self._client = Client(self._cluster)
 
     def __enter__(self) -> DaskWorkers:
         return self
 
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
@@ -118,7 +113,12 @@ class DaskWorkers:
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, KilledWorker):
             reason = "ended the process of every worker that tried it"
-        return run, labelled(run, failed_row(run.seed, reason))
+        return run, failed(run, reason)
+
+
+def dask_setup(_worker: Worker) -> None:
+    """Called by Dask in every worker process of our own: Ctrl-C is for the command that began."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _connect(scheduler: str) -> Client:

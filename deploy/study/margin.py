@@ -3,49 +3,78 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from bus_schema.configuration import Positive, StrictModel
+from bus_schema.configuration import Positive
 from controller.laws import LAWS
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.margin_quantities import QUANTITIES
+from deploy.scenario.yaml_files import naming, override, validated
+from deploy.study.definition import (
+    Different,
+    Name,
+    Seeds,
+    StudyDefinition,
+    scenario_name,
+)
 from deploy.study.margin_search import MarginSearch
-from deploy.study.study import Run
-from deploy.study.study_definition import Name, Seeds, override, scenario_from
-from deploy.study.study_statistics import held, spread_of_runs
-
-KIND = "margin"
-_COLUMNS = {"arm": "string", "compensation": "bool", "quantity": "string", "value": "double",
-            "offset_scale": "double"}  # fmt: skip
+from deploy.study.statistics import held, spread_of_runs
+from deploy.study.study import Run, Study
 
 
-def _different(values: list[Any]) -> list[Any]:
-    if not values or len(set(values)) < len(values):
-        raise ValueError("one or more different values")
-    return values
+@dataclass(frozen=True)
+class Quantity:
+    """Something of the link that can be too much.
+
+    Attributes:
+        title: what it is called.
+        unit: of its values.
+        key: scenario key of each direction.
+        share: what part of a value each direction gets.
+        resolution: to which the margin is found.
+        first: the first value tried.
+        limit: the largest value tried.
+    """
+
+    title: str
+    unit: str
+    key: str
+    share: float
+    resolution: float
+    first: float
+    limit: float
+
+    def overrides(self, value: float) -> list[str]:
+        """What to set for a value."""
+        return [
+            override(f"link.{direction}.{self.key}", self.share * value)
+            for direction in ("uplink", "downlink")
+        ]
 
 
-class MarginDefinition(StrictModel):
+QUANTITIES = {
+    "delay": Quantity("round trip", "ms", "delay_ms", 0.5, 0.5, 1.0, 128.0),
+    "jitter": Quantity("jitter each way", "ms", "jitter_ms", 1.0, 0.5, 1.0, 32.0),
+    "loss": Quantity("loss each way", "", "loss", 1.0, 0.005, 0.01, 0.9),
+}
+
+
+class MarginDefinition(StudyDefinition):
     """What to find margins of, as a study's YAML file has it.
 
     Attributes:
-        name: of the study.
         scenarios: scenario files, or names of shipped ones.
         laws: control laws; all by default.
         compensation: values of ``controller.delay_compensation.enabled`` to try; as each scenario
             has it if none is given.
         quantity: what grows: ``delay`` (round trip, half each way), ``jitter`` or ``loss`` (each
             way).
-        fixed: (in YAML ``set``) scenario values that are the same in all runs, by dotted key.
         duration_s: length of each run; the scenario's own if null.
-        seeds: how many, or which.
         offsets: factors on the scenario's initial offset; a value holds if the bounds are kept from
             every one of these starts, with every seed.
         resolution: to which the margin is found, in the quantity's unit.
@@ -53,27 +82,27 @@ class MarginDefinition(StrictModel):
     """
 
     name: Name = "margin"
-    scenarios: Annotated[list[str], AfterValidator(_different)] = Field(default=["paper_arm"])
-    laws: Annotated[list[str], AfterValidator(_different)] = Field(
-        default_factory=lambda: list(LAWS)
-    )
-    compensation: Annotated[list[bool], AfterValidator(_different)] | None = None
+    scenarios: Different[str] = Field(default=["paper_arm"])
+    laws: Different[str] = Field(default_factory=lambda: list(LAWS))
+    compensation: Different[bool] | None = None
     quantity: Literal["delay", "jitter", "loss"] = "delay"
-    fixed: Annotated[dict[str, Any], Field(alias="set", default_factory=dict)]
     duration_s: Positive | None = 8.0
     seeds: Seeds = Field(default=[1, 2])
-    offsets: Annotated[list[float], AfterValidator(_different)] = Field(default=[1.0, -0.5])
+    offsets: Different[float] = Field(default=[1.0, -0.5])
     resolution: Positive | None = None
     limit: Positive | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Case:
     """Something that has a margin: a law on an arm, with or without compensation.
 
     Attributes:
         scenario: file or name.
         base: the scenario as it is without the quantity.
+        overrides: what is set in it but for the quantity and the start.
+        search: how far its search is.
+        rows: what came of its runs, by the probed value in steps of the resolution.
     """
 
     scenario: str
@@ -81,6 +110,8 @@ class Case:
     law: str
     compensation: bool | None
     overrides: tuple[str, ...]
+    search: MarginSearch
+    rows: dict[int, list[Row]] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, Any]:
@@ -88,125 +119,98 @@ class Case:
         return {"arm": self.base.scenario.name, "compensation": self.compensation}
 
 
-class Margin:
+class Margin(Study):
     """The runs of a search for margins.
 
-    Args:
-        definition: what to find.
-        folder: folder of its file, from which paths of scenarios start.
-        source: what to call it in messages.
-
-    Raises:
-        ScenarioError: a case is no scenario that can be run.
+    Attributes:
+        cases: what has a margin, each with its search.
     """
 
-    kind = KIND
+    kind = "margin"
+    definition: MarginDefinition
 
-    def __init__(self, definition: MarginDefinition, folder: Path, source: str) -> None:
-        self.definition = definition
-        self.columns = _COLUMNS
-        self.quantity = QUANTITIES[definition.quantity]
-        self.resolution = definition.resolution or self.quantity.resolution
-        self.limit = definition.limit or self.quantity.limit
-        try:
-            self.scenarios = [scenario_from(name, folder) for name in definition.scenarios]
+    def __init__(self, values: Mapping[str, Any], source: Path) -> None:
+        given = validated(values, MarginDefinition, source)
+        self.columns = {"arm": "string", "compensation": "bool", "quantity": "string",
+                        "value": "double", "offset_scale": "double"}  # fmt: skip
+        self._quantity = QUANTITIES[given.quantity]
+        self._resolution = given.resolution or self._quantity.resolution
+        self._limit = given.limit or self._quantity.limit
+        with naming(source):
+            scenarios = [scenario_name(name, source.parent) for name in given.scenarios]
+            self.definition = given.model_copy(update={"scenarios": scenarios})
             self.cases = list(self._build_cases())
-        except ScenarioError as error:
-            raise ScenarioError(f"{source}: {error}") from error
-        first = max(1, round(self.quantity.first / self.resolution))
-        limit = max(1, round(self.limit / self.resolution))
-        self.searches = [MarginSearch(min(first, limit), limit) for _ in self.cases]
-        self._rows: dict[tuple[int, int], list[Row]] = {}
-
-    @property
-    def name(self) -> str:
-        return self.definition.name
-
-    @property
-    def seeds(self) -> list[int]:
-        return self.definition.seeds
-
-    @property
-    def bases(self) -> list[Setup]:
-        """The scenarios that it varies."""
-        return list({case.base.scenario.name: case.base for case in self.cases}.values())
+        self.bases = list({case.base.scenario.name: case.base for case in self.cases}.values())
 
     @property
     def expected(self) -> int:
-        """Number of runs, as far as can be told now."""
-        left = sum(search.probes_left for search in self.searches)
-        probed = sum(len(search.outcomes) for search in self.searches)
-        return (left + probed) * self._runs_per_probe
-
-    def definition_values(self) -> dict[str, Any]:
-        """The definition as plain values, from which `restore` makes it again."""
-        return self.definition.model_dump(by_alias=True) | {"scenarios": self.scenarios}
+        searches = [case.search for case in self.cases]
+        probes = sum(search.probes_left + len(search.outcomes) for search in searches)
+        return probes * self._runs_per_probe
 
     def first(self) -> Iterable[Run]:
-        """The first probe of every case."""
         return [run for case in range(len(self.cases)) for run in self._next_probe(case)]
 
     def follow(self, run: Run, values: Row) -> Iterable[Run]:
-        """The next probe of a case, once all runs of its last one are done."""
-        case, steps, _ = _parse_point(run.point)
-        rows = self._rows.setdefault((case, steps), [])
+        index, steps = map(int, run.point.split("-")[:2])
+        case = self.cases[index]
+        rows = case.rows.setdefault(steps, [])
         rows.append(values)
         if len(rows) < self._runs_per_probe:
             return ()
-        self.searches[case].outcomes[steps] = all(held(row) for row in rows)
-        return self._next_probe(case)
+        case.search.outcomes[steps] = all(held(row) for row in rows)
+        return self._next_probe(index)
 
-    def summary(self, rows: list[Row]) -> dict[str, Any]:
-        """What came of it, case by case."""
+    def findings(self, _rows: list[Row]) -> dict[str, Any]:
         return {
-            "kind": KIND,
-            "name": self.name,
             "quantity": self.definition.quantity,
-            "title": self.quantity.title,
-            "unit": self.quantity.unit,
-            "resolution": self.resolution,
-            "limit": self.limit,
-            "completed": all(search.next() is None for search in self.searches),
-            "runs": len(rows),
-            "runs_failed": sum(row["error"] is not None for row in rows),
-            "seeds": self.seeds,
+            "title": self._quantity.title,
+            "unit": self._quantity.unit,
+            "resolution": self._resolution,
+            "limit": self._limit,
+            "completed": all(case.search.next() is None for case in self.cases),
             "offsets": self.definition.offsets,
             "duration_s": {base.scenario.name: base.scenario.duration_s for base in self.bases},
-            "cases": [self._case_summary(index, rows) for index in range(len(self.cases))],
+            "cases": [self._case_summary(case) for case in self.cases],
         }
 
     @property
     def _runs_per_probe(self) -> int:
-        return len(self.seeds) * len(self.definition.offsets)
+        return len(self.definition.seeds) * len(self.definition.offsets)
 
     def _build_cases(self) -> Iterator[Case]:
         """All cases, each checked from every start at the largest value."""
         wanted = self.definition
-        fixed = [override(key, value) for key, value in wanted.fixed.items()]
+        fixed = wanted.fixed_overrides
         if wanted.duration_s is not None:
-            fixed.append(override("duration_s", wanted.duration_s))
+            fixed = (*fixed, override("duration_s", wanted.duration_s))
+        first = max(1, round(self._quantity.first / self._resolution))
+        limit = max(1, round(self._limit / self._resolution))
         compensations: Sequence[bool | None] = wanted.compensation or [None]
-        chosen = itertools.product(self.scenarios, wanted.laws, compensations)
+        chosen = itertools.product(wanted.scenarios, wanted.laws, compensations)
         for scenario, law, compensation in chosen:
             overrides = (*fixed, override("controller.law", law))
             if compensation is not None:
                 key = "controller.delay_compensation.enabled"
                 overrides = (*overrides, override(key, compensation))
-            case = Case(scenario, load_setup(scenario, overrides), law, compensation, overrides)
+            base = load_setup(scenario, overrides)
+            search = MarginSearch(min(first, limit), limit)
+            case = Case(scenario, base, law, compensation, overrides, search)
             for scale in wanted.offsets:
-                load_setup(scenario, self._overrides(case, self.limit, scale))
+                load_setup(scenario, self._overrides(case, self._limit, scale))
             yield case
 
     def _overrides(self, case: Case, value: float, offset_scale: float) -> tuple[str, ...]:
         offset = (offset_scale * case.base.scenario.robot.initial_offset_rad).tolist()
         start = override("robot.initial_offset_rad", offset)
-        return (*case.overrides, *self.quantity.overrides(value), start)
+        return (*case.overrides, *self._quantity.overrides(value), start)
 
     def _value(self, steps: int) -> float:
-        return round(steps * self.resolution, 9)
+        return round(steps * self._resolution, 9)
 
     def _next_probe(self, index: int) -> list[Run]:
-        steps, case = self.searches[index].next(), self.cases[index]
+        case = self.cases[index]
+        steps = case.search.next()
         if steps is None:
             return []
         value, runs = self._value(steps), []
@@ -216,17 +220,16 @@ class Margin:
             overrides = self._overrides(case, value, scale)
             runs += [
                 Run(_point(index, steps, start), case.scenario, overrides, seed, columns)
-                for seed in self.seeds
+                for seed in self.definition.seeds
             ]
         return runs
 
-    def _case_summary(self, index: int, rows: list[Row]) -> dict[str, Any]:
-        case, search = self.cases[index], self.searches[index]
-        by_steps: dict[int, list[Row]] = {}
-        for row in rows:
-            of_case, steps, _ = _parse_point(row["point"])
-            if of_case == index:
-                by_steps.setdefault(steps, []).append(row)
+    def _case_summary(self, case: Case) -> dict[str, Any]:
+        search = case.search
+        probes = {
+            steps: sorted(rows, key=lambda row: (row["point"], row["seed"]))
+            for steps, rows in sorted(case.rows.items())
+        }
 
         def value(steps: int | None) -> float | None:
             return None if steps is None else self._value(steps)
@@ -247,14 +250,9 @@ class Margin:
                     "worst_point": max(of_probe, key=_badness)["point"],
                     **spread_of_runs(of_probe),
                 }
-                for steps, of_probe in sorted(by_steps.items())
+                for steps, of_probe in probes.items()
             ],
         }
-
-
-def restore(values: dict[str, Any], folder: Path) -> Margin:
-    """A search from the definition that its folder keeps."""
-    return Margin(MarginDefinition.model_validate(values), folder, str(folder))
 
 
 def _badness(row: Row) -> tuple[bool, float]:
@@ -265,8 +263,3 @@ def _badness(row: Row) -> tuple[bool, float]:
 def _point(case: int, steps: int, start: int) -> str:
     """Name of a point: case, value and start, so that names sort as they are searched."""
     return f"{case:03d}-{steps:06d}-{start:02d}"
-
-
-def _parse_point(point: str) -> tuple[int, int, int]:
-    case, steps, start = map(int, point.split("-"))
-    return case, steps, start

@@ -1,26 +1,18 @@
-"""Studies: many runs of scenarios, carried out by workers, each of them a row of a table.
-
-A plan says which runs are wanted, the workers do them in any order, and a table keeps what came of
-them. A plan may ask for more once it has seen a row, which is how a search works; and as the table
-is asked before the workers, a study that was interrupted goes on where it stopped.
-"""
+"""Studies: which runs of which scenarios are wanted, and what their rows say together."""
 
 from __future__ import annotations
 
-import threading
-from collections import deque
-from collections.abc import Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, ClassVar
 
 from deploy.runs.metrics import summarise
 from deploy.runs.run_rows import Row, failed_row, row
 from deploy.runs.simulate import attempt
-from deploy.scenario.scenario import load_setup
-
-_POLL_S = 0.2
-_LEAST_IN_FLIGHT = 64
-_IN_FLIGHT_PER_WORKER = 4
+from deploy.scenario.scenario import Setup, load_setup
+from deploy.study.definition import StudyDefinition
 
 
 @dataclass(frozen=True)
@@ -53,99 +45,70 @@ def execute(run: Run) -> Row:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
         values = row(summarise(attempt(setup).data()), setup.scenario.seed)
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
-        values = failed_row(run.seed, f"{type(error).__name__}: {error}")
-    return labelled(run, values)
-
-
-def labelled(run: Run, values: Row) -> Row:
-    """A row with what the study varies in front."""
+        return failed(run, f"{type(error).__name__}: {error}")
     return {"point": run.point, **run.columns, **values}
 
 
-class Plan(Protocol):
-    """Which runs a study wants."""
+def failed(run: Run, error: str) -> Row:
+    """The row of a run that left nothing to judge."""
+    return {"point": run.point, **run.columns, **failed_row(run.seed, error)}
 
-    def first(self) -> Iterable[Run]:
-        """Runs that are wanted from the beginning."""
 
-    def follow(self, run: Run, values: Row) -> Iterable[Run]:
-        """Runs that are wanted now that a run's row is known."""
+class Study(ABC):
+    """A study of a kind.
+
+    It may ask for more runs once it has seen a row, which is how a search works.
+
+    Args:
+        values: its definition, as its YAML file has it.
+        source: that file, or what to call it in messages; paths of scenarios start beside it.
+
+    Attributes:
+        kind: ``sweep`` or ``margin``.
+        definition: what to do, with scenarios as `scenario_name` has them.
+        columns: names and Parquet types of what it varies.
+        bases: the scenarios that it varies.
+
+    Raises:
+        ScenarioError: the definition cannot be used, or asks for a scenario that cannot be run.
+    """
+
+    kind: ClassVar[str]
+    definition: StudyDefinition
+    columns: Mapping[str, str]
+    bases: list[Setup]
+
+    @abstractmethod
+    def __init__(self, values: Mapping[str, Any], source: Path) -> None: ...
 
     @property
+    @abstractmethod
     def expected(self) -> int:
         """How many runs there will be, as far as can be told now."""
 
+    @abstractmethod
+    def first(self) -> Iterable[Run]:
+        """Runs that are wanted from the beginning."""
 
-class Workers(Protocol):
-    """Who does the runs."""
+    def follow(self, run: Run, values: Row) -> Iterable[Run]:  # noqa: ARG002 (of searches)
+        """Runs that are wanted now that a run's row is known."""
+        return ()
 
-    @property
-    def count(self) -> int:
-        """How many runs they do at a time."""
+    @abstractmethod
+    def findings(self, rows: list[Row]) -> dict[str, Any]:
+        """What came of it, and whether it is `completed`, ready for JSON."""
 
-    def submit(self, run: Run) -> None:
-        """Have a run done."""
+    def summary(self, rows: list[Row]) -> dict[str, Any]:
+        """What came of it, for ``summary.json``.
 
-    def finished(self, timeout_s: float) -> tuple[Run, Row] | None:
-        """A run that is done, in any order; None if none was done in time."""
-
-
-class Table(Protocol):
-    """Where rows are kept."""
-
-    def find(self, run: Run) -> Row | None:
-        """The row of a run, if it was done before."""
-
-    def add(self, run: Run, values: Row) -> None:
-        """Keep the row of a run."""
-
-
-class Progress(Protocol):
-    """Who is told how far a study is."""
-
-    def done(self, values: Row, expected: int, *, before: bool) -> None:
-        """A run is done, now or by an earlier command; `expected` runs there will be in all."""
-
-
-def carry_out(
-    plan: Plan, workers: Workers, table: Table, progress: Progress, stop: threading.Event
-) -> bool:
-    """Do all runs that a plan wants and that the table lacks; whether all were done.
-
-    Args:
-        plan: which runs are wanted.
-        workers: who does them.
-        table: what was done before, and where the rows go.
-        progress: told of every row.
-        stop: set to end early, with all finished rows kept.
-    """
-    wanted, in_flight = deque(plan.first()), 0
-    most_in_flight = max(_LEAST_IN_FLIGHT, _IN_FLIGHT_PER_WORKER * workers.count)
-    while (wanted or in_flight) and not stop.is_set():
-        while wanted and in_flight < most_in_flight:
-            run = wanted.popleft()
-            known = table.find(run)
-            if known is None:
-                workers.submit(run)
-                in_flight += 1
-            else:
-                wanted.extend(plan.follow(run, known))
-                progress.done(known, plan.expected, before=True)
-        finished = workers.finished(_POLL_S) if in_flight else None
-        if finished is not None:
-            run, values = finished
-            in_flight -= 1
-            table.add(run, values)
-            wanted.extend(plan.follow(run, values))
-            progress.done(values, plan.expected, before=False)
-    return not stop.is_set()
-
-
-def retrace(plan: Plan, table: Table) -> None:
-    """Take a plan through all of its runs that a table has."""
-    wanted = deque(plan.first())
-    while wanted:
-        run = wanted.popleft()
-        known = table.find(run)
-        if known is not None:
-            wanted.extend(plan.follow(run, known))
+        Args:
+            rows: all rows so far.
+        """
+        return {
+            "kind": self.kind,
+            "name": self.definition.name,
+            "runs": len(rows),
+            "runs_failed": sum(row["error"] is not None for row in rows),
+            "seeds": self.definition.seeds,
+            **self.findings(rows),
+        }

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-_QUANTILES = {"p50": 0.50, "p99": 0.99, "p99_9": 0.999, "max": 1.0}
+from bus_schema.percentiles import percentiles
 
 
 @dataclass
@@ -78,11 +78,7 @@ class TransportStatistics:
         }
 
     def _delay_ms(self) -> dict[str, float | None]:
-        if not self.delivered:
-            return dict.fromkeys(("mean", *_QUANTILES))
-        delays_us = np.array(sorted(self.delays_us))
-        counts = np.array([self.delays_us[delay] for delay in delays_us.tolist()])
-        ranks = np.ceil(np.array(list(_QUANTILES.values())) * self.delivered)
-        quantiles = delays_us[np.searchsorted(np.cumsum(counts), ranks)] / 1000
-        mean = float(delays_us @ counts) / self.delivered / 1000
-        return {"mean": mean, **dict(zip(_QUANTILES, quantiles.tolist(), strict=True))}
+        delays_us = np.array(list(self.delays_us))
+        counts = np.array(list(self.delays_us.values()))
+        mean = float(delays_us @ counts) / self.delivered / 1000 if self.delivered else None
+        return {"mean": mean, **percentiles(delays_us / 1000, counts)}

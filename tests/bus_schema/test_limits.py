@@ -15,7 +15,7 @@ from bus_schema.limits import (
     name_of,
 )
 from bus_schema.robot_description import load_robot
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 REST = np.zeros((2, 3))

@@ -7,7 +7,7 @@ import pytest
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
 ARMS = (

@@ -21,7 +21,7 @@ from controller.control_loop import ControlLoop, ControlTask
 from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import CartesianPath, JointSinusoids
 from controller.torque_guard import InvalidTorqueError
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 NAMES = ROBOT.joint_names

@@ -9,7 +9,7 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, sample_positions
 from controller.reference_configuration import MinimumJerkConfiguration
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import load_setup
 
 # The nominal path: x = 0.85 − 0.01 t, y = 0.2 + 0.2 sin 0.5 t, z = 0.7 + 0.2 cos 0.5 t.

@@ -4,10 +4,9 @@ Its binding takes and gives sequences of bytes as Python objects, which is part 
 """
 
 import os
-import time
 from dataclasses import dataclass
 
-from deploy.benchmarks.echo import TIMEOUT_S, Messages
+from deploy.benchmarks.echo import Messages, TryingNearEnd
 
 os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces>
@@ -34,7 +33,6 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 _QOS = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10))
-_TRY_S = 0.05
 
 
 @dataclass
@@ -59,7 +57,7 @@ class _Inbox:
         return bool(self._reader.take(10))
 
 
-class Near:
+class Near(TryingNearEnd):
     """The end that asks."""
 
     def __init__(self, messages: Messages) -> None:
@@ -73,21 +71,11 @@ class Near:
         )
         self._inbox = _Inbox(self._participant, Topic(self._participant, "command", Payload))
 
-    def await_far_end(self) -> None:
-        give_up_s = time.monotonic() + TIMEOUT_S
-        while not self._try(_TRY_S):
-            if time.monotonic() > give_up_s:
-                raise TimeoutError("the two participants do not find each other")
-        while self._inbox.take(_TRY_S):
-            pass  # late answers to earlier tries
-
-    def exchange(self) -> None:
-        if not self._try(TIMEOUT_S):
-            raise TimeoutError("a message was lost")
-
-    def _try(self, timeout_s: float) -> bool:
+    def _send(self) -> None:
         self._status.write(Payload(self._messages.status))
         self._state.write(Payload(self._messages.state))
+
+    def _took(self, timeout_s: float) -> bool:
         return self._inbox.take(timeout_s)
 
 

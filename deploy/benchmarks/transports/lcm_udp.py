@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import time
 
 import lcm
 
-from deploy.benchmarks.echo import TIMEOUT_S, Messages
-
-_TRY_MS = 50
+from deploy.benchmarks.echo import Messages, TryingNearEnd
 
 
-class Near:
+class Near(TryingNearEnd):
     """The end that asks."""
 
     def __init__(self, messages: Messages) -> None:
@@ -21,22 +18,12 @@ class Near:
         self._lcm = lcm.LCM(self.address)
         self._lcm.subscribe("command", lambda _channel, _data: None)
 
-    def await_far_end(self) -> None:
-        give_up_s = time.monotonic() + TIMEOUT_S
-        while not self._try(_TRY_MS):
-            if time.monotonic() > give_up_s:
-                raise TimeoutError("no multicast between two processes here")
-        while self._lcm.handle_timeout(_TRY_MS):
-            pass  # late answers to earlier tries
-
-    def exchange(self) -> None:
-        if not self._try(round(1e3 * TIMEOUT_S)):
-            raise TimeoutError("a message was lost")
-
-    def _try(self, timeout_ms: int) -> bool:
+    def _send(self) -> None:
         self._lcm.publish("status", self._messages.status)
         self._lcm.publish("state", self._messages.state)
-        return bool(self._lcm.handle_timeout(timeout_ms))
+
+    def _took(self, timeout_s: float) -> bool:
+        return bool(self._lcm.handle_timeout(round(1e3 * timeout_s)))
 
 
 def answer(address: str, messages: Messages) -> None:

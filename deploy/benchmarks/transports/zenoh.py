@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import queue
 import threading
-import time
 from collections.abc import Mapping
 from typing import Any
 
 from bus_schema.messages import topics
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery, ZenohSession
-from deploy.benchmarks.echo import TIMEOUT_S, Messages
+from deploy.benchmarks.echo import Messages, TryingNearEnd
 from deploy.benchmarks.transports.udp import free_port
 
 _ATTACHMENT = Attachment(1, 0, bytes(16)).encode()
 _DOMAIN = 0
-_TRY_S = 0.1
 
 
-class Near:
+class Near(TryingNearEnd):
     """The end that asks."""
 
     def __init__(
@@ -28,33 +26,16 @@ class Near:
         self.address = f"{protocol}/127.0.0.1:{free_port()}"
         self._replies: queue.SimpleQueue[Delivery] = queue.SimpleQueue()
         self._session = ZenohSession([self.address], [], low_latency=True, security=security)
+        carried = {topics.PLANT_STATUS: messages.status, topics.JOINT_STATES: messages.state}
         self._requests = [
-            (
-                self._session.publisher(topic.key_expression(_DOMAIN)),
-                payload,
-            )
-            for topic, payload in (
-                (topics.PLANT_STATUS, messages.status), (topics.JOINT_STATES, messages.state)
-            )
-        ]  # fmt: skip
+            (self._session.publisher(topic.key_expression(_DOMAIN)), payload)
+            for topic, payload in carried.items()
+        ]
         self._session.subscribe(topics.JOINT_COMMANDS.key_expression(_DOMAIN), self._replies.put)
 
-    def await_far_end(self) -> None:
-        give_up_s = time.monotonic() + TIMEOUT_S
-        while not self._try(_TRY_S):
-            if time.monotonic() > give_up_s:
-                raise TimeoutError("the far end does not come")
-        while self._took(_TRY_S):
-            pass  # late answers to earlier tries
-
-    def exchange(self) -> None:
-        if not self._try(TIMEOUT_S):
-            raise TimeoutError("a message was lost")
-
-    def _try(self, timeout_s: float) -> bool:
+    def _send(self) -> None:
         for publisher, payload in self._requests:
             publisher.put(payload, _ATTACHMENT)
-        return self._took(timeout_s)
 
     def _took(self, timeout_s: float) -> bool:
         try:

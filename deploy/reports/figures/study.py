@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures.style import joint_colour, style
 from deploy.reports.study_text import shown_value
-from deploy.study.study_statistics import Spread
+from deploy.study.statistics import Spread
 
 _DASHES = ("solid", "dot", "dash", "dashdot")
 _LEGEND_ROW_PX, _TOOLBAR_PX, _LETTER_PX, _NARROW_NAME = 21, 26, 7.5, 10

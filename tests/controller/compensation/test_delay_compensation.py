@@ -18,7 +18,7 @@ from controller.control_law import Tracking
 from controller.funnel import Funnel
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 
 MS = 1_000_000
 ROBOT = load_robot(find_urdf("paper_arm", Path()))

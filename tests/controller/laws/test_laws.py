@@ -16,7 +16,7 @@ from controller.laws import LAWS
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
 from controller.torque_guard import TorqueGuard
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 
 JOINTS = 3
 ROBOT = load_robot(find_urdf("paper_arm", Path()))

@@ -8,7 +8,8 @@ from pyarrow import parquet
 
 from controller.laws import LAWS
 from controller.laws.pid import Pid
-from deploy.comparison.compare import load_setups, parse_laws
+from deploy.cli.common import parse_laws
+from deploy.comparison.comparison import load_setups
 from deploy.runs.run_folder import load_run
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import attempt, simulate

@@ -60,7 +60,7 @@ def assert_torque_is_within_limits(attacked, run):
 
 def assert_every_command_is_accounted_for(attacked, run):
     """Whatever arrived was refused, lost, used, found out of date, or is on its way at the end."""
-    down = run.last_event(Role.PLANT, EventKind.COUNTS).values()["downlink"]
+    down = run.last_values(Role.PLANT, EventKind.COUNTS)["downlink"]
     after_the_gate = {"overtaken", "after_stop"}
     rejected = {why: n for why, n in down["rejected"].items() if why not in after_the_gate}
     assert down["sent"] + sum(rejected.values()) == attacked.link.arrivals
@@ -75,7 +75,7 @@ def assert_every_command_is_accounted_for(attacked, run):
 
 def assert_nothing_hostile_came_into_force(attacked, run):
     """The command in force is at any tick one that the controller sent."""
-    rejected = run.last_event(Role.PLANT, EventKind.COUNTS).values()["downlink"]["rejected"]
+    rejected = run.last_values(Role.PLANT, EventKind.COUNTS)["downlink"]["rejected"]
     refused = sum(n for why, n in rejected.items() if why not in ("overtaken", "after_stop"))
     assert refused >= attacked.link.hostile
     assert attacked.largest_nm <= limit_nm(attacked).max()  # the hostile ones ask for far more
@@ -125,7 +125,7 @@ def test_the_schedules_are_trouble_indeed() -> None:
     limits: Counter[str] = Counter()
     for seed in range(12):
         run = data_of(chaos.run_under_attack(seed))
-        counts = run.last_event(Role.PLANT, EventKind.COUNTS).values()
+        counts = run.last_values(Role.PLANT, EventKind.COUNTS)
         rejected.update(counts["downlink"]["rejected"])
         limits.update(counts["limits"])
         modes.update(modes_of(run, Role.PLANT))

@@ -11,8 +11,8 @@ import yaml
 
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic
+from bus_schema.recording.atomic_files import RecordFile
 from bus_schema.recording.mcap_log import LogContents, read_log
-from bus_schema.recording.record_file import RecordFile
 from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes import recorder as recorder_module

@@ -10,8 +10,7 @@ import pytest
 import controller
 from deploy.cli import main
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import load_setup
-from deploy.scenario.scenario_text import effective_scenario
+from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
 SOURCE = """

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bus_schema.messages import topics
+from deploy.cli.common import conclude
 from deploy.runs.metrics import bound_usage, summarise
 from deploy.runs.replay import replay
-from deploy.runs.run_folder import RunFolder, load_run
+from deploy.runs.run_folder import RunFolder, load_run, new_folder
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import load_setup
-from deploy.scenario.scenario_text import effective_scenario
+from deploy.scenario.scenario import effective_scenario, load_setup
 
 SHORT = "duration_s=0.6"
 HARSH = (
@@ -104,12 +104,12 @@ def test_controller_is_told_which_command_is_in_force(harsh):
 
 
 def test_recording_of_a_harsh_run_replays_bit_for_bit(tmp_path):
-    folder = RunFolder.create("harsh", tmp_path / "run")
+    folder = RunFolder(new_folder("harsh", tmp_path / "run"))
     simulation = simulate(load_setup("paper_arm", [SHORT, *HARSH]))
     simulation.write_log(folder.log)
     run, contents = load_run(folder.path)
     assert replay(run.setup, contents).is_identical
-    folder.conclude(run)
+    conclude(folder, run)
     page = folder.report.read_text()
     assert "Lost in a row, most" in page
     assert "Delay, 99.9" in page

@@ -13,8 +13,7 @@ from bus_schema.configuration import PerJointPositive, Positive
 from controller.control_law import Diagnostics
 from controller.laws import LAWS, LawEntry
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import load_setup
-from deploy.scenario.scenario_text import effective_scenario
+from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.margin import MarginDefinition
 

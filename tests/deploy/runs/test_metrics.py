@@ -24,7 +24,7 @@ from bus_schema.messages.topics import (
     Topic,
     layout,
 )
-from deploy.runs.metrics import percentiles_us, settling_times_s, summarise
+from deploy.runs.metrics import settling_times_s, summarise
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.scenario import Setup, load_setup
 
@@ -165,15 +165,6 @@ def test_torque_figures(setup: Setup) -> None:
     assert torque["rms_nm"] == pytest.approx([np.sqrt(34 / 3), 0.0, 1.0])
     assert torque["peak_nm"] == [4.0, 0.0, 1.0]
     assert torque["saturated_fraction"] == 0.25
-
-
-def test_percentiles_are_values_that_occurred() -> None:
-    thousand = np.random.default_rng(1).permutation(np.arange(1, 1001)) * 1000  # 1 to 1000 µs
-    assert percentiles_us(thousand) == {"p50": 500.0, "p99": 990.0, "p99_9": 999.0, "max": 1000.0}
-    assert percentiles_us(np.array([7_500])) == {
-        "p50": 7.5, "p99": 7.5, "p99_9": 7.5, "max": 7.5
-    }  # fmt: skip
-    assert set(percentiles_us(np.array([], dtype=np.int64)).values()) == {None}
 
 
 def test_timing_leaves_out_what_is_not_known(setup: Setup) -> None:

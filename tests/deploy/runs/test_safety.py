@@ -10,9 +10,10 @@ import pytest
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, Role
 from bus_schema.runtime.modes import Mode, mode_in
+from deploy.cli.common import conclude
 from deploy.runs.metrics import summarise
 from deploy.runs.replay import replay
-from deploy.runs.run_folder import RunFolder, load_run
+from deploy.runs.run_folder import RunFolder, load_run, new_folder
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
@@ -70,11 +71,11 @@ def test_law_that_fails_stops_both_sides(tmp_path, monkeypatch, outcome):
 
 
 def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(tmp_path, monkeypatch):
-    folder = RunFolder.create("failing", tmp_path / "run")
+    folder = RunFolder(new_folder("failing", tmp_path / "run"))
     failing_run(tmp_path, monkeypatch, "np.full(3, np.nan)").write_log(folder.log)
     run, contents = load_run(folder.path)
     assert replay(run.setup, contents).is_identical
-    folder.conclude(run)
+    conclude(folder, run)
     record = json.loads(folder.fault.read_text())
     assert (record["source"], record["at_s"]) == ("controller", 0.2)
     assert "returned the torque [nan, nan, nan] at tick 200" in record["detail"]
@@ -88,10 +89,10 @@ def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(tmp_path,
 
 
 def test_run_without_a_fault_leaves_no_fault_record(tmp_path):
-    folder = RunFolder.create("fine", tmp_path / "run")
+    folder = RunFolder(new_folder("fine", tmp_path / "run"))
     folder.fault.write_text("of the run before")
-    folder = RunFolder.create("fine", tmp_path / "run")
-    folder.conclude(simulate(load_setup("paper_arm", ["duration_s=0.05"])).data())
+    folder = RunFolder(new_folder("fine", tmp_path / "run"))
+    conclude(folder, simulate(load_setup("paper_arm", ["duration_s=0.05"])).data())
     assert not folder.fault.exists()
 
 

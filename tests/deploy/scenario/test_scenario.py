@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import SHIPPED, load_setup
-from deploy.scenario.scenario_text import effective_scenario, plain
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.scenario import SHIPPED, effective_scenario, load_setup
+from deploy.scenario.yaml_files import ScenarioError, plain
 
 NAMES = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
 

@@ -6,10 +6,11 @@ import random
 import threading
 from pathlib import Path
 
-from deploy.study.margin import Margin, MarginDefinition
-from deploy.study.study import carry_out, execute
-from deploy.study.study_folder import StudyFolder
-from deploy.study.sweep import Sweep, SweepDefinition
+from deploy.study.conduct import carry_out
+from deploy.study.folder import StudyFolder
+from deploy.study.margin import Margin
+from deploy.study.study import execute
+from deploy.study.sweep import Sweep
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"
 
@@ -55,12 +56,12 @@ def sweep_of(grid, **more):
 
 
 def make_sweep(tmp_path, grid, **more):
-    return Sweep(SweepDefinition.model_validate(sweep_of(grid, **more)), tmp_path, "s.yaml")
+    return Sweep(sweep_of(grid, **more), tmp_path / "s.yaml")
 
 
 def folder_of(study, path):
     path.mkdir(exist_ok=True)
-    return StudyFolder(path, study.kind, study.columns, study.seeds[0])
+    return StudyFolder(path, study)
 
 
 def conduct(study, path, workers):
@@ -72,7 +73,7 @@ def conduct(study, path, workers):
 
 def margin_of(**values):
     given = {"laws": ["pid", "smc"], "seeds": 2, "limit": 16, **values}
-    return Margin(MarginDefinition.model_validate(given), Path(), "margin")
+    return Margin(given, Path("margin"))
 
 
 def limits(run):

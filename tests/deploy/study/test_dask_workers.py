@@ -14,8 +14,9 @@ import pytest
 import yaml
 from pyarrow import parquet
 
-from deploy.study.study import carry_out
-from deploy.study.study_folder import StudyFolder
+from deploy.study.conduct import carry_out
+from deploy.study.dask_workers import DaskWorkers
+from deploy.study.folder import StudyFolder
 from deploy.study.sweep import load_sweep
 from tests.deploy.study.studies import Here, Silent
 
@@ -111,7 +112,7 @@ def done_here(definition, folder):
     """The table of a sweep that was done in this process, one run after another."""
     sweep = load_sweep(str(definition))
     folder.mkdir()
-    table, workers = StudyFolder(folder, "sweep", sweep.columns, sweep.seeds[0]), Here()
+    table, workers = StudyFolder(folder, sweep), Here()
     carry_out(sweep, workers, table, Silent(), workers.stop)
     table.put_together()
     return table.rows_file.read_bytes()
@@ -182,6 +183,13 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
     last = start(definition, out, "--scheduler", cluster[0])  # who does the rest does not matter
     assert last.wait(timeout=WAIT_S) == 0
     assert (out / "sweep.parquet").read_bytes() == done_here(definition, tmp_path / "here")
+
+
+def test_workers_of_our_own_leave_interrupts_to_the_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with DaskWorkers(1) as team:
+        ignoring = team._client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN)
+    assert list(ignoring.values()) == [True]
 
 
 def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):

@@ -10,10 +10,11 @@ from controller.laws import LAWS
 from deploy.reports.study_report import write_study_report
 from deploy.reports.study_text import margin_table
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
+from deploy.study.conduct import retrace
+from deploy.study.definition import SHIPPED
+from deploy.study.folder import create_folder
 from deploy.study.margin import Margin, MarginDefinition
-from deploy.study.study import retrace
-from deploy.study.study_definition import find_study, read_definition
-from deploy.study.study_folder import create_folder, study_text
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
 
@@ -74,7 +75,7 @@ def test_a_search_goes_on_where_it_stopped(tmp_path):
     assert rows[0] == rows[1]
     again = margin_of()
     retrace(again, folder_of(again, tmp_path / "b"))
-    assert [search.margin for search in again.searches] == [6, 14]
+    assert [case.search.margin for case in again.cases] == [6, 14]
 
 
 def test_a_run_that_fails_does_not_hold(tmp_path):
@@ -107,8 +108,7 @@ def test_margins_have_a_report_with_bars_and_curves(tmp_path):
 
 def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
     margin = margin_of()
-    text = study_text("margin", margin.definition_values(), margin.bases)
-    path = create_folder("margin", "m", tmp_path / "out", text)
+    path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(limits))
     code, output = funnel_hil("report", path)
     assert code == 0
@@ -119,8 +119,7 @@ def test_report_judges_the_rows_of_a_study_again(funnel_hil, tmp_path):
 
 def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp_path):
     margin = margin_of(laws=["fixed_time_model_based"], compensation=[False, True], limit=128)
-    text = study_text("margin", margin.definition_values(), margin.bases)
-    path = create_folder("margin", "m", tmp_path / "out", text)
+    path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))
     _, output = funnel_hil("report", path)
     assert "paper_arm   fixed_time_model_based   without   none" in output
@@ -128,7 +127,8 @@ def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp
 
 
 def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compensation():
-    definition = read_definition(find_study("delay_margin"), MarginDefinition)
+    path = find_yaml("delay_margin", SHIPPED)
+    definition = validated(read_yaml(path), MarginDefinition, path)
     assert definition.laws == list(LAWS)
     assert definition.scenarios == ["paper_arm", "iiwa"]
     assert definition.compensation == [False, True]

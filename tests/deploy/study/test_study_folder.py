@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 
 import pytest
+import yaml
 
 from deploy.reports.study_report import write_study_report
-from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study_folder import create_folder, find_folder, study_text
+from deploy.scenario.yaml_files import ScenarioError, read_yaml
+from deploy.study.folder import create_folder, find_folder
 from tests.deploy.study.studies import TIED, folder_of, make_sweep, margin_of
 
 
@@ -22,19 +23,22 @@ def test_an_unfinished_study_of_nothing_has_a_report(tmp_path):
 
 def test_a_folder_holds_one_study(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    one, other = (
-        study_text("sweep", sweep.definition_values(), sweep.bases)
-        for sweep in (make_sweep(tmp_path, {TIED: [0]}), make_sweep(tmp_path, {TIED: [1]}))
-    )
-    path = create_folder("sweep", "s", tmp_path / "out", one)
-    assert find_folder("sweep", "s", path, one) == path
+    one, other = make_sweep(tmp_path, {TIED: [0]}), make_sweep(tmp_path, {TIED: [1]})
+    path = create_folder(one, tmp_path / "out")
+    assert find_folder(one, path) == path
     with pytest.raises(ScenarioError, match=r"study\.yaml"):
-        find_folder("sweep", "s", path, other)
-    assert find_folder("sweep", "s", None, one) is None
-    begun = create_folder("sweep", "s", None, one)
-    assert find_folder("sweep", "s", None, one) == begun
+        find_folder(other, path)
+    assert find_folder(one, None) is None
+    begun = create_folder(one, None)
+    assert find_folder(one, None) == begun
+    values = read_yaml(begun / "study.yaml")
+    (begun / "study.yaml").write_text(yaml.safe_dump(values, sort_keys=True))
+    assert find_folder(one, None) == begun  # what it says counts, not how
+    (tmp_path / "runs" / "sweep-s-broken").mkdir()
+    (tmp_path / "runs" / "sweep-s-broken" / "study.yaml").write_text("{")
+    assert find_folder(one, None) == begun
     (begun / "summary.json").write_text(json.dumps({"completed": True}))
-    assert find_folder("sweep", "s", None, one) is None
+    assert find_folder(one, None) is None
 
 
 def test_two_commands_do_not_write_to_one_folder(tmp_path):

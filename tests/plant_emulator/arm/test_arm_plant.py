@@ -7,7 +7,7 @@ from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 

@@ -9,7 +9,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import TickGrid
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.arm.bullet_server import require_loadable
 from plant_emulator.arm.joint_torques import TOTAL, JointTorques, joint_torques

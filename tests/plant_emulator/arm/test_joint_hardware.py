@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
-from deploy.scenario.robot_files import find_urdf
+from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm.joint_hardware import ActuatorLimits, Encoders
 from plant_emulator.arm.joint_torques import TOTAL, JointTorques, joint_torques
 from plant_emulator.configuration import (

@@ -8,48 +8,51 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import json
+import shutil
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any
 
-import yaml
-
-from bus_schema.recording.atomic_files import write_whole
-from deploy.runs.run_folder import RunFolder, RunFolderError, provenance
+from bus_schema.recording.atomic_files import write_json, write_whole
+from deploy.runs.run_folder import (
+    ResultFolder,
+    RunFolderError,
+    new_folder,
+    provenance,
+    read_summary,
+)
 from deploy.runs.run_rows import Row, read_rows, write_rows
-from deploy.scenario.scenario import Setup, load_setup
-from deploy.scenario.scenario_text import effective_scenario
-from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.study import Run
+from deploy.scenario.scenario import Setup, effective_scenario, load_setup
+from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
+from deploy.study.margin import Margin
+from deploy.study.study import Run, Study
+from deploy.study.sweep import Sweep
 
 STUDY_FILE = "study.yaml"
+KINDS: dict[str, type[Study]] = {kind.kind: kind for kind in (Sweep, Margin)}
 _FLUSH_S = 1.0
 _PART = "?" * 6 + ".parquet"
 """Finished parts; one that a kill interrupted has a longer name."""
 
 
-class StudyFolder:
+class StudyFolder(ResultFolder):
     """The files of a study; the table of its rows.
 
     Args:
         path: an existing folder.
-        kind: ``sweep`` or ``margin``.
-        columns: names and Parquet types of what the study varies.
-        seed: of the scenarios that it keeps.
+        study: the study.
     """
 
-    def __init__(self, path: Path, kind: str, columns: dict[str, str], seed: int) -> None:
-        self.path = path
-        self.rows_file = path / f"{kind}.parquet"
-        self.summary = path / "summary.json"
-        self.report = path / "report.html"
+    def __init__(self, path: Path, study: Study) -> None:
+        super().__init__(path)
+        self.rows_file = path / f"{study.kind}.parquet"
         self.scenarios = path / "scenarios"
-        self._seed = seed
+        self._seed = study.definition.seeds[0]
         self._parts = path / "rows"
-        self._columns = {"point": "string", **columns}
-        self._rows = {(row["point"], row["seed"]): row for row in self._kept()}
+        self._columns = {"point": "string", **study.columns}
+        files = [self.rows_file, *sorted(self._parts.glob(_PART))]
+        kept = [row for file in files if file.exists() for row in read_rows(file)]
+        self._rows = {(row["point"], row["seed"]): row for row in kept}
         self._unwritten: list[Row] = []
         self._flushed_s = time.monotonic()
         self._lock: IO[str] | None = None
@@ -97,14 +100,7 @@ class StudyFolder:
         """Make one table of all rows, in order, of the parts."""
         self.flush()
         write_rows(self.rows, self.rows_file, self._columns)
-        for part in self._parts.glob("*"):
-            part.unlink()
-        if self._parts.is_dir():
-            self._parts.rmdir()
-
-    def write_summary(self, summary: dict[str, Any]) -> None:
-        """Write ``summary.json``."""
-        write_whole(self.summary, json.dumps(summary, indent=2) + "\n")
+        shutil.rmtree(self._parts, ignore_errors=True)
 
     def rerun_command(self, point: str) -> str:
         """The command that runs a point again."""
@@ -118,93 +114,81 @@ class StudyFolder:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
         write_whole(file, effective_scenario(setup))
 
-    def _kept(self) -> list[Row]:
-        files = [self.rows_file, *sorted(self._parts.glob(_PART))]
-        return [row for file in files if file.exists() for row in read_rows(file)]
 
-
-def study_text(kind: str, definition: dict[str, Any], bases: Sequence[Setup]) -> str:
-    """What a study is, for ``study.yaml``: equal texts ask for equal rows.
-
-    Args:
-        kind: ``sweep`` or ``margin``.
-        definition: its definition.
-        bases: the scenarios that it varies.
-    """
-    digests = {base.scenario.name: _digest(base) for base in bases}
-    values = {"kind": kind, "definition": definition, "scenario_digests": digests}
-    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
-
-
-def find_folder(kind: str, name: str, out: Path | None, text: str) -> Path | None:
+def find_folder(study: Study, out: Path | None) -> Path | None:
     """The folder in which a study is to go on; None if it has to begin.
 
     Args:
-        kind: ``sweep`` or ``margin``.
-        name: of the study.
+        study: the study.
         out: the folder asked for; by default the newest in ``runs`` in which this study came to no
             end.
-        text: see `study_text`.
 
     Raises:
         ScenarioError: the folder asked for holds another study.
     """
+    wanted = _identity(study)
     if out is None:
-        return _interrupted(f"{kind}-{name}", text)
+        begun = sorted(Path("runs").glob(f"{_folder_name(study)}-*"), reverse=True)
+        return next((path.resolve() for path in begun if _can_go_on(path, wanted)), None)
     path = out.resolve()
-    if not (path / STUDY_FILE).exists():
+    file = path / STUDY_FILE
+    if not file.exists():
         return None
-    if (path / STUDY_FILE).read_text() != text:
+    if read_yaml(file) != wanted:
         raise ScenarioError(
             f"--out {path}: must be without a study, or hold this one with the same scenario; see"
-            f" {path / STUDY_FILE}"
+            f" {file}"
         )
     return path
 
 
-def create_folder(kind: str, name: str, out: Path | None, text: str) -> Path:
+def create_folder(study: Study, out: Path | None) -> Path:
     """A folder for a new study, by default ``runs/<kind>-<name>-<time>``.
 
     Raises:
         ScenarioError: it cannot be created or written to.
     """
-    path = RunFolder.create(f"{kind}-{name}", out).path
-    manifest = {**provenance(), "study": yaml.safe_load(text)}
-    write_whole(path / "manifest.json", json.dumps(manifest, indent=2) + "\n")
-    write_whole(path / STUDY_FILE, text)
+    path, identity = new_folder(_folder_name(study), out), _identity(study)
+    write_json(path / "manifest.json", {**provenance(), "study": identity})
+    write_whole(path / STUDY_FILE, to_yaml(identity))
     return path
 
 
-def read_study(path: Path) -> dict[str, Any]:
-    """What ``study.yaml`` says.
+def read_study(path: Path) -> Study:
+    """The study that a folder holds.
 
     Raises:
-        RunFolderError: it is not one of ours.
+        RunFolderError: it holds none of ours.
+        ScenarioError: the study cannot be used.
     """
+    file = path / STUDY_FILE
+    values = read_yaml(file)
+    kind, definition = KINDS.get(values.get("kind", "")), values.get("definition")
+    if kind is None or not isinstance(definition, dict):
+        raise RunFolderError(f"{file}: must have kind {' or '.join(KINDS)}, and definition")
+    return kind(definition, file)
+
+
+def _folder_name(study: Study) -> str:
+    return f"{study.kind}-{study.definition.name}"
+
+
+def _identity(study: Study) -> dict[str, Any]:
+    """What a study is, for ``study.yaml``: equal ones ask for equal rows."""
+    return {
+        "kind": study.kind,
+        "definition": study.definition.model_dump(by_alias=True),
+        "scenario_digests": {base.scenario.name: _digest(base) for base in study.bases},
+    }
+
+
+def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
+    """Whether a folder holds a study that came to no end."""
     try:
-        values = yaml.safe_load((path / STUDY_FILE).read_text())
-    except (OSError, yaml.YAMLError) as error:
-        raise RunFolderError(f"{path / STUDY_FILE}: cannot be read: {error}") from error
-    known = isinstance(values, dict) and values.get("kind") in ("sweep", "margin")
-    if not known or not isinstance(values.get("definition"), dict):
-        raise RunFolderError(f"{path / STUDY_FILE}: must have kind sweep or margin, and definition")
-    study: dict[str, Any] = values
-    return study
-
-
-def _interrupted(prefix: str, text: str) -> Path | None:
-    for path in sorted(Path("runs").glob(f"{prefix}-*"), reverse=True):
-        study = path / STUDY_FILE
-        if study.is_file() and study.read_text() == text and not _is_complete(path):
-            return path.resolve()
-    return None
-
-
-def _is_complete(path: Path) -> bool:
-    try:
-        return bool(json.loads((path / "summary.json").read_text())["completed"])
-    except (OSError, ValueError, KeyError):
+        found = read_yaml(path / STUDY_FILE)
+    except ScenarioError:
         return False
+    return found == wanted and not read_summary(path).get("completed", False)
 
 
 def _digest(setup: Setup) -> str:

@@ -1,0 +1,100 @@
+"""What a comparison leaves: a run of each law, all their numbers as rows and as a summary."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bus_schema.recording.atomic_files import write_json
+from deploy.comparison.comparison import Comparison, LawRun
+from deploy.comparison.settling import SettlingTest
+from deploy.runs.metrics import summarise
+from deploy.runs.run_folder import (
+    ResultFolder,
+    RunFolder,
+    RunFolderError,
+    load_run,
+    manifest_of,
+    new_folder,
+    read_summary,
+)
+from deploy.runs.run_rows import row, write_rows
+from deploy.runs.simulate import Simulation
+from deploy.scenario.scenario import Setup
+
+KIND = "comparison"
+
+
+class ComparisonFolder(ResultFolder):
+    """The files of a comparison, with a folder for each law's run inside."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.rows = path / "comparison.parquet"
+
+    @staticmethod
+    def begin(setups: Sequence[Setup], out: Path | None) -> ComparisonFolder:
+        """The folder of a new comparison, with a manifest, by default ``runs/compare-<name>-…``.
+
+        Args:
+            setups: the scenario under each law.
+            out: the folder asked for.
+
+        Raises:
+            ScenarioError: it cannot be created or written to.
+        """
+        folder = ComparisonFolder(new_folder(f"compare-{setups[0].scenario.name}", out))
+        folder.rows.unlink(missing_ok=True)
+        laws = [setup.scenario.controller.law for setup in setups]
+        write_json(folder.manifest, {**manifest_of(setups), "laws": laws})
+        return folder
+
+    def add(self, simulation: Simulation) -> LawRun:
+        """Write the run of one law to its folder, and judge it."""
+        setup = simulation.setup
+        law = setup.scenario.controller.law
+        folder = RunFolder.begin(setup, self._law_path(law))
+        simulation.write_log(folder.log)
+        data = simulation.data()
+        run = LawRun(law, data, summarise(data))
+        write_json(folder.summary, run.summary)
+        return run
+
+    def conclude(self, comparison: Comparison) -> None:
+        """Write rows and summary of all runs."""
+        write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
+        write_json(self.summary, _summary(comparison))
+
+    def load(self) -> Comparison:
+        """The comparison, read back from the recordings of its runs, which are judged again.
+
+        Raises:
+            RunFolderError: a run is missing or cannot be read.
+        """
+        summary = read_summary(self.path)
+        laws = summary.get("laws")
+        if not isinstance(laws, dict) or not laws:
+            raise RunFolderError(f"{self.summary}: names no laws")
+        loaded = {law: load_run(self._law_path(law))[0] for law in laws}
+        return Comparison(
+            [LawRun(law, data, summarise(data)) for law, data in loaded.items()],
+            [SettlingTest.from_values(values) for values in summary.get("settling", [])],
+        )
+
+    def _law_path(self, law: str) -> Path:
+        return self.path / re.sub(r"[^A-Za-z0-9_.-]", "_", law)
+
+
+def _summary(comparison: Comparison) -> dict[str, Any]:
+    """What a comparison says: its common ground, and every law's own summary."""
+    common = comparison.runs[0] if comparison.runs else None
+    return {
+        "kind": KIND,
+        "scenario": common.summary["scenario"] if common else None,
+        "seed": common.seed if common else None,
+        "clock": common.summary["clock"] if common else None,
+        "laws": {run.law: run.summary for run in comparison.runs},
+        "settling": [test.values() for test in comparison.settling],
+    }

@@ -1,0 +1,84 @@
+"""How a study is carried out by workers, and goes on where it was interrupted.
+
+A study says which runs are wanted, the workers do them in any order, and the folder keeps what came
+of them. As the folder is asked before the workers, nothing is done twice.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Protocol
+
+from deploy.runs.run_rows import Row
+from deploy.study.folder import StudyFolder
+from deploy.study.study import Run, Study
+
+_POLL_S = 0.2
+_LEAST_IN_FLIGHT = 64
+_IN_FLIGHT_PER_WORKER = 4
+
+
+class Workers(Protocol):
+    """Who does the runs."""
+
+    @property
+    def count(self) -> int:
+        """How many runs they do at a time."""
+
+    def submit(self, run: Run) -> None:
+        """Have a run done."""
+
+    def finished(self, timeout_s: float) -> tuple[Run, Row] | None:
+        """A run that is done, in any order; None if none was done in time."""
+
+
+class Progress(Protocol):
+    """Who is told how far a study is."""
+
+    def done(self, values: Row, expected: int, *, before: bool) -> None:
+        """A run is done, now or by an earlier command; `expected` runs there will be in all."""
+
+
+def carry_out(
+    study: Study, workers: Workers, folder: StudyFolder, progress: Progress, stop: threading.Event
+) -> bool:
+    """Do all runs that a study wants and that its folder lacks; whether all were done.
+
+    Args:
+        study: which runs are wanted.
+        workers: who does them.
+        folder: what was done before, and where the rows go.
+        progress: told of every row.
+        stop: set to end early, with all finished rows kept.
+    """
+    wanted, in_flight = deque(study.first()), 0
+    most_in_flight = max(_LEAST_IN_FLIGHT, _IN_FLIGHT_PER_WORKER * workers.count)
+    while (wanted or in_flight) and not stop.is_set():
+        while wanted and in_flight < most_in_flight:
+            run = wanted.popleft()
+            known = folder.find(run)
+            if known is None:
+                workers.submit(run)
+                in_flight += 1
+            else:
+                wanted.extend(study.follow(run, known))
+                progress.done(known, study.expected, before=True)
+        finished = workers.finished(_POLL_S) if in_flight else None
+        if finished is not None:
+            run, values = finished
+            in_flight -= 1
+            folder.add(run, values)
+            wanted.extend(study.follow(run, values))
+            progress.done(values, study.expected, before=False)
+    return not stop.is_set()
+
+
+def retrace(study: Study, folder: StudyFolder) -> None:
+    """Take a study through all of its runs that its folder has."""
+    wanted = deque(study.first())
+    while wanted:
+        run = wanted.popleft()
+        known = folder.find(run)
+        if known is not None:
+            wanted.extend(study.follow(run, known))
