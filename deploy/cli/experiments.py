@@ -20,7 +20,8 @@ from deploy.cli.common import (
     ScenarioArgument,
     on_interrupt,
 )
-from deploy.cli.show_comparison import CompareProgress, settling_sentence, show_comparison
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_comparison import settling_sentence, show_comparison
 from deploy.cli.show_run import show_summary
 from deploy.cli.studies import is_study, report_study
 from deploy.comparison.compare import (
@@ -32,6 +33,7 @@ from deploy.comparison.compare import (
 )
 from deploy.comparison.comparison import Comparison
 from deploy.comparison.settling import settling_test
+from deploy.reports.compare_tables import bounds_sentence
 from deploy.reports.verdict import PARTIAL
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run
@@ -102,7 +104,7 @@ def report(
         return
     data, _ = load_run(run_dir)
     folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-    show_summary(console, folder.conclude(data))
+    show_summary(console, data, folder.conclude(data))
     console.print(f"report: {folder.report}", soft_wrap=True)
 
 
@@ -124,11 +126,15 @@ def bench(
 def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) -> bool:
     """Simulate one law after another; whether the user put an end to it."""
     stop = threading.Event()
-    with CompareProgress(console, setups) as progress:
+    total_s, before_s = sum(setup.scenario.duration_s for setup in setups), 0.0
+    with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
+            law = setup.scenario.controller.law
 
-            def on_start(loop: PlantLoop, setup: Setup = setup) -> None:
-                progress.start(setup.scenario.controller.law, loop)
+            def on_start(
+                loop: PlantLoop, setup: Setup = setup, law: str = law, before_s: float = before_s
+            ) -> None:
+                progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, law)
 
                 def request_stop() -> None:
                     stop.set()
@@ -136,7 +142,9 @@ def _run_all(setups: list[Setup], folder: ComparisonFolder, console: Console) ->
 
                 on_interrupt(request_stop)
 
-            progress.done(folder.add(attempt(setup, on_start)))
+            run = folder.add(attempt(setup, on_start))
+            progress.say(f"{law}: {bounds_sentence(run)}")
+            before_s += setup.scenario.duration_s
             if stop.is_set():
                 return True
     return False

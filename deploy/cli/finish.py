@@ -27,7 +27,7 @@ def finish(
         folder.write_summary({"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
     summary = folder.conclude(data, outcome.failures)
-    show_summary(console, summary)
+    show_summary(console, data, summary)
     console.print(f"results: {folder.path}", soft_wrap=True)
     console.print(f"report:  {folder.report}", soft_wrap=True)
     raise typer.Exit(_exit_code(summary, outcome, require_bounds=require_bounds))

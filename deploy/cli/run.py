@@ -7,7 +7,8 @@ from rich.console import Console
 from bus_schema.messages.topics import Role
 from deploy.cli.common import Out, Overrides, RequireBounds, ScenarioArgument, on_interrupt
 from deploy.cli.finish import finish
-from deploy.cli.show_run import RunProgress
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_run import telling
 from deploy.processes.launcher import Launcher, with_free_endpoints
 from deploy.processes.links import check_link, require_keys
 from deploy.runs.run_folder import RunFolder
@@ -30,7 +31,7 @@ def run(
     folder.write_manifest(setup, {})
     launcher = Launcher(setup, folder)
     on_interrupt(launcher.request_stop)
-    with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:
-        outcome = launcher.run(progress.hear)
+    with CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s") as progress:
+        outcome = launcher.run(telling(progress))
     folder.write_manifest(setup, outcome.grants)
     finish(console, folder, outcome, require_bounds=require_bounds)

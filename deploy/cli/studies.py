@@ -11,10 +11,11 @@ import yaml
 from rich.console import Console
 
 from deploy.cli.common import FAULT, FINISHED, INTERRUPTED, Out, Overrides, on_interrupt
-from deploy.cli.show_study import StudyProgress, show_study
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_study import RunCounter, show_study
 from deploy.comparison.compare import parse_laws
 from deploy.reports.study_report import write_study_report
-from deploy.reports.study_text import write_margin_table
+from deploy.reports.study_tables import write_margin_table
 from deploy.scenario.yaml_files import ScenarioError, parse_override, read_yaml
 from deploy.study import margin as margins
 from deploy.study import sweep as sweeps
@@ -158,9 +159,9 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
         folder.lock()
         on_interrupt(stop.set)
         lost = None
-        with StudyProgress(console, study.name, study.expected) as progress:
+        with CommandProgress(console, study.name, study.expected, "runs") as progress:
             try:
-                carry_out(study, team, folder, progress, stop)
+                carry_out(study, team, folder, RunCounter(progress), stop)
             except ClusterLostError as error:
                 lost = error
             finally:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.messages import topics
+from deploy.reports.page import Picture
 from deploy.runs.run_data import RunData
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
@@ -16,14 +17,14 @@ _WIDTH_PX, _HEIGHT_PX = 480, 420
 _OVERSAMPLING = 2
 
 
-def arm_pictures(run: RunData) -> list[tuple[float, bytes]]:
-    """Time (s) and PNG of the arm at the start, in the middle and at the end of a run.
+def arm_pictures(run: RunData) -> list[Picture] | None:
+    """The arm at the start, in the middle and at the end of a run, seen by the same camera.
 
-    All three are seen by the same camera; there are none if nothing was recorded.
+    None if nothing was recorded.
     """
     times_s = run.times_s(topics.PLANT_TRUTH)
     if not len(times_s):
-        return []
+        return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
     arm = PybulletArm(run.setup.robot, run.setup.grid.substep_s)
@@ -36,7 +37,7 @@ def arm_pictures(run: RunData) -> list[tuple[float, bytes]]:
     finally:
         arm.close()
     return [
-        (float(times_s[tick]), encode_png(_shrink(picture)))
+        Picture(float(times_s[tick]), encode_png(_shrink(picture)))
         for tick, picture in zip(ticks, pictures, strict=True)
     ]
 

@@ -10,7 +10,8 @@ import plotly.graph_objects as go
 
 from bus_schema.arrays import Vector
 from bus_schema.messages import topics
-from deploy.reports.figures.style import ALARM, joint_colour, style
+from deploy.reports.figures.style import ALARM, palette, style
+from deploy.reports.quantities import TIMES
 from deploy.runs.run_data import RunData
 
 _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 99.9999)
@@ -26,7 +27,7 @@ def timing_percentiles(run: RunData) -> go.Figure | None:
         return None
     figure = go.Figure()
     for index, (name, values) in enumerate(quantities.items()):
-        figure.add_trace(_percentile_curve(name, values, joint_colour(index)))
+        figure.add_trace(_percentile_curve(name, values, palette(index)))
     style(figure, 460, legend=True)
     ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
     figure.update_xaxes(
@@ -68,13 +69,13 @@ def timing_quantities_us(run: RunData) -> dict[str, Vector]:
     """All values of every timing quantity that was ever measured, µs, by readable name."""
     truth = run.tables[topics.PLANT_TRUTH.name]
     in_nanoseconds = {
-        "round trip": truth["round_trip_ns"],
-        "command age": truth["command_age_ns"],
-        "state age": truth["state_age_ns"],
-        "control step": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
-        "wake-up lateness": truth["timing.lateness_ns"],
+        "round_trip_us": truth["round_trip_ns"],
+        "command_age_us": truth["command_age_ns"],
+        "state_age_us": truth["state_age_ns"],
+        "control_step_us": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
+        "wakeup_lateness_us": truth["timing.lateness_ns"],
     }
-    known = {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
+    known = {TIMES[key]: values[values >= 0] * 1e-3 for key, values in in_nanoseconds.items()}
     return {name: values for name, values in known.items() if len(values)}
 
 

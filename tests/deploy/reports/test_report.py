@@ -10,10 +10,11 @@ import pytest
 from plotly.offline import get_plotlyjs
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from deploy.reports.figures import run as figures
-from deploy.reports.figures import timing as figures_timing
 from deploy.reports.figures.arm_pictures import encode_png
 from deploy.reports.figures.decimation import decimate
+from deploy.reports.figures.network import unknown_dynamics_nm
+from deploy.reports.figures.timing import deadline_misses
+from deploy.reports.figures.torque import torques
 from deploy.reports.run_report import write_report
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import build_run_data
@@ -114,7 +115,7 @@ def test_texts_from_a_run_are_shown_and_never_executed(run, page_of):
 
 def test_joint_names_are_plain_text_in_figures(run):
     robot = replace(run.setup.robot, joint_names=(HOSTILE, "shoulder", "elbow"))
-    figure = figures.torques(replace(run, setup=replace(run.setup, robot=robot)))
+    figure = torques(replace(run, setup=replace(run.setup, robot=robot)))
     assert "<" not in figure.to_json()
 
 
@@ -137,13 +138,13 @@ def test_a_picture_shows_the_whole_arm(run):
 
 
 def test_every_deadline_missed_fills_its_figure(run, late_run):
-    assert figures_timing.deadline_misses(run) is None
-    figure = figures_timing.deadline_misses(late_run)
+    assert deadline_misses(run) is None
+    figure = deadline_misses(late_run)
     assert max(figure.data[0].y) == pytest.approx(100.0)
 
 
 def test_the_network_learns_what_the_report_compares_it_with(run):
-    truth = figures.unknown_dynamics_nm(run)
+    truth = unknown_dynamics_nm(run)
     status = run.tables["control_status"]["network_output"]
     assert np.abs(status[-100:] - truth[-101:-1]).max() < 0.1 * np.abs(truth[-100:]).max()
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import html
-
 import plotly.graph_objects as go
 
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode, mode_in
-from deploy.reports.figures.style import ALARM, INK, style
+from deploy.reports.figures.style import ALARM, INK, plain, style
 from deploy.runs.run_data import RunData
 
 _ROLES = (Role.PLANT, Role.CONTROLLER)
@@ -84,7 +82,7 @@ def _marks(run: RunData) -> list[go.Scatter]:
                     name=str(kind),
                     marker={"symbol": symbol, "size": 10, "color": colour,
                             "line": {"color": "white", "width": 1}},
-                    hovertext=[html.escape(event.detail) for event in events],
+                    hovertext=[plain(event.detail) for event in events],
                     hoverinfo="text+x",
                 )
             )  # fmt: skip
