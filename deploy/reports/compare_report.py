@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from deploy.comparison.comparison import Comparison
+from deploy.reports import quantities
 from deploy.reports.compare_tables import joint_table, judge, verdict_table
 from deploy.reports.figures.end_effector import tip_error_envelopes, tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
@@ -14,124 +15,78 @@ from deploy.reports.figures.network import first_network_output
 from deploy.reports.figures.settling import settling, settling_from_afar
 from deploy.reports.figures.torque import torque_spectra, torques_by_law
 from deploy.reports.page import Fact, Panel, write_page
-from deploy.reports.quantities import (
-    LARGEST_ERROR,
-    PEAK_TORQUE,
-    RMS_ERROR,
-    SETTLING_TIME,
-    SHARE_ABOVE_50_HZ,
-    TOTAL_VARIATION,
-)
 from deploy.reports.tables import number
-
-_JOINT_TABLES = (RMS_ERROR, LARGEST_ERROR, SETTLING_TIME, TOTAL_VARIATION, SHARE_ABOVE_50_HZ,
-                 PEAK_TORQUE)  # fmt: skip
 
 PANELS: list[Panel[Comparison]] = [
     Panel(
-        "Precision",
-        "rms",
-        "RMS error of every joint",
+        "Precision", "rms", "RMS error of every joint",
+        partial(joint_bars, quantity=quantities.RMS_ERROR),
         "On a logarithmic scale: one line of the grid is a factor of ten.",
-        partial(joint_bars, quantity=RMS_ERROR),
     ),
     Panel(
-        "Precision",
-        "settling",
-        "Settling time",
+        "Precision", "settling", "Settling time", settling,
         "When the error entered the bounds' steady state to stay. Dashed, for laws that have"
         " one: the bound on the settling time that follows from gains and inertia, whatever"
         " the start. A missing bar is a joint that never settled.",
-        settling,
     ),
     Panel(
-        "Precision",
-        "settling-from-afar",
-        "Settling time from near and far",
+        "Precision", "settling-from-afar", "Settling time from near and far", settling_from_afar,
         "The scenario from other starts: all joints off by as much. Dashed: the one bound that"
         " holds for every start, for laws that have one. A hollow circle left its funnel on"
         " the way; a cross at the top did not settle while it was watched.",
-        settling_from_afar,
     ),
     Panel(
-        "Joint errors",
-        "errors",
-        "True errors inside their bounds",
+        "Joint errors", "errors", "True errors inside their bounds", errors_in_funnel,
         "The shaded band is the funnel, the same for all laws. The scale is that of its steady"
         " state. A click in the legend hides a law.",
-        errors_in_funnel,
     ),
     Panel(
-        "Joint errors",
-        "errors-first-second",
-        "The first second",
+        "Joint errors", "errors-first-second", "The first second", errors_first_second,
         "Who overshoots the far bound, and who is still outside when the bounds have closed?",
-        errors_first_second,
     ),
     Panel(
-        "Joint errors",
-        "error-envelopes",
-        "Size of the errors",
+        "Joint errors", "error-envelopes", "Size of the errors", error_envelopes,
         "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
         " ones can be told apart. Dotted: the bounds' steady state.",
-        error_envelopes,
     ),
     Panel(
-        "End effector",
-        "tip-paths",
-        "Path of the end effector",
+        "End effector", "tip-paths", "Path of the end effector", tip_paths,
         "All paths should lie on the grey reference, but for the way in from the start. Drag to"
         " turn, scroll to zoom.",
-        tip_paths,
     ),
     Panel(
-        "End effector",
-        "tip-errors",
-        "Cartesian errors",
+        "End effector", "tip-errors", "Cartesian errors", tip_error_envelopes,
         "Size of the true minus the reference position along each axis of the base frame: the"
         " largest in each twentieth of a second.",
-        tip_error_envelopes,
     ),
     Panel(
-        "Torque",
-        "torques",
-        "Commanded torques",
+        "Torque", "torques", "Commanded torques", torques_by_law,
         "One column per law, one scale along each row. A thin line is smooth; a solid block of"
         " colour is chatter.",
-        torques_by_law,
     ),
     Panel(
-        "Chattering",
-        "total-variation",
-        "Total variation of torque",
+        "Chattering", "total-variation", "Total variation of torque",
+        partial(joint_bars, quantity=quantities.TOTAL_VARIATION),
         "How far the torque travels up and down in a second, on a logarithmic scale.",
-        partial(joint_bars, quantity=TOTAL_VARIATION),
     ),
     Panel(
-        "Chattering",
-        "chatter-share",
-        "Share of torque energy above 50 Hz",
+        "Chattering", "chatter-share", "Share of torque energy above 50 Hz",
+        partial(joint_bars, quantity=quantities.SHARE_ABOVE_50_HZ),
         "Of the energy of the torque without its mean, on a logarithmic scale. Nothing that the"
         " arm is asked to do is that fast.",
-        partial(joint_bars, quantity=SHARE_ABOVE_50_HZ),
     ),
     Panel(
-        "Chattering",
-        "torque-spectra",
-        "Torque by frequency",
+        "Chattering", "torque-spectra", "Torque by frequency", torque_spectra,
         "Amplitude in each hertz. To the right of the dotted line it counts as chatter; the"
         " further down a line runs there, the kinder it is to gears.",
-        torque_spectra,
     ),
     Panel(
-        "What the network learned",
-        "network-output",
-        "Network output and the dynamics it stands in for",
+        "What the network learned", "network-output",
+        "Network output and the dynamics it stands in for", first_network_output,
         "Of the first law that has a network. Coloured: its output. Grey: M q̈ + C q̇ + G of the"
         " true arm at the reference acceleration, plus friction and disturbance.",
-        first_network_output,
     ),
-]
+]  # fmt: skip
 """The figures of the report, in order; another one is another entry."""
 
 
@@ -147,7 +102,7 @@ def write_comparison_report(comparison: Comparison, path: Path) -> None:
         verdict=verdict,
         facts=_facts(comparison),
         verdict_table=verdict_table(comparison),
-        joint_tables=[joint_table(comparison, quantity) for quantity in _JOINT_TABLES],
+        joint_tables=[joint_table(comparison, quantity) for quantity in quantities.BY_LAW],
     )
 
 

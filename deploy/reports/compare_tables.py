@@ -2,24 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any
 
 from deploy.comparison.comparison import Comparison, LawRun
-from deploy.reports.quantities import (
-    RMS_ERROR,
-    SETTLED,
-    SETTLING_BOUND,
-    SETTLING_TIME,
-    SHARE_ABOVE_50_HZ,
-    TOTAL_VARIATION,
-    JointQuantity,
-)
+from deploy.reports import quantities
 from deploy.reports.tables import Cell, Column, Table, number, scaled
 from deploy.reports.verdict import Verdict
 
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
+
+
+def _percentage(section: str, key: str) -> Callable[[dict[str, Any]], float | None]:
+    return lambda summary: scaled(summary[section][key], 100.0)
+
+
+_NUMBERS = [
+    (Column("Ticks outside", "%", "Outside"), _percentage("bounds", "violation_fraction"), False),
+    (Column("Smallest margin", "%", "Margin"), _percentage("bounds", "margin_min"), False),
+    (replace(quantities.RMS_ERROR.column, brief=None), quantities.RMS_ERROR.of_worst_joint, True),
+    (quantities.TOTAL_VARIATION.column, quantities.TOTAL_VARIATION.of_worst_joint, True),
+    (quantities.SHARE_ABOVE_50_HZ.column, quantities.SHARE_ABOVE_50_HZ.of_worst_joint, True),
+    (quantities.SETTLING_TIME.column, quantities.SETTLING_TIME.of_worst_joint, True),
+    (quantities.SETTLING_BOUND.column, quantities.SETTLING_BOUND.of_worst_joint, False),
+    (Column("Saturated ticks", "%", None), _percentage("torque", "saturated_fraction"), False),
+]
+"""Columns of the verdict, what stands in them, and whether the smallest is the best."""
 
 
 def judge(comparison: Comparison) -> Verdict:
@@ -54,39 +64,27 @@ def bounds_sentence(run: LawRun) -> str:
 def verdict_table(comparison: Comparison) -> Table:
     """A row per law with what decides; each number is that of the law's worst joint."""
     scenario = comparison.runs[0].data.setup.scenario
-    ranked = (RMS_ERROR, TOTAL_VARIATION, SHARE_ABOVE_50_HZ, SETTLING_TIME)
-    columns = [
-        Column("Law", is_text=True),
-        Column("Bounds", is_text=True),
-        Column("Ticks outside", "%", "Outside"),
-        Column("Smallest margin", "%", "Margin"),
-        replace(RMS_ERROR.column, brief=None),
-        *(quantity.column for quantity in (*ranked[1:], SETTLING_BOUND)),
-        Column("Saturated ticks", "%", None),
-    ]
     rows = [
-        [
-            Cell(run.law),
-            _status(run),
-            Cell(scaled(run.summary["bounds"]["violation_fraction"], 100.0)),
-            Cell(scaled(run.summary["bounds"]["margin_min"], 100.0)),
-            *(Cell(quantity.of_worst_joint(run.summary)) for quantity in ranked),
-            Cell(SETTLING_BOUND.of_worst_joint(run.summary)),
-            Cell(scaled(run.summary["torque"]["saturated_fraction"], 100.0)),
-        ]
+        [Cell(run.law), _status(run), *(Cell(value(run.summary)) for _, value, _ in _NUMBERS)]
         for run in comparison.runs
     ]
-    _mark_best(comparison, rows, range(4, 8))
+    ranked = (place for place, (*_, is_ranked) in enumerate(_NUMBERS, start=2) if is_ranked)
+    _mark_best(comparison, rows, ranked)
     return Table(
         f"{scenario.name} · {scenario.duration_s:g} s · worst joint of each law",
-        columns,
+        [
+            Column("Law", is_text=True),
+            Column("Bounds", is_text=True),
+            *(column for column, _, _ in _NUMBERS),
+        ],
         rows,
         "The best of all laws that finished is set off. RMS errors from"
-        f" {scenario.metrics.from_s:g} s on; everything else over the whole run. {SETTLED}",
+        f" {scenario.metrics.from_s:g} s on; everything else over the whole run."
+        f" {quantities.SETTLED}",
     )
 
 
-def joint_table(comparison: Comparison, quantity: JointQuantity) -> Table:
+def joint_table(comparison: Comparison, quantity: quantities.JointQuantity) -> Table:
     """One number of every joint, a row per law, the smallest of each joint set off."""
     tracking = comparison.runs[0].summary["tracking"]
     from_s = comparison.runs[0].data.setup.scenario.metrics.from_s

@@ -6,16 +6,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from deploy.reports.figures.study import (
-    TICKS_OUTSIDE,
-    WORST_RMS,
-    Bar,
-    Curve,
-    Point,
-    StudyQuantity,
-    bars,
-    curves,
-)
+from deploy.reports.figures import many_runs
 from deploy.reports.page import Fact, Panel
 from deploy.reports.study_content import Study, StudyContent, Summary
 from deploy.reports.study_tables import (
@@ -63,20 +54,23 @@ def _panels(arm: str) -> list[Panel[Study]]:
     return [
         Panel(
             arm, f"margins-{arm}", f"Margins on {arm}",
+            lambda study: _bars(study, arm),
             "The taller, the more a law takes. A click gives the command of the first value that"
             " failed, from the start that fared worst.",
-            lambda study: _bars(study, arm), is_clickable=True,
+            is_clickable=True,
         ),
         Panel(
-            arm, f"outside-{arm}", TICKS_OUTSIDE.title,
+            arm, f"outside-{arm}", many_runs.TICKS_OUTSIDE.title,
+            lambda study: _curves(study, arm, many_runs.TICKS_OUTSIDE),
             "Where a line leaves zero, its law loses its bounds. Lines are means of all starts and"
             " seeds, the shades reach from the best run to the worst.",
-            lambda study: _curves(study, arm, TICKS_OUTSIDE), is_clickable=True,
+            is_clickable=True,
         ),
         Panel(
-            arm, f"rms-{arm}", WORST_RMS.title,
+            arm, f"rms-{arm}", many_runs.WORST_RMS.title,
+            lambda study: _curves(study, arm, many_runs.WORST_RMS),
             "What precision remains, on a logarithmic scale, with the same shades.",
-            lambda study: _curves(study, arm, WORST_RMS), is_clickable=True,
+            is_clickable=True,
         ),
     ]  # fmt: skip
 
@@ -87,25 +81,25 @@ def _bars(study: Study, arm: str) -> go.Figure | None:
         probe = probe_at(case, case["first_failure"]) or probe_at(case, case["margin"])
         command = study.rerun(probe["worst_point"]) if probe else ""
         text, group = margin_figure(case), _GROUPS[case["compensation"]]  # the axis has the unit
-        shown.append(Bar(group, case["law"], case["margin"], text, command))
-    return bars(shown, _axis(study.summary))
+        shown.append(many_runs.Bar(group, case["law"], case["margin"], text, command))
+    return many_runs.bars(shown, _axis(study.summary))
 
 
-def _curves(study: Study, arm: str, quantity: StudyQuantity) -> go.Figure | None:
+def _curves(study: Study, arm: str, quantity: many_runs.StudyQuantity) -> go.Figure | None:
     laws = list(dict.fromkeys(case["law"] for case in study.summary["cases"]))
     lines = [
-        Curve(
+        many_runs.Curve(
             case_name(case),
             colour=laws.index(case["law"]),
             dash=1 if case["compensation"] is False else 0,
             points=[
-                Point(probe["value"], probe, study.rerun(probe["worst_point"]))
+                many_runs.Point(probe["value"], probe, study.rerun(probe["worst_point"]))
                 for probe in case["probes"]
             ],
         )
         for case in _cases(study.summary, arm)
     ]
-    return curves(lines, _axis(study.summary), quantity)
+    return many_runs.curves(lines, _axis(study.summary), quantity)
 
 
 def _axis(summary: Summary) -> str:

@@ -46,16 +46,16 @@ class Panel(Generic[T]):
         section: title of the section that it stands in.
         id: of its HTML element, and the only one of this name in a page.
         title: of the figure.
+        draw: gives the figure, or pictures; None where there is nothing to draw.
         caption: what to look for in it.
-        draw: the figure, or pictures; None where there is nothing to draw.
         is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
     """
 
     section: str
     id: str
     title: str
-    caption: str
     draw: Callable[[T], go.Figure | Sequence[Picture] | None]
+    caption: str
     is_clickable: bool = False
 
 

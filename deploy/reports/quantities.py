@@ -61,6 +61,10 @@ SHARE_ABOVE_50_HZ = JointQuantity(
     "Torque energy above 50 Hz", "%", "torque", "share_above_50_hz", 100.0, "> 50 Hz"
 )
 
+OF_ONE_RUN = (RMS_ERROR, LARGEST_ERROR, SETTLING_TIME, SETTLING_BOUND, RMS_TORQUE, PEAK_TORQUE,
+              TOTAL_VARIATION)  # fmt: skip
+BY_LAW = (RMS_ERROR, LARGEST_ERROR, SETTLING_TIME, TOTAL_VARIATION, SHARE_ABOVE_50_HZ, PEAK_TORQUE)
+
 TIMES = {
     "round_trip_us": "Round trip",
     "command_age_us": "Command age",

@@ -28,97 +28,66 @@ from deploy.runs.run_data import RunData
 
 PANELS: list[Panel[RunData]] = [
     Panel(
-        "What happened when",
-        "timeline",
-        "Modes of both sides",
+        "What happened when", "timeline", "Modes of both sides", timeline,
         "A good run is ready for an instant and tracking to its end. Every way to a fault leads"
         " through stopping. Crosses are faults, triangles are limits reached for the first"
         " time; what lasts an instant is drawn wider than it was.",
-        timeline,
     ),
     Panel(
-        "Tracking error",
-        "error-in-funnel",
-        "True error inside its bounds",
+        "Tracking error", "error-in-funnel", "True error inside its bounds",
+        with_faults(error_in_funnel),
         "The line should stay within the shaded band. The scale is that of the steady state;"
         " the start is drawn in full beside or below. Red marks are ticks outside the bounds; a"
         " red shade, here and in all figures over time, is a scheduled fault.",
-        with_faults(error_in_funnel),
     ),
     Panel(
-        "Tracking error",
-        "error-first-second",
-        "The first second",
+        "Tracking error", "error-first-second", "The first second", with_faults(error_first_second),
         "The bounds shrink from where the error begins. Look for overshoot beyond the far"
         " bound, and for how much room is left while the bounds close in.",
-        with_faults(error_first_second),
     ),
     Panel(
-        "Control",
-        "transformed-error",
-        "Transformed error ε",
+        "Control", "transformed-error", "Transformed error ε", with_faults(transformed_error),
         "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
         " quarters of the way where the bounds are symmetric. As the controller saw it.",
-        with_faults(transformed_error),
     ),
     Panel(
-        "Control",
-        "torques",
-        "Commanded torque",
+        "Control", "torques", "Commanded torque", with_faults(torques),
         "A smooth line is kind to gears; a solid block of colour is chatter. Dotted lines are"
         " the limits of the actuators, where the command comes near them.",
-        with_faults(torques),
     ),
     Panel(
-        "Motion",
-        "tip-path",
-        "Path of the end effector",
+        "Motion", "tip-path", "Path of the end effector", tip_path,
         "The coloured path should lie on the grey reference, but for the way in from the start."
         " Drag to turn, scroll to zoom.",
-        tip_path,
     ),
     Panel(
-        "Motion",
-        "tip-error",
-        "Error of the end effector",
+        "Motion", "tip-error", "Error of the end effector", with_faults(tip_error),
         "True minus reference position in the base frame, scaled to the steady state.",
-        with_faults(tip_error),
     ),
     Panel(
-        "Motion",
-        "arm",
-        "The arm",
+        "Motion", "arm", "The arm", arm_pictures,
         "At the start, in the middle and at the end of the run, by one camera.",
-        arm_pictures,
     ),
     Panel(
-        "What the network learned",
-        "network-output",
-        "Network output and the dynamics it stands in for",
+        "What the network learned", "network-output",
+        "Network output and the dynamics it stands in for", with_faults(network_output),
         "Coloured: output of the network. Grey: M q̈ + C q̇ + G of the true arm at the reference"
         " acceleration, plus friction and disturbance. The closer the two, the less is left to"
         " the reaching terms. The scale is that of the steady state.",
-        with_faults(network_output),
     ),
     Panel(
-        "Timing",
-        "timing-percentiles",
-        "Percentiles of times",
+        "Timing", "timing-percentiles", "Percentiles of times", timing_percentiles,
         "Flat to the right is good; a line that climbs at 99.9 % has rare, long delays. Control"
         " step and wake-up lateness are wall time, the others are on the run's clock. Zeros"
         " have no place on this scale and are not drawn.",
-        timing_percentiles,
     ),
     Panel(
-        "Timing",
-        "deadline-misses",
-        "Missed deadlines",
+        "Timing", "deadline-misses", "Missed deadlines", with_faults(deadline_misses),
         "Share of the ticks at which the torque in force answered a state that was too old."
         " Single bars are disturbances of the machine or the link; a full block is a link that"
         " is slower than the deadline allows.",
-        with_faults(deadline_misses),
     ),
-]
+]  # fmt: skip
 """The figures of the report, in order; another one is another entry."""
 
 

@@ -5,24 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from deploy.reports.quantities import (
-    LARGEST_ERROR,
-    PEAK_TORQUE,
-    RMS_ERROR,
-    RMS_TORQUE,
-    SETTLED,
-    SETTLING_BOUND,
-    SETTLING_TIME,
-    TIMES,
-    TOTAL_VARIATION,
-)
+from deploy.reports import quantities
 from deploy.reports.tables import ABSENT, Column, Table, Value, scaled
 from deploy.runs.metrics import PERCENTILES
 from deploy.runs.run_data import RunData
 
 _SHOWN_EVENTS = 200
-_QUANTITIES = (RMS_ERROR, LARGEST_ERROR, SETTLING_TIME, SETTLING_BOUND, RMS_TORQUE, PEAK_TORQUE,
-               TOTAL_VARIATION)  # fmt: skip
 _PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
 _TRANSPORT = {
     "sent": "Sent",
@@ -39,18 +27,17 @@ _TRANSPORT = {
 
 def joint_table(summary: dict[str, Any], from_s: float) -> Table:
     """Errors (from `from_s` on) and torques, a row per joint."""
-    columns = [
+    names = summary["tracking"]["joint_names"]
+    shown = [
         (quantity.column, quantity.of_joints(summary))
-        for quantity in _QUANTITIES
-        if quantity is not SETTLING_BOUND or summary["tracking"]["settling_bound_s"] is not None
+        for quantity in quantities.OF_ONE_RUN
+        if quantity is not quantities.SETTLING_BOUND or summary[quantity.section][quantity.key]
     ]
     return Table(
         "Joints",
-        [Column("Joint", is_text=True), *(column for column, _ in columns)],
-        list(
-            zip(summary["tracking"]["joint_names"], *(values for _, values in columns), strict=True)
-        ),
-        f"Errors from {from_s:g} s on. {SETTLED}",
+        [Column("Joint", is_text=True), *(column for column, _ in shown)],
+        list(zip(names, *(values for _, values in shown), strict=True)),
+        f"Errors from {from_s:g} s on. {quantities.SETTLED}",
     )
 
 
@@ -61,7 +48,7 @@ def timing_table(summary: dict[str, Any]) -> Table:
         [Column("Time", is_text=True), *(Column(title, "µs") for title in _PERCENTILES.values())],
         [
             [title, *(summary["timing"][key][name] for name in _PERCENTILES)]
-            for key, title in TIMES.items()
+            for key, title in quantities.TIMES.items()
         ],
         "Control step and wake-up lateness are wall time, the others are on the run's clock.",
     )

@@ -8,15 +8,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from deploy.reports.figures.study import (
-    TICKS_OUTSIDE,
-    WORST_RMS,
-    Curve,
-    Point,
-    StudyQuantity,
-    curves,
-    heat_map,
-)
+from deploy.reports.figures import many_runs
 from deploy.reports.page import Fact, Panel
 from deploy.reports.study_content import Study, StudyContent, Summary
 from deploy.reports.study_tables import point_table, shown_value
@@ -24,8 +16,8 @@ from deploy.reports.verdict import Verdict
 
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
-QUANTITIES = [TICKS_OUTSIDE, WORST_RMS]
-"""What is drawn, each as curves and as heat maps; another one is another entry."""
+QUANTITIES = [many_runs.TICKS_OUTSIDE, many_runs.WORST_RMS]
+"""What is drawn, each as many_runs.curves and as heat maps; another one is another entry."""
 
 
 def sweep_content(summary: Summary) -> StudyContent:
@@ -64,16 +56,18 @@ def _curve_panels(summary: Summary) -> list[Panel[Study]]:
         caption += f" {_MOST_CURVES} of {len(lines)} lines are drawn; all points are in the table."
     drawn = dict(itertools.islice(lines.items(), _MOST_CURVES))
 
-    def draw(study: Study, quantity: StudyQuantity) -> go.Figure | None:
+    def draw(study: Study, quantity: many_runs.StudyQuantity) -> go.Figure | None:
         shown = [
-            Curve(name, index % 7, index // 7, [_point(study, p, p["values"][x]) for p in points])
+            many_runs.Curve(
+                name, index % 7, index // 7, [_point(study, p, p["values"][x]) for p in points]
+            )
             for index, (name, points) in enumerate(drawn.items())
         ]
-        return curves(shown, _title(summary["axes"][x]), quantity)
+        return many_runs.curves(shown, _title(summary["axes"][x]), quantity)
 
     return [
-        Panel("Curves", f"curve-{quantity.key}", quantity.title, caption,
-              partial(draw, quantity=quantity), is_clickable=True)
+        Panel("Curves", f"curve-{quantity.key}", quantity.title,
+              partial(draw, quantity=quantity), caption, is_clickable=True)
         for quantity in QUANTITIES
     ]  # fmt: skip
 
@@ -87,27 +81,31 @@ def _heat_map_panels(summary: Summary) -> list[Panel[Study]]:
     combinations = itertools.product(*(summary["axes"][axis]["values"] for axis in others))
     x, y = (summary["axes"][axis] for axis in order)
 
-    def draw(study: Study, chosen: tuple[Any, ...], quantity: StudyQuantity) -> go.Figure | None:
+    def draw(
+        study: Study, chosen: tuple[Any, ...], quantity: many_runs.StudyQuantity
+    ) -> go.Figure | None:
         places = {
             tuple(point["values"][axis] for axis in order): _point(study, point)
             for point in summary["points"]
             if chosen == tuple(point["values"][axis] for axis in others)
         }
         rows = [[places.get((a, b)) for a in x["values"]] for b in y["values"]]
-        return heat_map((_title(x), x["values"]), (_title(y), y["values"]), rows, quantity)
+        return many_runs.heat_map(
+            (_title(x), x["values"]), (_title(y), y["values"]), rows, quantity
+        )
 
     return [
         Panel("Heat maps", f"field-{quantity.key}-{index}",
               " · ".join([quantity.title, *map(shown_value, chosen)]),
-              "Means over the seeds; the darker, the worse.",
-              partial(draw, chosen=chosen, quantity=quantity), is_clickable=True)
+              partial(draw, chosen=chosen, quantity=quantity),
+              "Means over the seeds; the darker, the worse.", is_clickable=True)
         for index, chosen in enumerate(itertools.islice(combinations, _MOST_HEAT_MAPS))
         for quantity in QUANTITIES
     ]  # fmt: skip
 
 
-def _point(study: Study, point: Summary, x: Any = None) -> Point:
-    return Point(x, point, study.rerun(point["point"]))
+def _point(study: Study, point: Summary, x: Any = None) -> many_runs.Point:
+    return many_runs.Point(x, point, study.rerun(point["point"]))
 
 
 def _name(summary: Summary, point: Summary) -> str:

@@ -14,7 +14,7 @@ from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.comparison.comparison import Comparison
 from deploy.reports.figures.laws import add_envelopes, law_colour, with_law_legend
-from deploy.reports.figures.style import INK, MM, MUTED, joint_rows, line, palette, plain, style
+from deploy.reports.figures.style import INK, MM, MUTED, apply, joint_rows, line, palette, plain
 from deploy.runs.run_data import RunData, stamps_s
 
 _CAMERA = {"eye": {"x": 1.8, "y": 1.55, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.12}}
@@ -48,7 +48,7 @@ def tip_error(run: RunData) -> go.Figure | None:
         line(times_s, error, palette(index), axis)
         for index, (axis, error) in enumerate(zip("xyz", errors.T, strict=True))
     ])  # fmt: skip
-    style(figure, _HEIGHT_PX, legend=True)
+    apply(figure, _HEIGHT_PX, legend=True)
     figure.update_xaxes(title_text="time (s)")
     figure.update_yaxes(title_text="mm")
     late = times_s >= run.setup.scenario.metrics.from_s
@@ -112,7 +112,7 @@ def _mark(point: Vector, name: str, symbol: str) -> go.Scatter3d:
 
 
 def _style_path(figure: go.Figure, height_px: float) -> None:
-    style(figure, height_px, legend=True)
+    apply(figure, height_px, legend=True)
     axes = {f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5} for name in "xyz"}
     figure.update_layout(
         scene={"aspectmode": "data", "camera": _CAMERA, **axes},

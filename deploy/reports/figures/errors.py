@@ -11,17 +11,8 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison
+from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_envelopes, add_law, with_law_legend
-from deploy.reports.figures.style import (
-    ALARM,
-    DOTTED,
-    MRAD,
-    band,
-    joint_rows,
-    joint_series,
-    line,
-    palette,
-)
 from deploy.runs.metrics import bound_usage
 from deploy.runs.run_data import RunData
 from deploy.scenario.scenario import Setup
@@ -48,7 +39,7 @@ def error_first_second(run: RunData) -> go.Figure | None:
 
 def transformed_error(run: RunData) -> go.Figure | None:
     """Transformed error ε of every joint."""
-    return joint_series(run, topics.CONTROL_STATUS, "transformed_error", "ε")
+    return style.joint_series(run, topics.CONTROL_STATUS, "transformed_error", "ε")
 
 
 def errors_in_funnel(comparison: Comparison) -> go.Figure | None:
@@ -69,12 +60,12 @@ def error_envelopes(comparison: Comparison) -> go.Figure | None:
     if not comparison.drawn:
         return None
     setup = comparison.drawn[0].data.setup
-    figure = with_law_legend(joint_rows(setup.robot.joint_names, "mrad"))
+    figure = with_law_legend(style.joint_rows(setup.robot.joint_names, "mrad"))
     for run in comparison.drawn:
         times_s = run.data.times_s(topics.PLANT_TRUTH)
-        add_envelopes(figure, comparison, run.law, times_s, MRAD * run.data.true_errors_rad)
-    for joint, final in enumerate(MRAD * setup.funnel.final_rad):
-        figure.add_hline(float(final), row=joint + 1, line=DOTTED)
+        add_envelopes(figure, comparison, run.law, times_s, style.MRAD * run.data.true_errors_rad)
+    for joint, final in enumerate(style.MRAD * setup.funnel.final_rad):
+        figure.add_hline(float(final), row=joint + 1, line=style.DOTTED)
     return figure
 
 
@@ -83,14 +74,14 @@ def _errors(run: RunData, until_s: float) -> go.Figure | None:
     shown = times_s <= until_s
     if not shown.any():
         return None
-    times_s, errors = times_s[shown], MRAD * run.true_errors_rad[shown]
+    times_s, errors = times_s[shown], style.MRAD * run.true_errors_rad[shown]
     outside = bound_usage(run)[shown] >= 1.0
     figure = _bounds(run.setup, times_s[0], times_s[-1])
     for joint, (error, out) in enumerate(zip(errors.T, outside.T, strict=True)):
-        traces = [line(times_s, error, palette(joint), "true error")]
+        traces = [style.line(times_s, error, style.palette(joint), "true error")]
         if out.any():
-            marks = line(times_s[out], error[out], ALARM, "outside the bounds")
-            traces.append(marks.update(mode="markers", marker={"size": 3, "color": ALARM}))
+            marks = style.line(times_s[out], error[out], style.ALARM, "outside the bounds")
+            traces.append(marks.update(mode="markers", marker={"size": 3, "color": style.ALARM}))
         figure.add_traces(traces, rows=joint + 1, cols=1)
     return figure
 
@@ -105,22 +96,22 @@ def _errors_by_law(comparison: Comparison, until_s: float) -> go.Figure | None:
     for run in reversed(comparison.drawn):  # the first law lies on top
         times_s = run.data.times_s(topics.PLANT_TRUTH)
         shown = times_s <= until_s
-        errors = MRAD * run.data.true_errors_rad[shown]
+        errors = style.MRAD * run.data.true_errors_rad[shown]
         add_law(figure, comparison, run.law, times_s[shown], errors.T)
     return figure
 
 
 def _bounds(setup: Setup, from_s: float, until_s: float) -> go.Figure:
-    """A row per joint, with its bounds as a shaded band."""
+    """A row per joint, with its bounds as a shaded style.band."""
     times_s = np.linspace(from_s, until_s, _BAND_POINTS)
-    figure = joint_rows(setup.robot.joint_names, "mrad")
-    upper, lower = (MRAD * bound.T for bound in setup.funnel.bounds(times_s))
+    figure = style.joint_rows(setup.robot.joint_names, "mrad")
+    upper, lower = (style.MRAD * bound.T for bound in setup.funnel.bounds(times_s))
     for joint in range(setup.robot.joints):
-        figure.add_traces(band(times_s, upper[joint], lower[joint]), rows=joint + 1, cols=1)
+        figure.add_traces(style.band(times_s, upper[joint], lower[joint]), rows=joint + 1, cols=1)
     figure.update_xaxes(range=[from_s, until_s])
     return figure
 
 
 def _zoom(figure: go.Figure, limits_rad: Vector) -> None:
-    for row, limit in enumerate(MRAD * limits_rad, start=1):
+    for row, limit in enumerate(style.MRAD * limits_rad, start=1):
         figure.update_yaxes(range=[-limit, limit], row=row)

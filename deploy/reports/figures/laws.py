@@ -9,15 +9,7 @@ import plotly.graph_objects as go
 
 from bus_schema.arrays import Matrix, Vector
 from deploy.comparison.comparison import Comparison
-from deploy.reports.figures.style import (
-    INK,
-    line,
-    log_axis,
-    palette,
-    plain,
-    put_legend_on_top,
-    style,
-)
+from deploy.reports.figures import style
 from deploy.reports.quantities import JointQuantity
 
 _ENVELOPE_S = 0.05
@@ -31,23 +23,23 @@ def joint_bars(comparison: Comparison, quantity: JointQuantity) -> go.Figure | N
     for run in comparison.runs:
         heights = [value or None for value in quantity.of_joints(run.summary)]
         figure.add_bar(
-            x=[plain(name) for name in run.summary["tracking"]["joint_names"]],
-            y=heights, name=plain(run.law), hovertemplate="%{y:.3g}",
+            x=[style.plain(name) for name in run.summary["tracking"]["joint_names"]],
+            y=heights, name=style.plain(run.law), hovertemplate="%{y:.3g}",
             marker={"color": law_colour(comparison, run.law), "line": {"width": 0}},
         )  # fmt: skip
     if not any(height for bars in figure.data for height in bars.y):
         return None
-    style(figure, 420)
+    style.apply(figure, 420)
     add_law_legend(figure)
     figure.update_layout(barmode="group", bargap=0.25, bargroupgap=0.08)
     figure.update_yaxes(title_text=quantity.column.title)
-    log_axis(figure)
+    style.log_axis(figure)
     return figure
 
 
 def with_law_legend(rows: go.Figure) -> go.Figure:
     """A figure of rows, to which `add_law` adds a line per law in each."""
-    rows.update_annotations(font={"size": 12, "color": INK})
+    rows.update_annotations(font={"size": 12, "color": style.INK})
     add_law_legend(rows)
     return rows
 
@@ -57,7 +49,7 @@ def add_law(
 ) -> None:
     """Add a law's line to each row of a figure; its first one stands in the legend."""
     for row, y in enumerate(rows, start=1):
-        trace = line(x, y, law_colour(comparison, law), law, 1.3)
+        trace = style.line(x, y, law_colour(comparison, law), law, 1.3)
         trace.update(
             legendgroup=law_group(comparison, law),
             legendrank=comparison.colour_index(law) + 1,
@@ -75,12 +67,12 @@ def add_envelopes(
     largest = np.maximum.reduceat(np.abs(errors), starts, axis=0)
     shown = np.where(largest > _SMALLEST, largest, np.nan)
     add_law(figure, comparison, law, times_s[starts], shown.T)
-    log_axis(figure)
+    style.log_axis(figure)
 
 
 def law_colour(comparison: Comparison, law: str) -> str:
     """Colour of a law in all figures."""
-    return palette(comparison.colour_index(law))
+    return style.palette(comparison.colour_index(law))
 
 
 def law_group(comparison: Comparison, law: str) -> str:
@@ -90,4 +82,4 @@ def law_group(comparison: Comparison, law: str) -> str:
 
 def add_law_legend(figure: go.Figure) -> None:
     """A legend of laws in two columns."""
-    put_legend_on_top(figure, _LEGEND_ROWS, entrywidthmode="fraction", entrywidth=0.48)
+    style.put_legend_on_top(figure, _LEGEND_ROWS, entrywidthmode="fraction", entrywidth=0.48)

@@ -71,7 +71,7 @@ def joint_rows(names: tuple[str, ...], unit: str) -> go.Figure:
     )
     for joint, title in enumerate(figure.layout.annotations):
         title.update(x=0, xanchor="left", font={"size": 12, "color": palette(joint)})
-    style(figure, plot_px + _TOP_PX + _BOTTOM_PX)
+    apply(figure, plot_px + _TOP_PX + _BOTTOM_PX)
     figure.update_yaxes(title={"text": unit, "font": {"size": 11}, "standoff": 4}, nticks=5)
     figure.update_xaxes(title_text="time (s)", row=rows)
     return figure
@@ -95,7 +95,7 @@ def per_joint(run: RunData, topic: Topic, field: str) -> Matrix:
     return np.asarray(run.tables[topic.name][field].reshape(-1, run.setup.robot.joints))
 
 
-def style(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
+def apply(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
     """Give a figure the report's looks."""
     figure.update_layout(
         template="plotly_white",

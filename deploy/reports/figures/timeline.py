@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode, mode_in
-from deploy.reports.figures.style import ALARM, INK, plain, style
+from deploy.reports.figures.style import ALARM, INK, apply, plain
 from deploy.runs.run_data import RunData
 
 _ROLES = (Role.PLANT, Role.CONTROLLER)
@@ -24,13 +24,37 @@ _LEAST_SHARE = 0.004
 
 
 def timeline(run: RunData) -> go.Figure | None:
-    """The modes of both sides over time, with faults and first touches of a limit."""
+    """The modes of both sides over time, with faults and first touches of a limit.
+
+    What lasts an instant is drawn wide enough to be seen.
+    """
     spans = [(role, *span) for role in _ROLES for span in mode_spans(run, role)]
     if not spans:
         return None
     end_s = max(span[3] for span in spans)
-    figure = go.Figure([_bars(spans, mode, end_s) for mode in reversed(Mode)] + _marks(run))
-    style(figure, _HEIGHT_PX, legend=True)
+    figure = go.Figure()
+    for mode in reversed(Mode):
+        own = [(role, start, end) for role, its, start, end in spans if its is mode]
+        name = mode.name.lower()
+        figure.add_bar(
+            y=[str(role) for role, _, _ in own],
+            base=[start for _, start, _ in own],
+            x=[max(end - start, _LEAST_SHARE * end_s) for _, start, end in own],
+            orientation="h", name=name, marker={"color": _COLOURS[mode], "line": {"width": 0}},
+            hovertext=[f"{name} {start:.3f} s to {end:.3f} s" for _, start, end in own],
+            hoverinfo="text",
+        )  # fmt: skip
+    for kind, (symbol, colour) in _MARKS.items():
+        events = [event for event in run.events if event.kind == kind and event.source in _ROLES]
+        if events:
+            figure.add_scatter(
+                x=[event.stamp_ns * 1e-9 for event in events],
+                y=[event.source for event in events], mode="markers", name=str(kind),
+                marker={"symbol": symbol, "size": 10, "color": colour,
+                        "line": {"color": "white", "width": 1}},
+                hovertext=[plain(event.detail) for event in events], hoverinfo="text+x",
+            )  # fmt: skip
+    apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
         barmode="overlay", bargap=0.35, legend={"y": -0.35, "traceorder": "reversed"}
     )
@@ -52,38 +76,3 @@ def mode_spans(run: RunData, role: Role) -> list[tuple[Mode, float, float]]:
     ends = [start_s for _, start_s in changes[1:]]
     ends.append(max(event.stamp_ns * 1e-9 for event in run.events))
     return [(mode, start, end) for (mode, start), end in zip(changes, ends, strict=True)]
-
-
-def _bars(spans: list[tuple[Role, Mode, float, float]], mode: Mode, end_s: float) -> go.Bar:
-    """The bars of one mode; one that lasts an instant is drawn wide enough to be seen."""
-    own = [(role, start, end) for role, its, start, end in spans if its is mode]
-    return go.Bar(
-        y=[str(role) for role, _, _ in own],
-        base=[start for _, start, _ in own],
-        x=[max(end - start, _LEAST_SHARE * end_s) for _, start, end in own],
-        orientation="h",
-        name=mode.name.lower(),
-        marker={"color": _COLOURS[mode], "line": {"width": 0}},
-        hovertext=[f"{mode.name.lower()} {start:.3f} s to {end:.3f} s" for _, start, end in own],
-        hoverinfo="text",
-    )
-
-
-def _marks(run: RunData) -> list[go.Scatter]:
-    marks = []
-    for kind, (symbol, colour) in _MARKS.items():
-        events = [e for e in run.events if e.kind == kind and e.source in _ROLES]
-        if events:
-            marks.append(
-                go.Scatter(
-                    x=[event.stamp_ns * 1e-9 for event in events],
-                    y=[event.source for event in events],
-                    mode="markers",
-                    name=str(kind),
-                    marker={"symbol": symbol, "size": 10, "color": colour,
-                            "line": {"color": "white", "width": 1}},
-                    hovertext=[plain(event.detail) for event in events],
-                    hoverinfo="text+x",
-                )
-            )  # fmt: skip
-    return marks

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 
 from bus_schema.arrays import Vector
 from bus_schema.messages import topics
-from deploy.reports.figures.style import ALARM, palette, style
+from deploy.reports.figures.style import ALARM, apply, palette
 from deploy.reports.quantities import TIMES
 from deploy.runs.run_data import RunData
 
@@ -28,7 +28,7 @@ def timing_percentiles(run: RunData) -> go.Figure | None:
     figure = go.Figure()
     for index, (name, values) in enumerate(quantities.items()):
         figure.add_trace(_percentile_curve(name, values, palette(index)))
-    style(figure, 460, legend=True)
+    apply(figure, 460, legend=True)
     ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
     figure.update_xaxes(
         type="log",
@@ -58,7 +58,7 @@ def deadline_misses(run: RunData) -> go.Figure | None:
             hovertemplate="%{x:.3g} s: %{customdata} ticks, %{y:.1f} %<extra></extra>",
         )
     )  # fmt: skip
-    style(figure, 460)
+    apply(figure, 460)
     figure.update_layout(bargap=0)
     figure.update_xaxes(title_text="time (s)", range=[0.0, edges[-1]])
     figure.update_yaxes(title_text="missed ticks (%)", rangemode="tozero")

@@ -12,18 +12,9 @@ from plotly.subplots import make_subplots
 from bus_schema.arrays import Matrix
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison, LawRun
+from deploy.reports.figures import style
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.laws import add_law, law_colour, with_law_legend
-from deploy.reports.figures.style import (
-    DOTTED,
-    INK,
-    joint_rows,
-    joint_series,
-    log_axis,
-    per_joint,
-    plain,
-    style,
-)
 from deploy.runs.chattering import CHATTER_HZ, power_spectrum
 from deploy.runs.run_data import RunData
 
@@ -35,14 +26,14 @@ _NEAR = 0.8
 
 def torques(run: RunData) -> go.Figure | None:
     """Commanded torque of every joint, with its limits where it comes near them."""
-    figure = joint_series(run, topics.JOINT_COMMANDS, "effort", "N m")
+    figure = style.joint_series(run, topics.JOINT_COMMANDS, "effort", "N m")
     if figure is None:
         return None
-    peaks = np.abs(per_joint(run, topics.JOINT_COMMANDS, "effort")).max(axis=0)
+    peaks = np.abs(style.per_joint(run, topics.JOINT_COMMANDS, "effort")).max(axis=0)
     for joint, limit in enumerate(run.setup.robot.effort_limits_nm):
         if peaks[joint] > _NEAR * limit:
             for level in (-limit, limit):
-                figure.add_hline(level, row=joint + 1, line=DOTTED)
+                figure.add_hline(level, row=joint + 1, line=style.DOTTED)
     return figure
 
 
@@ -54,7 +45,7 @@ def torques_by_law(comparison: Comparison) -> go.Figure | None:
     names = runs[0].data.setup.robot.joint_names
     figure = make_subplots(
         rows=len(names), cols=len(runs), shared_xaxes=True, shared_yaxes="rows",
-        column_titles=[plain(run.law) for run in runs],
+        column_titles=[style.plain(run.law) for run in runs],
         horizontal_spacing=0.012, vertical_spacing=0.06 / max(1, len(names) / 3),
     )  # fmt: skip
     for column, run in enumerate(runs, start=1):
@@ -63,12 +54,12 @@ def torques_by_law(comparison: Comparison) -> go.Figure | None:
         for row, effort in enumerate(_efforts(run).T, start=1):
             x, y = decimate(times_s, effort, _TORQUE_POINTS)
             figure.add_scatter(x=x, y=y, mode="lines", line=stroke, row=row, col=column)
-    style(figure, len(names) * _ROW_PX + 120)
+    style.apply(figure, len(names) * _ROW_PX + 120)
     figure.update_layout(margin={"t": 64, "l": 84})
-    figure.update_annotations(font={"size": 13, "color": INK})
+    figure.update_annotations(font={"size": 13, "color": style.INK})
     figure.update_xaxes(title_text="time (s)", row=len(names))
     for row, name in enumerate(names, start=1):
-        title = {"text": f"{plain(name)}<br>(N m)", "font": {"size": 11}}
+        title = {"text": f"{style.plain(name)}<br>(N m)", "font": {"size": 11}}
         figure.update_yaxes(title=title, row=row, col=1)
     return figure
 
@@ -79,15 +70,15 @@ def torque_spectra(comparison: Comparison) -> go.Figure | None:
     if not runs:
         return None
     names = runs[0].data.setup.robot.joint_names
-    figure = with_law_legend(joint_rows(names, "N m"))
+    figure = with_law_legend(style.joint_rows(names, "N m"))
     for run in reversed(runs):
         frequencies, power = power_spectrum(_efforts(run), run.data.setup.scenario.rate_hz)
         amplitudes = np.sqrt(2.0 * np.maximum(power[1:], _SPECTRUM_FLOOR))
         add_law(figure, comparison, run.law, frequencies[1:], amplitudes.T)
     figure.update_xaxes(type="log", dtick=1, title_text="")
     figure.update_xaxes(title_text="frequency (Hz)", row=len(names))
-    log_axis(figure, decades=2)
-    figure.add_vline(CHATTER_HZ, row="all", line=DOTTED)
+    style.log_axis(figure, decades=2)
+    figure.add_vline(CHATTER_HZ, row="all", line=style.DOTTED)
     return figure
 
 
@@ -96,4 +87,4 @@ def _with_torques(comparison: Comparison) -> list[LawRun]:
 
 
 def _efforts(run: LawRun) -> Matrix:
-    return per_joint(run.data, topics.JOINT_COMMANDS, "effort")
+    return style.per_joint(run.data, topics.JOINT_COMMANDS, "effort")

@@ -11,13 +11,7 @@ from typing import Any, NamedTuple
 
 import plotly.graph_objects as go
 
-from deploy.reports.figures.style import (
-    log_axis,
-    palette,
-    plain,
-    put_legend_on_top,
-    style,
-)
+from deploy.reports.figures import style
 from deploy.reports.study_tables import shown_value
 from deploy.reports.tables import scaled
 
@@ -102,12 +96,12 @@ def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.
         _add_curve(figure, line, quantity)
     if not any(value is not None for trace in figure.data for value in trace.y):
         return None
-    style(figure, _HEIGHT_PX)
+    style.apply(figure, _HEIGHT_PX)
     _add_legend(figure, [line.name for line in lines])
-    figure.update_xaxes(title_text=plain(x_title))
+    figure.update_xaxes(title_text=style.plain(x_title))
     figure.update_yaxes(title_text=quantity.axis)
     if quantity.is_log:
-        log_axis(figure)
+        style.log_axis(figure)
     else:
         figure.update_yaxes(rangemode="tozero")
     return figure
@@ -121,20 +115,20 @@ def bars(all_bars: Sequence[Bar], y_title: str) -> go.Figure | None:
     groups = list(dict.fromkeys(bar.group for bar in all_bars))
     for index, group in enumerate(groups):
         members = [bar for bar in all_bars if bar.group == group]
-        own = [palette(number) for number in range(len(members))]
+        own = [style.palette(number) for number in range(len(members))]
         figure.add_bar(
-            x=[plain(bar.name) for bar in members], y=[bar.height or 0.0 for bar in members],
+            x=[style.plain(bar.name) for bar in members], y=[bar.height or 0.0 for bar in members],
             text=[bar.text for bar in members], name=group,
             textposition="outside", cliponaxis=False,
             constraintext="none", textangle=0, textfont={"size": 10},
             customdata=[bar.rerun for bar in members], hovertemplate="%{x}: %{text}",
-            marker={"color": palette(index) if len(groups) > 1 else own},
+            marker={"color": style.palette(index) if len(groups) > 1 else own},
         )  # fmt: skip
-    style(figure, _HEIGHT_PX)
+    style.apply(figure, _HEIGHT_PX)
     if len(groups) > 1:
         _add_legend(figure, groups)
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
-    figure.update_yaxes(title_text=plain(y_title), rangemode="tozero")
+    figure.update_yaxes(title_text=style.plain(y_title), rangemode="tozero")
     return figure
 
 
@@ -156,8 +150,8 @@ def heat_map(
     texts = [["" if mean is None else f"{mean:.3g}" for mean in row] for row in means]
     crowded = len(x[1]) * len(y[1]) > 150
     field = go.Heatmap(
-        x=[plain(shown_value(value)) for value in x[1]],
-        y=[plain(shown_value(value)) for value in y[1]],
+        x=[style.plain(shown_value(value)) for value in x[1]],
+        y=[style.plain(shown_value(value)) for value in y[1]],
         z=means, zmin=0.0, zmax=max((m for row in means for m in row if m), default=1.0),
         customdata=[[point.rerun if point else "" for point in row] for row in rows],
         text=texts, texttemplate=None if crowded else "%{text}",
@@ -166,9 +160,9 @@ def heat_map(
         hovertemplate="%{x} · %{y}: %{text}<extra></extra>",
     )  # fmt: skip
     figure = go.Figure(field)
-    style(figure, 140 + max(240, min(34 * len(y[1]), 600)))
-    figure.update_xaxes(title_text=plain(x[0]), type="category", showgrid=False)
-    figure.update_yaxes(title_text=plain(y[0]), type="category", showgrid=False)
+    style.apply(figure, 140 + max(240, min(34 * len(y[1]), 600)))
+    figure.update_xaxes(title_text=style.plain(x[0]), type="category", showgrid=False)
+    figure.update_yaxes(title_text=style.plain(y[0]), type="category", showgrid=False)
     return figure
 
 
@@ -177,7 +171,7 @@ def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
         values = (point.value(quantity, which) for point in line.points)
         return [None if v is None or (quantity.is_log and v <= 0.0) else v for v in values]
 
-    colour, group = palette(line.colour), f"{line.colour}-{line.dash}"
+    colour, group = style.palette(line.colour), f"{line.colour}-{line.dash}"
     x = [point.x for point in line.points]
     ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
     known = [end for end in ends if end[1] is not None]
@@ -189,7 +183,7 @@ def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
             hoverinfo="skip", showlegend=False, legendgroup=group,
         )  # fmt: skip
     figure.add_scatter(
-        x=x, y=drawn("mean"), name=plain(line.name), legendgroup=group, mode="lines+markers",
+        x=x, y=drawn("mean"), name=style.plain(line.name), legendgroup=group, mode="lines+markers",
         line={"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
         marker={"size": 7}, customdata=[point.rerun for point in line.points],
         hovertemplate="%{x}: %{y:.3g}",
@@ -205,4 +199,4 @@ def _add_legend(figure: go.Figure, names: Sequence[str]) -> None:
     """A legend in as many columns as fit, with room for what narrow pages take."""
     widest = max(map(len, names), default=0)
     rows = len(names) if widest > _NARROW_NAME else -(-len(names) // 2)
-    put_legend_on_top(figure, rows, entrywidthmode="pixels", entrywidth=_LETTER_PX * widest)
+    style.put_legend_on_top(figure, rows, entrywidthmode="pixels", entrywidth=_LETTER_PX * widest)
