@@ -100,5 +100,7 @@ class CommandProgress:
         speed = (self._done - self._done_before) / elapsed_s
         line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
         if speed > 0.0:
-            line += f", {speed:.3g} {self._unit}/s, {(self._total - self._done) / speed:.0f} s left"
+            line += f", {speed:.3g} {self._unit}/s"
+            if self._done < self._total:
+                line += f", {(self._total - self._done) / speed:.0f} s left"
         return f"{line}, {self._note}" if self._note else line
