@@ -107,12 +107,11 @@ def _mark_best(comparison: Comparison, rows: list[list[Cell]], columns: Iterable
     """Set off the smallest number of each column, where several laws that finished have one."""
     finished = [row for row, run in zip(rows, comparison.runs, strict=True) if run.is_whole]
     for column in columns:
-        known = [
-            (cell.value, row) for row in finished if isinstance((cell := row[column]).value, float)
-        ]
+        values = [row[column].value for row in finished]
+        known = [value for value in values if isinstance(value, float)]
         if len(known) > 1:
-            smallest, row = min(known, key=lambda one: one[0])
-            row[column] = Cell(smallest, "best")
+            best = finished[values.index(min(known))]
+            best[column] = Cell(best[column].value, "best")
 
 
 def _ranking(comparison: Comparison) -> list[str]:

@@ -17,7 +17,7 @@ from deploy.reports.verdict import Verdict
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
 QUANTITIES = [many_runs.TICKS_OUTSIDE, many_runs.WORST_RMS]
-"""What is drawn, each as many_runs.curves and as heat maps; another one is another entry."""
+"""What is drawn, each as curves and as heat maps; another one is another entry."""
 
 
 def sweep_content(summary: Summary) -> StudyContent:

@@ -13,8 +13,8 @@ from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.comparison.comparison import Comparison
+from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_envelopes, law_colour, with_law_legend
-from deploy.reports.figures.style import INK, MM, MUTED, apply, joint_rows, line, palette, plain
 from deploy.runs.run_data import RunData, stamps_s
 
 _CAMERA = {"eye": {"x": 1.8, "y": 1.55, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.12}}
@@ -29,8 +29,8 @@ def tip_path(run: RunData) -> go.Figure | None:
     if not len(actual):
         return None
     figure = go.Figure([
-        _path(wanted, "reference", MUTED, 9),
-        _path(actual, "true", palette(0), 4),
+        _path(wanted, "reference", style.MUTED, 9),
+        _path(actual, "true", style.palette(0), 4),
         _mark(actual[0], "start", "circle"),
         _mark(actual[-1], "end", "diamond"),
     ])  # fmt: skip
@@ -43,12 +43,12 @@ def tip_error(run: RunData) -> go.Figure | None:
     times_s, actual, wanted = tip_positions(run)
     if not len(times_s):
         return None
-    errors = MM * (actual - wanted)
+    errors = style.MM * (actual - wanted)
     figure = go.Figure([
-        line(times_s, error, palette(index), axis)
+        style.line(times_s, error, style.palette(index), axis)
         for index, (axis, error) in enumerate(zip("xyz", errors.T, strict=True))
     ])  # fmt: skip
-    apply(figure, _HEIGHT_PX, legend=True)
+    style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_xaxes(title_text="time (s)")
     figure.update_yaxes(title_text="mm")
     late = times_s >= run.setup.scenario.metrics.from_s
@@ -77,10 +77,10 @@ def tip_error_envelopes(comparison: Comparison) -> go.Figure | None:
     """Size of the tip's error along each axis of the base frame, on a logarithmic scale."""
     if not comparison.drawn:
         return None
-    figure = with_law_legend(joint_rows(("x", "y", "z"), "mm"))
+    figure = with_law_legend(style.joint_rows(("x", "y", "z"), "mm"))
     for run in comparison.drawn:
         times_s, actual, wanted = tip_positions(run.data)
-        add_envelopes(figure, comparison, run.law, times_s, MM * (actual - wanted))
+        add_envelopes(figure, comparison, run.law, times_s, style.MM * (actual - wanted))
     return figure
 
 
@@ -101,18 +101,18 @@ def _path(points: Matrix, name: str, colour: str, width: float) -> go.Scatter3d:
     """A path in space; points have shape (points, 3), m."""
     x, y, z = points.T
     stroke = {"color": colour, "width": width}
-    return go.Scatter3d(x=x, y=y, z=z, name=plain(name), mode="lines", line=stroke)
+    return go.Scatter3d(x=x, y=y, z=z, name=style.plain(name), mode="lines", line=stroke)
 
 
 def _mark(point: Vector, name: str, symbol: str) -> go.Scatter3d:
     """A point in space, shape (3,), m."""
     x, y, z = point
-    marker = {"size": 5, "color": INK, "symbol": symbol}
+    marker = {"size": 5, "color": style.INK, "symbol": symbol}
     return go.Scatter3d(x=[x], y=[y], z=[z], name=name, mode="markers", marker=marker)
 
 
 def _style_path(figure: go.Figure, height_px: float) -> None:
-    apply(figure, height_px, legend=True)
+    style.apply(figure, height_px, legend=True)
     axes = {f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5} for name in "xyz"}
     figure.update_layout(
         scene={"aspectmode": "data", "camera": _CAMERA, **axes},

@@ -102,7 +102,7 @@ def _errors_by_law(comparison: Comparison, until_s: float) -> go.Figure | None:
 
 
 def _bounds(setup: Setup, from_s: float, until_s: float) -> go.Figure:
-    """A row per joint, with its bounds as a shaded style.band."""
+    """A row per joint, with its bounds as a shaded band."""
     times_s = np.linspace(from_s, until_s, _BAND_POINTS)
     figure = style.joint_rows(setup.robot.joint_names, "mrad")
     upper, lower = (style.MRAD * bound.T for bound in setup.funnel.bounds(times_s))

@@ -9,19 +9,19 @@ from bus_schema.arrays import Matrix
 from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
 from deploy.comparison.comparison import Comparison
-from deploy.reports.figures.style import joint_series, line
+from deploy.reports.figures import style
 from deploy.runs.run_data import RunData
 
 
 def network_output(run: RunData) -> go.Figure | None:
     """Output of the network and the dynamics it stands in for; None for a law without one."""
-    figure = joint_series(run, topics.CONTROL_STATUS, "network_output", "N m")
+    figure = style.joint_series(run, topics.CONTROL_STATUS, "network_output", "N m")
     if figure is None:
         return None
     times_s, truth = run.times_s(topics.PLANT_TRUTH), unknown_dynamics_nm(run)
     late = times_s >= run.setup.scenario.metrics.from_s
     for row, values in enumerate(truth.T, start=1):
-        trace = line(times_s, values, "rgba(123,135,148,0.55)", "true dynamics", 4.5)
+        trace = style.line(times_s, values, "rgba(123,135,148,0.55)", "true dynamics", 4.5)
         figure.add_trace(trace, row=row, col=1)
         if late.any():
             lowest, highest = values[late].min(), values[late].max()

@@ -9,8 +9,8 @@ import plotly.graph_objects as go
 
 from deploy.comparison.comparison import Comparison
 from deploy.comparison.settling import LONGEST_S, SettlingRow
+from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_law_legend, joint_bars, law_colour, law_group
-from deploy.reports.figures.style import apply, plain
 from deploy.reports.quantities import SETTLING_BOUND, SETTLING_TIME
 
 
@@ -25,8 +25,8 @@ def settling(comparison: Comparison) -> go.Figure | None:
         if any(bound is not None for bound in bounds):
             colour = law_colour(comparison, run.law)
             figure.add_scatter(
-                x=[plain(name) for name in run.summary["tracking"]["joint_names"]], y=bounds,
-                name=f"bound of {plain(run.law)}", mode="lines+markers", showlegend=False,
+                x=[style.plain(name) for name in run.summary["tracking"]["joint_names"]], y=bounds,
+                name=f"bound of {style.plain(run.law)}", mode="lines+markers", showlegend=False,
                 line={"color": colour, "width": 1.5, "dash": "dash"},
                 marker={"symbol": "line-ew-open", "size": 18, "color": colour},
             )  # fmt: skip
@@ -45,7 +45,7 @@ def settling_from_afar(comparison: Comparison) -> go.Figure | None:
         times = [row.settling_time_s for row in test.rows]
         figure.add_scatter(
             x=distances, y=[top_s if time is None else time for time in times],
-            name=plain(test.law), legendgroup=group, mode="lines+markers",
+            name=style.plain(test.law), legendgroup=group, mode="lines+markers",
             line={"color": colour, "width": 1.6},
             marker={"symbol": [_symbol(row) for row in test.rows], "size": 9, "color": colour,
                     "line": {"color": colour, "width": 2}},
@@ -54,12 +54,12 @@ def settling_from_afar(comparison: Comparison) -> go.Figure | None:
         )  # fmt: skip
         if test.bound_s is not None:
             figure.add_scatter(
-                x=distances, y=[test.bound_s] * len(distances), name=f"bound of {plain(test.law)}",
-                legendgroup=group, showlegend=False, mode="lines",
+                x=distances, y=[test.bound_s] * len(distances), mode="lines",
+                name=f"bound of {style.plain(test.law)}", legendgroup=group, showlegend=False,
                 line={"color": colour, "width": 1.6, "dash": "dash"},
                 hovertemplate="bound %{y:.3g} s",
             )  # fmt: skip
-    apply(figure, 460)
+    style.apply(figure, 460)
     add_law_legend(figure)
     figure.update_layout(legend={"traceorder": "reversed"})
     figure.update_xaxes(

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode, mode_in
-from deploy.reports.figures.style import ALARM, INK, apply, plain
+from deploy.reports.figures import style
 from deploy.runs.run_data import RunData
 
 _ROLES = (Role.PLANT, Role.CONTROLLER)
@@ -16,9 +16,9 @@ _COLOURS = {
     Mode.READY: "#7fb5d6",
     Mode.TRACKING: "#009e73",
     Mode.STOPPING: "#e08e0b",
-    Mode.FAULT: ALARM,
+    Mode.FAULT: style.ALARM,
 }
-_MARKS = {EventKind.FAULT: ("x", ALARM), EventKind.LIMIT: ("triangle-down", INK)}
+_MARKS = {EventKind.FAULT: ("x", style.ALARM), EventKind.LIMIT: ("triangle-down", style.INK)}
 _HEIGHT_PX = 210
 _LEAST_SHARE = 0.004
 
@@ -52,9 +52,9 @@ def timeline(run: RunData) -> go.Figure | None:
                 y=[event.source for event in events], mode="markers", name=str(kind),
                 marker={"symbol": symbol, "size": 10, "color": colour,
                         "line": {"color": "white", "width": 1}},
-                hovertext=[plain(event.detail) for event in events], hoverinfo="text+x",
+                hovertext=[style.plain(event.detail) for event in events], hoverinfo="text+x",
             )  # fmt: skip
-    apply(figure, _HEIGHT_PX, legend=True)
+    style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
         barmode="overlay", bargap=0.35, legend={"y": -0.35, "traceorder": "reversed"}
     )
