@@ -138,7 +138,7 @@ def finish(
         write_json(folder.summary, {"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
     summary = conclude(folder, data, outcome.failures)
-    show_summary(console, summary)
+    show_summary(console, data, summary)
     show_places(console, folder)
     raise typer.Exit(
         exit_code(

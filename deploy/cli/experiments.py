@@ -20,7 +20,8 @@ from deploy.cli.common import (
     parse_laws,
     show_places,
 )
-from deploy.cli.show_comparison import CompareProgress, settling_sentence, show_comparison
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_comparison import settling_sentence, show_comparison
 from deploy.cli.show_run import show_summary
 from deploy.cli.studies import is_study, report_study
 from deploy.comparison.comparison import Comparison, LawRun, load_setups
@@ -28,6 +29,7 @@ from deploy.comparison.folder import KIND, ComparisonFolder
 from deploy.comparison.settling import settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.reports.compare_report import write_comparison_report
+from deploy.reports.compare_tables import bounds_sentence
 from deploy.reports.verdict import PARTIAL
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
@@ -104,7 +106,7 @@ def report(
     else:
         data, _ = load_run(run_dir)
         folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-        show_summary(console, conclude(folder, data))
+        show_summary(console, data, conclude(folder, data))
         console.print(f"report: {folder.report}", soft_wrap=True)
 
 
@@ -128,11 +130,15 @@ def _run_all(
 ) -> list[LawRun]:
     """Simulate one law after another, until the user sets `stop` by an interrupt."""
     runs = []
-    with CompareProgress(console, setups) as progress:
+    total_s, before_s = sum(setup.scenario.duration_s for setup in setups), 0.0
+    with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
+            law = setup.scenario.controller.law
 
-            def on_start(loop: PlantLoop, setup: Setup = setup) -> None:
-                progress.start(setup.scenario.controller.law, loop)
+            def on_start(
+                loop: PlantLoop, setup: Setup = setup, law: str = law, before_s: float = before_s
+            ) -> None:
+                progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, law)
 
                 def request_stop() -> None:
                     stop.set()
@@ -141,7 +147,8 @@ def _run_all(
                 on_interrupt(request_stop)
 
             runs.append(folder.add(attempt(setup, on_start)))
-            progress.done(runs[-1])
+            progress.say(f"{law}: {bounds_sentence(runs[-1])}")
+            before_s += setup.scenario.duration_s
             if stop.is_set():
                 break
     return runs

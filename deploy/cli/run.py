@@ -13,7 +13,8 @@ from deploy.cli.common import (
     finish,
     on_interrupt,
 )
-from deploy.cli.show_run import RunProgress
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_run import status_handler
 from deploy.processes.endpoints import with_free_endpoints
 from deploy.processes.launcher import Launcher
 from deploy.processes.links import check_link, require_keys
@@ -36,7 +37,7 @@ def run(
     folder = RunFolder.begin(setup, out)
     launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
     on_interrupt(launcher.request_stop)
-    with RunProgress(console, setup.scenario.name, setup.scenario.duration_s) as progress:
-        outcome = launcher.run(progress.hear)
+    with CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s") as progress:
+        outcome = launcher.run(status_handler(progress))
     folder.write_manifest(setup, outcome.realtime)
     finish(console, folder, outcome, require_bounds=require_bounds)

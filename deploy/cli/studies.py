@@ -13,10 +13,11 @@ from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.cli.common import Out, Overrides, on_interrupt, parse_laws, show_places, with_options
-from deploy.cli.show_study import StudyProgress, show_study
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_study import RunCounter, show_study
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.reports.study_report import write_study_report
-from deploy.reports.study_text import write_margin_table
+from deploy.reports.study_tables import write_margin_table
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.definition import SHIPPED
@@ -152,9 +153,10 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
         folder = StudyFolder(path or create_folder(study, out), study)
         folder.lock()
         on_interrupt(stop.set)
-        with StudyProgress(console, study.definition.name, study.expected) as progress:
+        name = study.definition.name
+        with CommandProgress(console, name, study.expected, "runs") as progress:
             try:
-                carry_out(study, team, folder, progress, stop)
+                carry_out(study, team, folder, RunCounter(progress), stop)
             except ClusterLostError as error:
                 lost = error
             finally:

@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
 
 from deploy.comparison.comparison import Comparison, LawRun
-from deploy.reports.tables import number, of_joint, percent, table
+from deploy.reports import quantities
+from deploy.reports.tables import Cell, Column, Table, number, scaled
 from deploy.reports.verdict import Verdict
 
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
+
+
+def _percentage(section: str, key: str) -> Callable[[dict[str, Any]], float | None]:
+    return lambda summary: scaled(summary[section][key], 100.0)
+
+
+_NUMBERS = [
+    (Column("Ticks outside", "%", "Outside"), _percentage("bounds", "violation_fraction"), False),
+    (Column("Smallest margin", "%", "Margin"), _percentage("bounds", "margin_min"), False),
+    (replace(quantities.RMS_ERROR.column, brief=None), quantities.RMS_ERROR.of_worst_joint, True),
+    (quantities.TOTAL_VARIATION.column, quantities.TOTAL_VARIATION.of_worst_joint, True),
+    (quantities.SHARE_ABOVE_50_HZ.column, quantities.SHARE_ABOVE_50_HZ.of_worst_joint, True),
+    (quantities.SETTLING_TIME.column, quantities.SETTLING_TIME.of_worst_joint, True),
+    (quantities.SETTLING_BOUND.column, quantities.SETTLING_BOUND.of_worst_joint, False),
+    (Column("Saturated ticks", "%", None), _percentage("torque", "saturated_fraction"), False),
+]
+"""Columns of the verdict, what stands in them, and whether the smallest is the best."""
 
 
 def judge(comparison: Comparison) -> Verdict:
@@ -34,81 +54,64 @@ def bounds_sentence(run: LawRun) -> str:
     if not run.is_whole:
         return "; ".join(faults[:_SHOWN_FAULTS]) or "did not come to its end"
     if bounds["kept"]:
-        return f"kept its bounds, smallest margin {percent_of(bounds['margin_min'])}"
+        return f"kept its bounds, smallest margin {number(bounds['margin_min'], 100.0, ' %')}"
     return (
         f"left its bounds at {bounds['first_violation_s']:.3f} s, outside at"
-        f" {percent_of(bounds['violation_fraction'])} of the ticks"
+        f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks"
     )
 
 
-def percent_of(value: float | None) -> str:
-    """A fraction as per cent, to three digits."""
-    return number(value, 100.0, " %")
-
-
-def largest(values: Sequence[float | None] | None) -> float | None:
-    """The largest of all joints; None if one of them has none."""
-    if values is None:
-        return None
-    known = [value for value in values if value is not None]
-    return max(known) if known and len(known) == len(values) else None
-
-
-def verdict_table(comparison: Comparison) -> str:
+def verdict_table(comparison: Comparison) -> Table:
     """A row per law with what decides; each number is that of the law's worst joint."""
-    header = ["Law", "Bounds", "Ticks outside", "Smallest margin", "RMS error (mrad)",
-              "Σ|Δτ| (N m/s)", "Torque energy above 50 Hz", "Settled after (s)",
-              "Settling bound (s)", "Saturated ticks"]  # fmt: skip
-    rows, ranked = [], {}
-    for index, run in enumerate(comparison.runs):
-        tracking, torque, bounds = (run.summary[s] for s in ("tracking", "torque", "bounds"))
-        variation, settled = (
-            largest(values)
-            for values in (torque["total_variation_nm_per_s"], tracking["settling_time_s"])
-        )
-        rms, share = largest(tracking["rms_rad"]), largest(torque["share_above_50_hz"])
-        rows.append([
-            run.law, _status(run), percent(bounds["violation_fraction"]),
-            percent_of(bounds["margin_min"]), number(rms, 1e3), number(variation),
-            percent_of(share), number(settled), number(_settling_bound(run)),
-            percent_of(torque["saturated_fraction"]),
-        ])  # fmt: skip
-        for column, value in ((4, rms), (5, variation), (6, share), (7, settled)):
-            ranked[index, column] = value if run.is_whole else None
-    return table(header, rows, "numbers", _best(ranked))
+    scenario = comparison.runs[0].data.setup.scenario
+    rows = [
+        [Cell(run.law), _status(run), *(Cell(value(run.summary)) for _, value, _ in _NUMBERS)]
+        for run in comparison.runs
+    ]
+    ranked = (place for place, (*_, is_ranked) in enumerate(_NUMBERS, start=2) if is_ranked)
+    _mark_best(comparison, rows, ranked)
+    return Table(
+        f"{scenario.name} · {scenario.duration_s:g} s · worst joint of each law",
+        [
+            Column("Law", is_text=True),
+            Column("Bounds", is_text=True),
+            *(column for column, _, _ in _NUMBERS),
+        ],
+        rows,
+        "The best of all laws that finished is set off. RMS errors from"
+        f" {scenario.metrics.from_s:g} s on; everything else over the whole run."
+        f" {quantities.SETTLED}",
+    )
 
 
-def joint_table(comparison: Comparison, section: str, key: str, factor: float = 1.0) -> str:
-    """One number of the summaries, a row per law and a column per joint, the smallest set off."""
-    names = comparison.runs[0].summary["tracking"]["joint_names"] if comparison.runs else []
-    rows, ranked = [], {}
-    for index, run in enumerate(comparison.runs):
-        values = [of_joint(run.summary[section][key], joint) for joint in range(len(names))]
-        rows.append([run.law, *(number(value, factor) for value in values)])
-        for joint, value in enumerate(values):
-            ranked[index, joint + 1] = value if run.is_whole else None
-    return table(["Law", *names], rows, "numbers", _best(ranked))
+def joint_table(comparison: Comparison, quantity: quantities.JointQuantity) -> Table:
+    """One number of every joint, a row per law, the smallest of each joint set off."""
+    tracking = comparison.runs[0].summary["tracking"]
+    from_s = comparison.runs[0].data.setup.scenario.metrics.from_s
+    rows = [[Cell(run.law), *map(Cell, quantity.of_joints(run.summary))] for run in comparison.runs]
+    _mark_best(comparison, rows, range(1, len(tracking["joint_names"]) + 1))
+    return Table(
+        f"{quantity.heading}{f' from {from_s:g} s on' if quantity.late else ''} ({quantity.unit})",
+        [Column("Law", is_text=True), *map(Column, tracking["joint_names"])],
+        rows,
+    )
 
 
-def _status(run: LawRun) -> str:
+def _status(run: LawRun) -> Cell:
     if not run.is_whole:
-        return "fault"
-    return "kept" if run.kept_bounds else "lost"
+        return Cell("fault", "bad")
+    return Cell("kept", "good") if run.kept_bounds else Cell("lost", "bad")
 
 
-def _settling_bound(run: LawRun) -> float | None:
-    bound = run.summary["tracking"]["settling_bound_s"]
-    return largest(bound) if isinstance(bound, list) else bound
-
-
-def _best(ranked: dict[tuple[int, int], float | None]) -> set[tuple[int, int]]:
-    """Row and column of the smallest number of each column; none where nothing competes."""
-    best = set()
-    for column in {column for _, column in ranked}:
-        cells = {cell: v for cell, v in ranked.items() if cell[1] == column and v is not None}
-        if len(cells) > 1:
-            best.add(min(cells, key=lambda cell: cells[cell]))
-    return best
+def _mark_best(comparison: Comparison, rows: list[list[Cell]], columns: Iterable[int]) -> None:
+    """Set off the smallest number of each column, where several laws that finished have one."""
+    finished = [row for row, run in zip(rows, comparison.runs, strict=True) if run.is_whole]
+    for column in columns:
+        values = [row[column].value for row in finished]
+        known = [value for value in values if isinstance(value, float)]
+        if len(known) > 1:
+            best = finished[values.index(min(known))]
+            best[column] = Cell(best[column].value, "best")
 
 
 def _ranking(comparison: Comparison) -> list[str]:

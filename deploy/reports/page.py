@@ -1,82 +1,99 @@
-"""The page around a report: one HTML file that holds everything it needs and opens offline."""
+"""The page of a report: one HTML file that holds everything it needs and opens offline."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Callable, Mapping, Sequence
+import base64
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib import resources
-from string import Template
-from typing import Generic, TypeVar
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import plotly.graph_objects as go
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
+
+from bus_schema.recording.atomic_files import write_whole
 
 T = TypeVar("T")
 """What a report is about: a run, or several."""
 
 
+class Fact(NamedTuple):
+    """A labelled value at the top of a report; `hint` says more of it."""
+
+    label: str
+    value: str
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the arm at a time of a run."""
+
+    time_s: float
+    png: bytes
+
+    @property
+    def source(self) -> str:
+        return f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
+
+
 @dataclass(frozen=True)
 class Panel(Generic[T]):
-    """A figure with its title, caption and id; `content` gives its HTML, or nothing to show."""
+    """A figure of a report.
 
+    Attributes:
+        section: title of the section that it stands in.
+        id: of its HTML element, and the only one of this name in a page.
+        title: of the figure.
+        draw: gives the figure, or pictures; None where there is nothing to draw.
+        caption: what to look for in it.
+        is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
+    """
+
+    section: str
     id: str
     title: str
+    draw: Callable[[T], go.Figure | Sequence[Picture] | None]
     caption: str
-    content: Callable[[T, str], str]
+    is_clickable: bool = False
 
 
-def page(title: str, template: str, values: Mapping[str, str]) -> str:
-    """A whole page.
+def write_page(
+    path: Path, template: str, panels: Iterable[Panel[T]], subject: T, **values: Any
+) -> None:
+    """Write a report.
 
     Args:
-        title: plain text.
-        template: file name of the template of the page's body.
-        values: what the template asks for, as HTML.
+        path: the HTML file.
+        template: file name of the template of this kind of report.
+        panels: its figures, in order.
+        subject: what they show.
+        values: what else the template asks for: always `title`, `verdict` and `facts`.
     """
-    body = _template(template).substitute(values)
-    return _template("page.html").substitute(
-        title=html.escape(title), plotly_js=get_plotlyjs(), body=body
+    sections: dict[str, list[tuple[Panel[T], Any]]] = {}
+    for panel in panels:
+        content = panel.draw(subject)
+        if content is not None:
+            sections.setdefault(panel.section, []).append((panel, content))
+    html = _ENVIRONMENT.get_template(template).render(
+        plotly_js=get_plotlyjs(), sections=sections, **values
     )
+    write_whole(path, html)
 
 
-def render_sections(sections: Mapping[str, Sequence[Panel[T]]], subject: T) -> str:
-    """All sections of figures; those without a figure to show are left out."""
-    rendered = []
-    for title, panels in sections.items():
-        shown = "".join(_figure(panel, subject) for panel in panels)
-        if shown:
-            rendered.append(f'<h2>{html.escape(title)}</h2>\n<div class="panels">{shown}</div>\n')
-    return "".join(rendered) or "<h2>Figures</h2><p>Nothing was recorded that could be drawn.</p>"
-
-
-def plot(draw: Callable[[T], go.Figure | None]) -> Callable[[T, str], str]:
-    """The content of a panel that shows a plotly figure."""
-
-    def content(subject: T, panel_id: str) -> str:
-        figure = draw(subject)
-        if figure is None:
-            return ""
-        data = figure.to_json().replace("<", "\\u003c")  # nothing in it can end the script element
-        return (
-            f'<div id="{panel_id}-plot" style="height: {figure.layout.height}px"></div>'
-            f'<script type="application/json" data-plot="{panel_id}-plot">{data}</script>'
-        )
-
-    return content
-
-
-def _template(name: str) -> Template:
-    return Template(
-        resources.files("deploy.reports").joinpath("templates", name).read_text("utf-8")
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("deploy.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
+    environment.policies["json.dumps_function"] = lambda figure, **_: figure.to_json()
+    environment.tests["figure"] = lambda content: isinstance(content, go.Figure)
+    return environment
 
 
-def _figure(panel: Panel[T], subject: T) -> str:
-    content = panel.content(subject, panel.id)
-    if not content:
-        return ""
-    return (
-        f'<figure class="card" id="{panel.id}"><h3>{html.escape(panel.title)}</h3>{content}'
-        f"<figcaption>{html.escape(panel.caption)}</figcaption></figure>\n"
-    )
+_ENVIRONMENT = _environment()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from deploy.reports.tables import number
 from deploy.runs.run_data import RunData
 
 PARTIAL = "The recording is partial: it was not finished properly."
-_SHOWN_FAULTS = 5
 
 
 @dataclass(frozen=True)
@@ -20,43 +21,45 @@ class Verdict:
             (no run to judge as a whole).
         headline: the verdict.
         reasons: what it rests on, a sentence each.
+        faults: what went wrong, causes before what followed from them.
     """
 
     level: Literal["good", "bad", "mixed", "broken"]
     headline: str
-    reasons: list[str]
+    reasons: Sequence[str]
+    faults: Sequence[str] = ()
 
 
 def judge(run: RunData, summary: dict[str, Any]) -> Verdict:
     """The verdict on a run."""
-    bounds = summary["bounds"]
+    bounds, faults = summary["bounds"], summary["faults"]
     is_judged = bounds["violation_fraction"] is not None
-    reasons = [*_trouble(run, summary), _bounds_sentence(summary)]
-    if summary["completed"] and not summary["faults"] and is_judged:
-        if bounds["kept"]:
-            return Verdict("good", "Bounds kept", reasons)
-        return Verdict("bad", "Bounds not kept", reasons)
-    headline = "Run faulted" if summary["faults"] else "Run incomplete"
+    reasons = [_bounds_sentence(summary), *_shortcomings(run, summary)]
+    kept = "kept" if bounds["kept"] else "not kept"
+    if summary["completed"] and not faults and is_judged:
+        return Verdict("good" if bounds["kept"] else "bad", f"Bounds {kept}", reasons)
+    headline = "Run faulted" if faults else "Run incomplete"
     if is_judged:
-        headline += ", bounds kept until then" if bounds["kept"] else ", bounds not kept"
-    return Verdict("broken", headline, reasons)
+        headline += f", bounds {kept}" + (" until then" if bounds["kept"] else "")
+    return Verdict("broken", headline, reasons, faults)
 
 
-def _trouble(run: RunData, summary: dict[str, Any]) -> list[str]:
-    """Everything that makes this less than a whole run."""
-    faults = summary["faults"]
-    trouble = [f"Fault of the {fault}" for fault in faults[:_SHOWN_FAULTS]]
-    if len(faults) > _SHOWN_FAULTS:
-        trouble.append(f"{len(faults) - _SHOWN_FAULTS} more faults are listed below.")
+def _shortcomings(run: RunData, summary: dict[str, Any]) -> list[str]:
+    """Everything but faults that makes this less than a whole run on an undisturbed machine."""
+    found = []
     if not run.complete:
-        trouble.append(PARTIAL)
-    planned_s = run.setup.scenario.duration_s
+        found.append(PARTIAL)
+    planned_s, timing = run.setup.scenario.duration_s, summary["timing"]
     if not summary["completed"] and summary["duration_s"] < planned_s:
-        trouble.append(f"The data end at {summary['duration_s']:.3f} s of {planned_s:g} s planned.")
+        found.append(f"The data end at {summary['duration_s']:.3f} s of {planned_s:g} s planned.")
     if run.lost:
         missed = ", ".join(f"{topic} {count:,}" for topic, count in run.lost.items())
-        trouble.append(f"The recording lacks {sum(run.lost.values()):,} messages: {missed}.")
-    return trouble
+        found.append(f"The recording lacks {sum(run.lost.values()):,} messages: {missed}.")
+    if timing["deadline_misses"] and timing["stolen_ms"]:
+        found.append(
+            f"A hypervisor took {timing['stolen_ms']:.0f} ms of CPU time away during the run."
+        )
+    return found
 
 
 def _bounds_sentence(summary: dict[str, Any]) -> str:
@@ -64,8 +67,11 @@ def _bounds_sentence(summary: dict[str, Any]) -> str:
     if bounds["violation_fraction"] is None:
         return "No tick was recorded, so there is nothing to judge."
     if bounds["kept"]:
-        return f"The true error of every joint was inside its bounds at all {ticks:,} ticks."
+        return (
+            f"The true error of every joint was inside its bounds at all {ticks:,} ticks; the"
+            f" smallest margin was {number(bounds['margin_min'], 100, ' %')}."
+        )
     return (
-        f"The true error was outside its bounds at {100 * bounds['violation_fraction']:.3g} %"
+        f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
         f" of the ticks, for the first time at {bounds['first_violation_s']:.3f} s."
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import plotly.graph_objects as go
 
 from bus_schema.messages import topics
-from deploy.reports.figures.style import ALARM
+from deploy.reports.figures import style
 from deploy.runs.run_data import RunData
 
 _OPACITY = 0.09
@@ -47,5 +47,11 @@ def _shade(figure: go.Figure, run: RunData) -> None:
     where = {"row": "all", "col": "all"} if has_rows else {}
     for start_s, end_s in fault_spans_s(run):
         figure.add_vrect(
-            start_s, end_s, fillcolor=ALARM, opacity=_OPACITY, line_width=0, layer="below", **where
+            start_s,
+            end_s,
+            fillcolor=style.ALARM,
+            opacity=_OPACITY,
+            line_width=0,
+            layer="below",
+            **where,
         )

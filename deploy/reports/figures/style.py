@@ -8,24 +8,36 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.messages.topics import Topic
 from deploy.reports.figures.decimation import decimate
+from deploy.runs.run_data import RunData
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 INK, MUTED, GRID, BAND, ALARM = "#1f2933", "#7b8794", "#e9edf1", "rgba(0,114,178,0.11)", "#c0392b"
-_JOINTS = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#5b5b5b")
+_PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#5b5b5b")
 _ROW_GAP_PX, _TOP_PX, _BOTTOM_PX = 34, 34, 50
+_BUTTONS_PX, _LEGEND_ROW_PX = 27, 21  # plotly's buttons stand above the legend
+MRAD = MM = 1e3
+DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
 
 
-def joint_colour(joint: int) -> str:
-    """Colour of a joint in every figure; after Okabe and Ito, darkened to be read on white."""
-    return _JOINTS[joint % len(_JOINTS)]
+def palette(index: int) -> str:
+    """Colour of a joint or a law, by number; after Okabe and Ito, darkened to be read on white."""
+    return _PALETTE[index % len(_PALETTE)]
+
+
+def plain(text: str) -> str:
+    """Text as it is shown in a figure, where plotly would read it as HTML."""
+    return html.escape(text)
 
 
 def line(times_s: Vector, values: Vector, colour: str, name: str, width: float = 1.4) -> go.Scatter:
     """A series over time, decimated."""
     x, y = decimate(times_s, values)
-    return go.Scatter(x=x, y=y, name=name, mode="lines", line={"color": colour, "width": width})
+    return go.Scatter(
+        x=x, y=y, name=plain(name), mode="lines", line={"color": colour, "width": width}
+    )
 
 
 def band(times_s: Vector, upper: Vector, lower: Vector) -> tuple[go.Scatter, go.Scatter]:
@@ -55,17 +67,35 @@ def joint_rows(names: tuple[str, ...], unit: str) -> go.Figure:
         cols=1,
         shared_xaxes=True,
         vertical_spacing=_ROW_GAP_PX / plot_px if rows > 1 else 0.0,
-        subplot_titles=[html.escape(name) for name in names],
+        subplot_titles=[plain(name) for name in names],
     )
     for joint, title in enumerate(figure.layout.annotations):
-        title.update(x=0, xanchor="left", font={"size": 12, "color": joint_colour(joint)})
-    style(figure, plot_px + _TOP_PX + _BOTTOM_PX)
+        title.update(x=0, xanchor="left", font={"size": 12, "color": palette(joint)})
+    apply(figure, plot_px + _TOP_PX + _BOTTOM_PX)
     figure.update_yaxes(title={"text": unit, "font": {"size": 11}, "standoff": 4}, nticks=5)
     figure.update_xaxes(title_text="time (s)", row=rows)
     return figure
 
 
-def style(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
+def joint_series(run: RunData, topic: Topic, field: str, unit: str) -> go.Figure | None:
+    """One field of a topic over time, a row per joint; None if it never has a value."""
+    values = per_joint(run, topic, field)
+    if not np.isfinite(values).any():
+        return None
+    names = run.setup.robot.joint_names
+    figure = joint_rows(names, unit)
+    for joint, name in enumerate(names):
+        trace = line(run.times_s(topic), values[:, joint], palette(joint), name)
+        figure.add_trace(trace, row=joint + 1, col=1)
+    return figure
+
+
+def per_joint(run: RunData, topic: Topic, field: str) -> Matrix:
+    """A field of a topic, shape (messages, joints)."""
+    return np.asarray(run.tables[topic.name][field].reshape(-1, run.setup.robot.joints))
+
+
+def apply(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
     """Give a figure the report's looks."""
     figure.update_layout(
         template="plotly_white",
@@ -79,3 +109,29 @@ def style(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
     axis = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
     figure.update_xaxes(**axis, showline=True, ticks="outside", tickcolor="#cbd2d9")
     figure.update_yaxes(**axis, exponentformat="power")
+
+
+def log_axis(figure: go.Figure, decades: int = 1) -> None:
+    """Make the vertical axes logarithmic, with a line for every one or more powers of ten."""
+    figure.update_yaxes(type="log", dtick=decades, tickformat="~g")
+
+
+def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:
+    """Make room above a figure for a legend, below the buttons in the corner.
+
+    Args:
+        figure: the figure, with its style.
+        rows: how many rows its legend takes.
+        entries: layout of the legend's entries.
+    """
+    added_px = _BUTTONS_PX + _LEGEND_ROW_PX * rows
+    height = figure.layout.height + added_px
+    figure.update_layout(
+        height=height,
+        margin={"t": figure.layout.margin.t + added_px},
+        showlegend=True,
+        legend={
+            "x": 0, "xanchor": "left", "y": 1.0 - _BUTTONS_PX / height, "yanchor": "top",
+            "yref": "container", "traceorder": "normal", **entries,
+        },
+    )  # fmt: skip

@@ -10,7 +10,8 @@ import plotly.graph_objects as go
 
 from bus_schema.arrays import Vector
 from bus_schema.messages import topics
-from deploy.reports.figures.style import ALARM, joint_colour, style
+from deploy.reports.figures import style
+from deploy.reports.quantities import TIMES
 from deploy.runs.run_data import RunData
 
 _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 99.9999)
@@ -26,8 +27,8 @@ def timing_percentiles(run: RunData) -> go.Figure | None:
         return None
     figure = go.Figure()
     for index, (name, values) in enumerate(quantities.items()):
-        figure.add_trace(_percentile_curve(name, values, joint_colour(index)))
-    style(figure, 460, legend=True)
+        figure.add_trace(_percentile_curve(name, values, style.palette(index)))
+    style.apply(figure, 460, legend=True)
     ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
     figure.update_xaxes(
         type="log",
@@ -53,11 +54,11 @@ def deadline_misses(run: RunData) -> go.Figure | None:
     figure = go.Figure(
         go.Bar(
             x=(edges[:-1] + edges[1:]) / 2, y=percent, customdata=misses,
-            marker={"color": ALARM, "line": {"width": 0}},
+            marker={"color": style.ALARM, "line": {"width": 0}},
             hovertemplate="%{x:.3g} s: %{customdata} ticks, %{y:.1f} %<extra></extra>",
         )
     )  # fmt: skip
-    style(figure, 460)
+    style.apply(figure, 460)
     figure.update_layout(bargap=0)
     figure.update_xaxes(title_text="time (s)", range=[0.0, edges[-1]])
     figure.update_yaxes(title_text="missed ticks (%)", rangemode="tozero")
@@ -68,13 +69,13 @@ def timing_quantities_us(run: RunData) -> dict[str, Vector]:
     """All values of every timing quantity that was ever measured, µs, by readable name."""
     truth = run.tables[topics.PLANT_TRUTH.name]
     in_nanoseconds = {
-        "round trip": truth["round_trip_ns"],
-        "command age": truth["command_age_ns"],
-        "state age": truth["state_age_ns"],
-        "control step": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
-        "wake-up lateness": truth["timing.lateness_ns"],
+        "round_trip_us": truth["round_trip_ns"],
+        "command_age_us": truth["command_age_ns"],
+        "state_age_us": truth["state_age_ns"],
+        "control_step_us": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
+        "wakeup_lateness_us": truth["timing.lateness_ns"],
     }
-    known = {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
+    known = {TIMES[key]: values[values >= 0] * 1e-3 for key, values in in_nanoseconds.items()}
     return {name: values for name, values in known.items() if len(values)}
 
 
@@ -83,11 +84,8 @@ def _percentile_curve(name: str, values: Vector, colour: str) -> go.Scatter:
     percentiles = 1.0 - 1.0 / one_in
     curve = np.quantile(values, percentiles, method="inverted_cdf")
     return go.Scatter(
-        x=one_in,
-        y=np.where(curve > 0.0, curve, np.nan),
+        x=one_in, y=np.where(curve > 0.0, curve, np.nan), mode="lines",
         name=name if curve[-1] > 0.0 else f"{name} (always 0)",
-        mode="lines",
         line={"color": colour, "width": 2, "shape": "hv"},
-        customdata=100.0 * percentiles,
-        hovertemplate="%{customdata:.5g} %: %{y:.4g} µs",
-    )
+        customdata=100.0 * percentiles, hovertemplate="%{customdata:.5g} %: %{y:.4g} µs",
+    )  # fmt: skip

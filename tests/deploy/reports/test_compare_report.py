@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingRow, SettlingTest
 from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import judge, largest
-from deploy.reports.figures import comparison as compare_figures
-from deploy.reports.figures import settling as compare_figures_settling
-from deploy.reports.figures import torque as compare_figures_torque
+from deploy.reports.compare_tables import judge
+from deploy.reports.figures.end_effector import tip_paths
+from deploy.reports.figures.errors import error_envelopes, errors_in_funnel
+from deploy.reports.figures.laws import joint_bars
+from deploy.reports.figures.settling import settling, settling_from_afar
+from deploy.reports.figures.torque import torque_spectra
+from deploy.reports.quantities import RMS_ERROR
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
@@ -87,10 +91,8 @@ def test_the_page_needs_nothing_from_outside(comparison, page_of):
 
 
 def test_every_law_is_in_every_figure_in_its_own_colour(comparison):
-    figures = [
-        compare_figures.rms_bars, compare_figures.errors_in_funnel, compare_figures.tip_paths,
-        compare_figures.error_envelopes, compare_figures_torque.torque_spectra,
-    ]  # fmt: skip
+    figures = [partial(joint_bars, quantity=RMS_ERROR), errors_in_funnel, tip_paths,
+               error_envelopes, torque_spectra]  # fmt: skip
     colours = {}
     for draw in figures:
         for trace in draw(comparison).data:
@@ -155,14 +157,12 @@ def test_settling_bounds_are_drawn_for_the_laws_that_have_one(comparison):
     bounded = replace(first, summary={**first.summary, "tracking": tracking})
     tracking = {**second.summary["tracking"], "settling_bound_s": None}
     unbounded = replace(second, summary={**second.summary, "tracking": tracking})
-    names = [
-        t.name for t in compare_figures_settling.settling(Comparison([bounded, unbounded])).data
-    ]
+    names = [t.name for t in settling(Comparison([bounded, unbounded])).data]
     assert [name for name in names if name.startswith("bound")] == ["bound of fixed_time_neural"]
 
 
 def test_starts_from_near_and_far_are_drawn_against_the_bound_of_the_law_that_has_one(comparison):
-    figure = compare_figures_settling.settling_from_afar(comparison)
+    figure = settling_from_afar(comparison)
     traces = {trace.name: trace for trace in figure.data}
     assert set(traces) == {"fixed_time_neural", "pid", "bound of fixed_time_neural"}
     starts = traces["fixed_time_neural"]
@@ -170,7 +170,7 @@ def test_starts_from_near_and_far_are_drawn_against_the_bound_of_the_law_that_ha
     assert starts.marker.symbol == ("circle", "x-thin-open")
     assert starts.y == (0.4, 1.2)  # the second did not settle in the 1.2 s that it was watched
     assert traces["bound of fixed_time_neural"].y == (2.5, 2.5)
-    assert compare_figures_settling.settling_from_afar(Comparison(comparison.runs)) is None
+    assert settling_from_afar(Comparison(comparison.runs)) is None
 
 
 def test_texts_from_a_run_are_shown_and_never_executed(comparison, page_of):
@@ -179,7 +179,9 @@ def test_texts_from_a_run_are_shown_and_never_executed(comparison, page_of):
     assert "<script>alert" not in page
 
 
-def test_the_largest_of_all_joints_is_unknown_if_one_is():
-    assert largest([1.0, 3.0, 2.0]) == 3.0
-    assert largest([1.0, None]) is None
-    assert largest(None) is None
+@pytest.mark.parametrize(
+    ("values", "largest"), [([1e-3, 3e-3, 2e-3], 3.0), ([1e-3, None], None), (None, None)]
+)
+def test_the_largest_of_all_joints_is_unknown_if_one_is(values, largest):
+    summary = {"tracking": {"rms_rad": values, "joint_names": ["a", "b", "c"]}}
+    assert RMS_ERROR.of_worst_joint(summary) == largest

@@ -1,19 +1,24 @@
 from __future__ import annotations
 
+import io
+import json
 import re
-import struct
-import zlib
 from dataclasses import replace
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
+from PIL import Image
 from plotly.offline import get_plotlyjs
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from deploy.reports.figures import run as figures
-from deploy.reports.figures import timing as figures_timing
-from deploy.reports.figures.arm_pictures import encode_png
+from deploy.reports import run_report
+from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.figures.decimation import decimate
+from deploy.reports.figures.network import unknown_dynamics_nm
+from deploy.reports.figures.timing import deadline_misses
+from deploy.reports.figures.torque import torques
+from deploy.reports.page import Panel
 from deploy.reports.run_report import write_report
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import build_run_data
@@ -114,7 +119,7 @@ def test_texts_from_a_run_are_shown_and_never_executed(run, page_of):
 
 def test_joint_names_are_plain_text_in_figures(run):
     robot = replace(run.setup.robot, joint_names=(HOSTILE, "shoulder", "elbow"))
-    figure = figures.torques(replace(run, setup=replace(run.setup, robot=robot)))
+    figure = torques(replace(run, setup=replace(run.setup, robot=robot)))
     assert "<" not in figure.to_json()
 
 
@@ -137,13 +142,13 @@ def test_a_picture_shows_the_whole_arm(run):
 
 
 def test_every_deadline_missed_fills_its_figure(run, late_run):
-    assert figures_timing.deadline_misses(run) is None
-    figure = figures_timing.deadline_misses(late_run)
+    assert deadline_misses(run) is None
+    figure = deadline_misses(late_run)
     assert max(figure.data[0].y) == pytest.approx(100.0)
 
 
 def test_the_network_learns_what_the_report_compares_it_with(run):
-    truth = figures.unknown_dynamics_nm(run)
+    truth = unknown_dynamics_nm(run)
     status = run.tables["control_status"]["network_output"]
     assert np.abs(status[-100:] - truth[-101:-1]).max() < 0.1 * np.abs(truth[-100:]).max()
 
@@ -166,19 +171,25 @@ def test_decimation_keeps_gaps():
     assert np.isnan(few).all()
 
 
-def test_a_png_holds_the_pixels():
-    pixels = np.random.default_rng(1).integers(0, 256, (5, 7, 3), dtype=np.uint8)
-    png = encode_png(pixels)
-    assert png[:8] == b"\x89PNG\r\n\x1a\n"
-    chunks, rest = {}, png[8:]
-    while rest:
-        length, kind = struct.unpack(">I4s", rest[:8])
-        chunks[kind] = rest[8 : 8 + length]
-        (checksum,) = struct.unpack(">I", rest[8 + length : 12 + length])
-        assert checksum == zlib.crc32(rest[4 : 8 + length])
-        rest = rest[12 + length :]
-    assert list(chunks) == [b"IHDR", b"IDAT", b"IEND"]
-    assert struct.unpack(">IIBBBBB", chunks[b"IHDR"]) == (7, 5, 8, 2, 0, 0, 0)
-    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(5, 22)
-    assert not rows[:, 0].any()
-    assert np.array_equal(rows[:, 1:].reshape(pixels.shape), pixels)
+def test_the_pictures_of_a_report_show_start_middle_and_end(run):
+    pictures = arm_pictures(run)
+    assert [picture.time_s for picture in pictures] == pytest.approx([0.0, 0.75, 1.5])
+    for picture in pictures:
+        image = Image.open(io.BytesIO(picture.png))
+        assert (image.format, image.size) == ("PNG", (480, 420))
+        assert 500 < (np.asarray(image) < 255).any(axis=2).sum() < 480 * 420 / 2
+
+
+def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, monkeypatch):
+    def speed(run):
+        truth = run.tables["plant_truth"]
+        return go.Figure(go.Scatter(y=truth["velocity"][:, 0]), {"height": 300})
+
+    mine = Panel("Motion", "mine", "Speed of <the> first joint", speed, "It stops at the end.")
+    monkeypatch.setattr(run_report, "PANELS", [*run_report.PANELS, mine])
+    page = page_of(run)
+    assert '<figure class="card" id="mine"><h3>Speed of &lt;the&gt; first joint</h3>' in page
+    assert "<figcaption>It stops at the end.</figcaption>" in page
+    shown = re.search(r'data-plot="mine-plot">(.*?)</script>', page)
+    assert json.loads(shown[1])["layout"]["height"] == 300
+    assert page.count("<h2>Motion</h2>") == 1

@@ -22,8 +22,8 @@ from deploy.experiments.fault_table import (
     needs_processes,
     to_safe_state_ms,
 )
+from deploy.reports.figures.errors import error_in_funnel
 from deploy.reports.figures.faults import fault_spans_s, with_faults
-from deploy.reports.figures.run import error_in_funnel
 from deploy.reports.figures.style import ALARM
 from deploy.runs.metrics import summarise
 from deploy.runs.replay import replay

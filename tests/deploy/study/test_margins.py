@@ -8,7 +8,8 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.reports.study_report import write_study_report
-from deploy.reports.study_text import margin_table
+from deploy.reports.study_tables import margins_by_law
+from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.conduct import retrace
@@ -89,7 +90,7 @@ def test_margins_as_a_table_for_documents(tmp_path):
     margin = margin_of(limit=8)
     _, folder = conduct(margin, tmp_path / "out", Here(lambda run: made_up(run) | {
         "bounds_kept": "pid" not in str(run.overrides)}))  # fmt: skip
-    assert margin_table(margin.summary(folder.rows)).splitlines() == [
+    assert as_markdown(margins_by_law(margin.summary(folder.rows))).splitlines() == [
         "| law | paper_arm |",
         "| --- | --- |",
         "| `pid` | none |",

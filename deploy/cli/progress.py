@@ -1,0 +1,106 @@
+"""How far a command is: a live line on a terminal, a plain line now and then elsewhere."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+_POLL_S = 0.1
+_PLAIN_LINE_S = 3.0
+
+
+class CommandProgress:
+    """Progress of a command.
+
+    Args:
+        console: where it is shown.
+        name: what is being done.
+        total: how much there is to do.
+        unit: of that, such as ``s`` of simulated time, or ``runs``.
+    """
+
+    def __init__(self, console: Console, name: str, total: float, unit: str) -> None:
+        self._console, self._unit, self._note = console, unit, ""
+        self._total, self._done, self._done_before = total, 0.0, 0.0
+        self._bar = Progress(
+            TextColumn("{task.description}", style="bold", markup=False),
+            BarColumn(bar_width=20),
+            TextColumn("{task.fields[line]}", markup=False),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task(name, total=total, line="starting")
+        self._started_s = self._printed_s = time.monotonic()
+        self._is_printed = True
+        self._position: Callable[[], float] | None = None
+        self._over = threading.Event()
+        self._follower = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> CommandProgress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._position is not None:
+            self._follower.join()
+            self.update(self._position())
+        self._bar.stop()
+        if not self._is_printed:
+            self._print_plainly()
+
+    def update(self, done: float, *, total: float | None = None, note: str | None = None) -> None:
+        """So much is done now.
+
+        Args:
+            done: how much in all.
+            total: how much there is to do; as before by default.
+            note: what else there is to say; as before by default.
+        """
+        self._done = done
+        self._total = self._total if total is None else total
+        self._note = self._note if note is None else note
+        self._bar.update(self._task, completed=done, total=self._total, line=self._line())
+        self._is_printed = False
+        if time.monotonic() - self._printed_s >= _PLAIN_LINE_S:
+            self._print_plainly()
+
+    def skip_to(self, done: float) -> None:
+        """So much was done before this command, which says nothing of its speed."""
+        self._done_before = done
+
+    def follow(self, position: Callable[[], float], name: str) -> None:
+        """Ask again and again how much is done, until the end or until this is called again."""
+        is_first, self._position = self._position is None, position
+        self._bar.update(self._task, description=name)
+        if is_first:
+            self._follower.start()
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        self._console.print(text, markup=False, highlight=False)
+
+    def _watch(self) -> None:
+        while not self._over.wait(_POLL_S):
+            if self._position is not None:
+                self.update(self._position())
+
+    def _print_plainly(self) -> None:
+        self._printed_s, self._is_printed = time.monotonic(), True
+        if not self._console.is_terminal:
+            self.say(self._line())
+
+    def _line(self) -> str:
+        elapsed_s = max(time.monotonic() - self._started_s, 1e-9)
+        speed = (self._done - self._done_before) / elapsed_s
+        line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
+        if speed > 0.0:
+            line += f", {speed:.3g} {self._unit}/s"
+            if self._done < self._total:
+                line += f", {(self._total - self._done) / speed:.0f} s left"
+        return f"{line}, {self._note}" if self._note else line

@@ -1,0 +1,54 @@
+"""What a neural network learned, against the dynamics it stands in for."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+
+from bus_schema.arrays import Matrix
+from bus_schema.messages import topics
+from controller.manipulator_model import ManipulatorModel
+from deploy.comparison.comparison import Comparison
+from deploy.reports.figures import style
+from deploy.runs.run_data import RunData
+
+
+def network_output(run: RunData) -> go.Figure | None:
+    """Output of the network and the dynamics it stands in for; None for a law without one."""
+    figure = style.joint_series(run, topics.CONTROL_STATUS, "network_output", "N m")
+    if figure is None:
+        return None
+    times_s, truth = run.times_s(topics.PLANT_TRUTH), unknown_dynamics_nm(run)
+    late = times_s >= run.setup.scenario.metrics.from_s
+    for row, values in enumerate(truth.T, start=1):
+        trace = style.line(times_s, values, "rgba(123,135,148,0.55)", "true dynamics", 4.5)
+        figure.add_trace(trace, row=row, col=1)
+        if late.any():
+            lowest, highest = values[late].min(), values[late].max()
+            room = 0.3 * (highest - lowest) + 1.0
+            figure.update_yaxes(range=[lowest - room, highest + room], row=row)
+    figure.data = figure.data[::-1]  # what is drawn first lies below
+    return figure
+
+
+def first_network_output(comparison: Comparison) -> go.Figure | None:
+    """The same of the first law with a network."""
+    drawings = (network_output(run.data) for run in comparison.drawn)
+    return next((figure for figure in drawings if figure is not None), None)
+
+
+def unknown_dynamics_nm(run: RunData) -> Matrix:
+    """M(q) q̈_d + C(q, q̇) q̇ + G(q) + friction + disturbance at every tick, shape (ticks, joints).
+
+    With the true arm's M, C and G, payload included, and the reference acceleration q̈_d.
+    """
+    setup = run.setup
+    model = ManipulatorModel(setup.robot, payload_kg=setup.scenario.plant.payload_kg)
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    position, velocity = truth["position"], truth["velocity"]
+    torque = truth["friction"] + truth["disturbance"]
+    wanted, rate, acceleration = np.empty((3, setup.robot.joints))
+    for tick, time_s in enumerate(run.times_s(topics.PLANT_TRUTH)):
+        setup.reference.evaluate(float(time_s), wanted, rate, acceleration)
+        torque[tick] += model.inverse_dynamics(position[tick], velocity[tick], acceleration)
+    return np.asarray(torque)

@@ -1,0 +1,117 @@
+"""The numbers of a run as tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.percentiles import PERCENTILES
+from deploy.reports import quantities
+from deploy.reports.tables import ABSENT, Column, Table, Value, scaled
+from deploy.runs.run_data import RunData
+
+_SHOWN_EVENTS = 200
+_PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
+_TRANSPORT = {
+    "sent": "Sent",
+    "delivered": "Delivered",
+    "lost": "Lost",
+    "loss_burst.mean": "Lost in a row, mean",
+    "loss_burst.longest": "Lost in a row, most",
+    "duplicated": "Duplicated",
+    "reordered": "Reordered",
+    "delay_ms.mean": "Delay, mean (ms)",
+    **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in _PERCENTILES.items()},
+}
+
+
+def joint_table(summary: dict[str, Any], from_s: float) -> Table:
+    """Errors (from `from_s` on) and torques, a row per joint."""
+    names = summary["tracking"]["joint_names"]
+    shown = [
+        (quantity.column, quantity.of_joints(summary))
+        for quantity in quantities.OF_ONE_RUN
+        if quantity is not quantities.SETTLING_BOUND or summary[quantity.section][quantity.key]
+    ]
+    return Table(
+        "Joints",
+        [Column("Joint", is_text=True), *(column for column, _ in shown)],
+        list(zip(names, *(values for _, values in shown), strict=True)),
+        f"Errors from {from_s:g} s on. {quantities.SETTLED}",
+    )
+
+
+def timing_table(summary: dict[str, Any]) -> Table:
+    """Percentiles of every timing quantity."""
+    return Table(
+        "Timing",
+        [Column("Time", is_text=True), *(Column(title, "µs") for title in _PERCENTILES.values())],
+        [
+            [title, *(summary["timing"][key][name] for name in _PERCENTILES)]
+            for key, title in quantities.TIMES.items()
+        ],
+        "Control step and wake-up lateness are wall time, the others are on the run's clock.",
+    )
+
+
+def health_table(summary: dict[str, Any]) -> Table:
+    """Deadlines, pace and recording."""
+    timing, recorder = summary["timing"], summary["recorder"]
+    rows = {
+        "Deadlines missed": timing["deadline_misses"],
+        "Longest run of misses (ticks)": timing["deadline_miss_longest_run"],
+        "Ticks with a saturated actuator (%)": scaled(summary["torque"]["saturated_fraction"], 100),
+        "Real-time factor": summary["real_time_factor"],
+        "CPU time that a hypervisor took (ms)": timing["stolen_ms"],
+        "Messages recorded": recorder["messages"],
+        "Messages lost by the recorder": recorder["lost"],
+        **{f"Lost of {topic}": count for topic, count in (recorder["lost_by_topic"] or {}).items()},
+    }
+    return Table("Health", [Column("Run", is_text=True), Column("")], list(rows.items()))
+
+
+def transport_table(summary: dict[str, Any]) -> Table:
+    """What became of the messages, a column per direction."""
+    channels = [summary["transport"][name] for name in ("uplink", "downlink")]
+    rows: list[list[Value]] = [
+        [title, *(_value(channel, key) for channel in channels)]
+        for key, title in _TRANSPORT.items()
+    ]
+    for reason in sorted({reason for channel in channels for reason in channel["rejected"]}):
+        counts = (channel["rejected"].get(reason, 0) for channel in channels)
+        rows.append([f"Rejected: {reason.replace('_', ' ')}", *counts])
+    if not any(channel["rejected"] for channel in channels):
+        rows.append(["Rejected", *(0 if channel["sent"] else None for channel in channels)])
+    columns = (Column("Messages", is_text=True), Column("Uplink (states)"))
+    return Table("Transport", [*columns, Column("Downlink (commands)")], rows)
+
+
+def event_table(run: RunData) -> Table:
+    """Everything that was announced, in order, but for counts, which have their own table."""
+    events = [event for event in run.events if event.kind != EventKind.COUNTS]
+    rows = [
+        [f"{event.stamp_ns * 1e-9:.3f}", event.source, event.kind, _detail(event)]
+        for event in events[:_SHOWN_EVENTS]
+    ]
+    hidden = len(events) - _SHOWN_EVENTS
+    if hidden > 0:
+        rows.append(["…", "", "", f"{hidden:,} more"])
+    if not rows:
+        rows.append([ABSENT, "", "", "no event was recorded"])
+    headings = ("Time (s)", "Source", "Event", "Detail")
+    return Table("Events", [Column(heading, is_text=True) for heading in headings], rows)
+
+
+def _value(values: dict[str, Any], dotted_key: str) -> float | None:
+    """A value of nested tables; None where a recording of another version has none."""
+    name, _, inner = dotted_key.partition(".")
+    found = values.get(name)
+    return _value(found or {}, inner) if inner else found
+
+
+def _detail(event: RunEvent) -> str:
+    """What an event says: its sentence, or its values as words."""
+    values = event.values().items()
+    words = (f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}".lower()
+             for key, value in values)  # fmt: skip
+    return ", ".join(words) or event.detail

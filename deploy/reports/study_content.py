@@ -1,0 +1,41 @@
+"""What the reports of sweeps and of margins have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from deploy.reports.page import Fact, Panel
+from deploy.reports.tables import Table
+from deploy.reports.verdict import Verdict
+
+Summary = dict[str, Any]
+
+
+class Study(NamedTuple):
+    """A sweep or margins: the summary, and what gives the command that runs a point again."""
+
+    summary: Summary
+    rerun: Callable[[str], str]
+
+
+@dataclass(frozen=True)
+class StudyContent:
+    """What the report of a study says.
+
+    Attributes:
+        kind: what it is a report of.
+        verdict: its top.
+        facts: labelled values below that.
+        panels: its figures.
+        results: its table.
+        points: each point's description and name.
+    """
+
+    kind: str
+    verdict: Verdict
+    facts: Sequence[Fact]
+    panels: Sequence[Panel[Study]]
+    results: Table
+    points: Sequence[tuple[str, str]]

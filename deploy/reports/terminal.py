@@ -1,0 +1,39 @@
+"""Tables in a terminal."""
+
+from __future__ import annotations
+
+from rich import box
+from rich import table as rich_table
+from rich.console import Console
+from rich.text import Text
+
+from deploy.reports.tables import Column, Status, Table
+
+STYLES: dict[Status, str] = {"": "", "good": "bold green", "bad": "bold red", "best": "bold"}
+_WHOLE_LETTERS = 24
+
+
+def print_table(console: Console, table: Table) -> None:
+    """Print the columns of a table that have their place in a terminal."""
+    chosen = [index for index, column in enumerate(table.columns) if column.brief is not None]
+    cells = [[row[index] for index in chosen] for row in table.cells]
+    shown = rich_table.Table(
+        title=Text(table.title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1)
+    )
+    for place, column in enumerate(table.columns[index] for index in chosen):
+        widest = max((len(row[place].text) for row in cells), default=0)
+        shown.add_column(
+            _heading(column),
+            justify="left" if column.is_text else "right",
+            overflow="fold",
+            no_wrap=column.is_text and widest <= _WHOLE_LETTERS,
+        )
+    for row in cells:
+        shown.add_row(*(Text(cell.text, STYLES[cell.status]) for cell in row))
+    if console.measure(shown, options=console.options.update(width=10_000)).maximum > console.width:
+        shown.padding = 0
+    console.print(shown)
+
+
+def _heading(column: Column) -> Text:
+    return Text("\n".join(filter(None, (column.brief or column.heading, column.unit))))

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import io
+import threading
+
+import pytest
+from rich.console import Console
+
+from deploy.cli import progress as progress_module
+from deploy.cli.progress import CommandProgress
+from deploy.cli.show_run import status_handler
+from deploy.cli.show_study import RunCounter
+from deploy.processes.status import StatusMessage
+
+
+@pytest.fixture
+def console():
+    return Console(file=io.StringIO(), width=200)
+
+
+def lines(console):
+    return console.file.getvalue().splitlines()
+
+
+def test_without_a_terminal_the_last_state_is_a_plain_line(console):
+    with CommandProgress(console, "arm", 8, "s") as progress:
+        progress.update(1.0)
+        progress.update(2.5, note="joint [elbow]")
+    (line,) = lines(console)
+    assert line.startswith("2.5 of 8 s, ")
+    assert line.endswith(", joint [elbow]")
+
+
+def test_plain_lines_come_now_and_then(console, monkeypatch):
+    monkeypatch.setattr(progress_module, "_PLAIN_LINE_S", 0.0)
+    with CommandProgress(console, "arm", 2, "runs") as progress:
+        progress.update(1)
+        progress.update(2)
+    assert [line.split(",")[0] for line in lines(console)] == ["1 of 2 runs", "2 of 2 runs"]
+
+
+def test_nothing_is_said_of_what_never_began(console):
+    with CommandProgress(console, "arm", 8, "s"):
+        pass
+    assert lines(console) == []
+
+
+def test_what_is_followed_is_asked_until_the_end(console):
+    asked, position = threading.Event(), [0.0]
+
+    def look():
+        asked.set()
+        return position[0]
+
+    with CommandProgress(console, "arm", 8, "s") as progress:
+        progress.follow(look, "arm")
+        assert asked.wait(10.0)
+        position[0] = 8.0
+    assert lines(console)[-1].startswith("8 of 8 s")
+
+
+def test_a_terminal_has_one_live_line_and_no_plain_ones():
+    console = Console(file=io.StringIO(), width=200, force_terminal=True)
+    with CommandProgress(console, "my_arm", 8, "s") as progress:
+        progress.update(2.0)
+    said = console.file.getvalue()
+    assert "my_arm" in said
+    assert "2 of 8 s" in said
+    assert not said.endswith("left\n")
+
+
+def test_runs_of_earlier_commands_are_told_apart_and_have_no_speed(console):
+    with CommandProgress(console, "study", 3, "runs") as progress:
+        counter = RunCounter(progress)
+        counter.done({"error": None}, 4, before=True)
+        counter.done({"error": "it broke"}, 4, before=True)
+    assert lines(console) == ["2 of 4 runs, 2 runs were there from before, 1 failed"]
+
+
+def test_what_processes_say_is_shown(console):
+    with CommandProgress(console, "arm", 8, "s") as progress:
+        handle = status_handler(progress)
+        handle(StatusMessage("plant", "progress", {"time_s": 1.5, "deadline_misses": 3}))
+        handle(StatusMessage("controller", "fault", {"text": "[it] broke"}))
+    fault, last = lines(console)
+    assert fault == "controller: [it] broke"
+    assert last.startswith("1.5 of 8 s")
+    assert last.endswith("deadline misses 3")

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import io
+import json
+import re
+from types import SimpleNamespace
+
+import pytest
+from rich.console import Console
+
+from deploy.cli.show_study import show_study
+from deploy.reports.study_report import write_study_report
+
+HOSTILE = "</script><script>alert(1)</script>"
+
+
+def spread(mean):
+    return {"mean": mean, "lowest": mean / 2, "highest": 2 * mean}
+
+
+def runs(fraction, **values):
+    spreads = {"violation_fraction": spread(fraction), "worst_rms_rad": spread(2e-3)}
+    return {"runs": 2, "runs_kept": 2 * (fraction == 0), "runs_failed": 0, **spreads, **values}
+
+
+@pytest.fixture
+def sweep():
+    values = [[float(delay), f"law{HOSTILE}"] for delay in range(3)]
+    return {
+        "kind": "sweep", "name": "small", "scenario": HOSTILE, "completed": False, "runs": 6,
+        "runs_failed": 1, "seeds": [4, 5],
+        "axes": [{"keys": ["link.uplink.delay_ms", HOSTILE], "values": [0.0, 1.0, 2.0]},
+                 {"keys": ["controller.law"], "values": [f"law{HOSTILE}"]}],
+        "points": [runs(0.01 * index, point=f"0000{index}", values=point)
+                   for index, point in enumerate(values)],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def margin():
+    probes = [runs(0.0, value=4.0, worst_point="a", points=["a"]),
+              runs(0.25, value=8.0, worst_point="b", points=["b", "c"])]  # fmt: skip
+    case = {
+        "arm": "my_arm",
+        "law": "pid",
+        "compensation": True,
+        "margin": 4.0,
+        "first_failure": 8.0,
+        "held_again": [12.0],
+        "completed": True,
+        "probes": probes,
+    }
+    return {
+        "kind": "margin", "name": "m", "quantity": "delay", "title": "round trip", "unit": "ms",
+        "resolution": 0.5, "limit": 128.0, "completed": True, "runs": 6, "runs_failed": 0,
+        "seeds": [1], "offsets": [1.0, -0.5], "duration_s": {"my_arm": 8.0}, "cases": [case],
+    }  # fmt: skip
+
+
+@pytest.fixture
+def page_of(tmp_path):
+    def write(summary):
+        folder = SimpleNamespace(
+            report=tmp_path / "report.html", rows_file=tmp_path / "rows.parquet",
+            rerun_command=lambda point: f"funnel-hil simulate {point}.yaml",
+        )  # fmt: skip
+        write_study_report(summary, folder)
+        return folder.report.read_text(encoding="utf-8")
+
+    return write
+
+
+def shown(summary):
+    console = Console(file=io.StringIO(), width=80)
+    show_study(console, summary)
+    return console.file.getvalue()
+
+
+def test_texts_of_a_sweep_are_shown_and_never_executed(sweep, page_of):
+    page = page_of(sweep)
+    assert "<script>alert" not in page
+    assert page.count("&lt;script&gt;alert(1)") >= 5
+
+
+def test_points_of_a_figure_carry_the_command_that_runs_them_again(margin, page_of):
+    page = page_of(margin)
+    bars = json.loads(re.search(r'data-plot="margins-my_arm-plot">(.*?)</script>', page)[1])
+    assert bars["data"][0]["customdata"] == ["funnel-hil simulate b.yaml"]
+    assert page.count("<output>Click on a point") == 3
+
+
+def test_seeds_are_told_so_that_every_run_can_be_repeated(sweep, margin, page_of):
+    assert "have seed 4; add --set seed=5 and so on for the others." in page_of(sweep)
+    assert "have seed 1." in page_of(margin)
+
+
+def test_terminal_and_report_tell_the_same_numbers(margin, page_of):
+    text, page = shown(margin), page_of(margin)
+    for number in ("4 ms", "8", "25"):
+        assert f">{number}</td>" in page
+        assert number in text.split("─")[-1]
+    assert "held again at 12, beyond its first failure" in text
+    assert "held again at 12, beyond its first failure" in page
+
+
+def test_a_long_sweep_is_cut_in_the_terminal_only(sweep, page_of):
+    sweep["points"] = [{**sweep["points"][0], "point": f"{index:05d}"} for index in range(43)]
+    assert "3 more points are in the report" in shown(sweep)
+    assert page_of(sweep).count('href="scenarios/') == 43

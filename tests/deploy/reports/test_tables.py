@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from deploy.reports.tables import Cell, Column, Table, as_markdown, number, percent
+from deploy.reports.terminal import print_table
+
+TABLE = Table(
+    "Margins of [two] laws",
+    [
+        Column("Law", is_text=True),
+        Column("Smallest margin", "%", "Margin"),
+        Column("Found in reports only", brief=None),
+    ],
+    [["[bold]pid", Cell(None, "bad"), "one"], ["smc", Cell(34.167, "best"), "two"]],
+)
+
+
+def printed(table, width=80, **options):
+    console = Console(file=io.StringIO(), width=width, **options)
+    print_table(console, table)
+    return console.file.getvalue()
+
+
+def test_a_terminal_shows_the_columns_that_have_room_there():
+    text = printed(TABLE)
+    lines = [line.split() for line in text.splitlines() if line.strip()]
+    assert lines[0] == ["Margins", "of", "[two]", "laws"]
+    assert lines[1:3] == [["Margin"], ["Law", "%"]]
+    assert lines[-2:] == [["[bold]pid", "–"], ["smc", "34.2"]]
+    assert "Found" not in text
+
+
+def test_a_terminal_colours_what_is_judged():
+    colourful = printed(TABLE, force_terminal=True, color_system="standard")
+    assert "\x1b[1;31m" in colourful
+    assert "\x1b[1;31m" not in printed(TABLE)
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_a_wide_table_stays_within_a_terminal(width):
+    names = [f"a_rather_long_joint_name_{index}" for index in range(7)]
+    table = Table(
+        "RMS error", [Column("Law", is_text=True), *map(Column, names)],
+        [["fixed_time_model_based", *range(1000, 1007)]],
+    )  # fmt: skip
+    text = printed(table, width)
+    assert max(map(len, text.splitlines())) <= width
+    assert "fixed_time_model_based" in text
+    assert "…" not in text
+
+
+def test_a_document_has_every_column():
+    assert as_markdown(TABLE).splitlines() == [
+        "| Law | Smallest margin (%) | Found in reports only |",
+        "| --- | --- | --- |",
+        "| [bold]pid | – | one |",
+        "| smc | 34.2 | two |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(None, "–"), (0, "0"), (3, "3"), (0.01234, "0.0123"), (999.6, "1e+03"), (94355.4, "94,355")],
+)
+def test_numbers_have_three_digits_or_all_before_the_point(value, text):
+    assert number(value) == text
+
+
+def test_all_deadlines_are_met_only_if_every_single_one_was():
+    assert percent(1.0) == "100 %"
+    assert percent(1.0 - 1e-9) == "99.999 %"
