@@ -13,6 +13,13 @@ class Clock(Protocol):
         """The run starts now: time is 0."""
         ...
 
+    def anchor(self, ago_ns: int) -> None:
+        """The run began `ago_ns` ago, by a sign from outside: `start` leaves time 0 there.
+
+        Of no effect on virtual time, which nothing outside can tell.
+        """
+        ...
+
     def now_ns(self) -> int:
         """Time since the start of the run."""
         ...
@@ -31,6 +38,9 @@ class VirtualClock:
     def start(self) -> None:
         self._now_ns = 0
 
+    def anchor(self, ago_ns: int) -> None:
+        """Virtual time begins when its owner starts it."""
+
     def now_ns(self) -> int:
         return self._now_ns
 
@@ -47,10 +57,15 @@ class MonotonicClock:
     """
 
     def __init__(self) -> None:
+        self._is_anchored = False
         self.start()
 
     def start(self) -> None:
-        self._start_ns = time.monotonic_ns()
+        if not self._is_anchored:
+            self._start_ns = time.monotonic_ns()
+
+    def anchor(self, ago_ns: int) -> None:
+        self._start_ns, self._is_anchored = time.monotonic_ns() - ago_ns, True
 
     def now_ns(self) -> int:
         return time.monotonic_ns() - self._start_ns
@@ -59,23 +74,6 @@ class MonotonicClock:
         while (remaining_ns := instant_ns - self.now_ns()) > 0:
             time.sleep(remaining_ns * 1e-9)
         return -remaining_ns
-
-
-class SyncedClock(MonotonicClock):
-    """A monotonic clock of a run that began with a sign from outside, not when it was noticed."""
-
-    def __init__(self) -> None:
-        self._sign_ns: int | None = None
-        super().__init__()
-
-    def note_sign(self, lead_ns: int) -> None:
-        """The sign is given: the run's time 0 was `lead_ns` ago."""
-        self._sign_ns = time.monotonic_ns() - lead_ns
-
-    def start(self) -> None:
-        super().start()
-        if self._sign_ns is not None:
-            self._start_ns = self._sign_ns
 
 
 class TickGrid:

@@ -35,7 +35,7 @@ _REALTIME_PATIENCE_S = 0.02
 
 
 class ZenohNode:
-    """A session that is a node of the ROS graph: it announces itself and knows who is there.
+    """A session that is a node of the ROS graph, and what both sides of a link have in common.
 
     Args:
         link: section ``link`` of the scenario.
@@ -159,14 +159,18 @@ class ZenohNode:
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
 
     def expect_acknowledgement(self) -> None:
-        """Listen for the recorder's word that it has everything."""
+        """Watch for the recorder's token that says it has everything."""
         _, gid = self._publishers[topics.RUN_EVENTS.name]
         key = recorded_key_expression(self._domain, gid.hex())
         self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
 
-    def await_acknowledgement(self, timeout_s: float) -> None:
-        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
-        give_up_s = time.monotonic() + timeout_s
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+
+    def await_recorded(self) -> None:
+        give_up_s = time.monotonic() + self._link.reply_timeout_s
         while self.sees(Role.RECORDER) and time.monotonic() < give_up_s:
             if self._acknowledged.wait(POLL_S):
                 return

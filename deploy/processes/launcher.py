@@ -200,7 +200,7 @@ class Launcher:
             Role.PLANT: ["plant", scenario, "--await-recorder"],
             Role.CONTROLLER: ["controller", scenario, "--await-recorder"],
         }
-        if self._setup.scenario.link.kind == "can":
+        if self._setup.link_kind.logs_frames:
             words[Role.PLANT] += ["--can-log", str(self._folder.can_log)]
         self._children[role] = child = Child(role, words[role], self._heard)
         if gone is not None and self._setup.scenario.clock == "lockstep":

@@ -12,27 +12,23 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 
 from bus_schema.errors import BusError
+from bus_schema.link.interface import ControllerLink
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
+from bus_schema.runtime.clock import MonotonicClock, VirtualClock
 from bus_schema.runtime.realtime import Grant, forgo_preemption, go_realtime, request_precedence
-from bus_schema.zenoh.link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
-from deploy.processes.links import open_controller_link, open_plant_link
 from deploy.processes.process_faults import order_values
 from deploy.processes.recorder import Recorder
 from deploy.scenario.faults import Order, process_strikes
 from deploy.scenario.scenario import Setup
 from plant_emulator.plant_loop import PlantLoop
-
-if TYPE_CHECKING:
-    from bus_schema.can.link import CanControllerLink
 
 FINISHED, FAULT = 0, 1
 _PROGRESS_S = 0.2
@@ -98,12 +94,13 @@ def run_plant(
 ) -> int:
     """Be the plant for one run; the exit code."""
     lockstep = setup.scenario.clock == "lockstep"
-    clock = _plant_clock(setup)
+    clock = VirtualClock() if lockstep else MonotonicClock()
     arm = setup.arm()
     _set_up_scheduling(setup, voice, Role.PLANT)
     link = None
     try:
-        link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
+        run = setup.link_run(lockstep=lockstep, can_log=can_log)
+        link = setup.link_kind.open_plant(run, arm, clock)
         strikes = process_strikes(
             setup.scenario.faults, partial(voice.order, await_execution=lockstep)
         )
@@ -111,7 +108,9 @@ def run_plant(
         loop.warm_up()
         stop = StopRequest(loop.request_stop)
         voice.say("note", text=f"listening at {setup.scenario.link.plant_endpoint}")
-        link.await_controller(setup.scenario.link.connect_timeout_s, lambda: stop.is_set)
+        if await_recorder:
+            link.await_recorder(run.link.connect_timeout_s, lambda: stop.is_set)
+        link.await_controller(run.link.connect_timeout_s, lambda: stop.is_set)
         with _progress(voice, lambda: _plant_progress(loop, setup)):
             outcome = loop.run()
         link.await_recorded()
@@ -129,18 +128,13 @@ def run_plant(
         arm.close()
 
 
-def _plant_clock(setup: Setup) -> Clock:
-    if setup.scenario.clock == "lockstep":
-        return VirtualClock()
-    return SyncedClock() if setup.scenario.link.kind == "can" else MonotonicClock()
-
-
 def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
     _set_up_scheduling(setup, voice, Role.CONTROLLER)
+    run = setup.link_run(lockstep=setup.scenario.clock == "lockstep")
     try:
-        link = open_controller_link(setup)
+        link = setup.link_kind.open_controller(run)
     except BusError as error:
         voice.say("fault", text=str(error))
         return FAULT
@@ -148,7 +142,9 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
         loop = ControlLoop(setup.control_task(), link)
         loop.warm_up()
         voice.say("note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}")
-        link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
+        if await_recorder:
+            link.await_recorder(run.link.connect_timeout_s, lambda: stop.is_set)
+        link.activate()
         with _progress(voice, lambda: _controller_progress(loop)):
             return _control(loop, link, stop, voice)
     except BusError as error:
@@ -161,14 +157,14 @@ def run_controller(setup: Setup, voice: Voice, *, await_recorder: bool) -> int:
 
 def _control(
     loop: ControlLoop,
-    link: ZenohControllerLink | CanControllerLink,
+    link: ControllerLink,
     stop: StopRequest,
     voice: Voice,
 ) -> int:
     """Answer states to the end, and say goodbye; the exit code."""
     code = FINISHED
     try:
-        link.join(is_stop_requested=lambda: stop.is_set)
+        link.spin(lambda: stop.is_set)
     except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
         voice.say("fault", text=str(error))
         loop.stop(str(error))
@@ -224,11 +220,11 @@ def _tell(grants: list[Grant], voice: Voice) -> None:
 
 def _own_cpu(setup: Setup, role: Role) -> int | None:
     """One of the usable CPUs for each loop, the last for the plant: it owns the clock, and the
-    first often has the interrupts. None for no choice: where there is but one, and over CAN, where
-    canopen polls while another thread has to hand it the answers.
+    first often has the interrupts. None for no choice: where there is but one, or where the link
+    has threads that need the others.
     """
     usable = sorted(os.sched_getaffinity(0))
-    if len(usable) == 1 or setup.scenario.link.kind == "can":
+    if len(usable) == 1 or not setup.link_kind.may_pin_loops:
         return None
     return usable[-1] if role is Role.PLANT else usable[0]
 

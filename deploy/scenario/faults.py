@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from functools import partial
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
 from bus_schema.messages.topics import Role
+from deploy.link_kinds.kind import LinkKind
 from plant_emulator.fault_configuration import (
-    ChannelFault,
     Fault,
     JointFault,
-    MessageFault,
     PayloadDropped,
     PlantFault,
 )
@@ -120,7 +119,7 @@ def check_faults(
     joint_names: tuple[str, ...],
     duration_s: float,
     payload_kg: float,
-    link_kind: str,
+    link_kind: LinkKind[Any],
 ) -> None:
     """Check faults against the scenario they are part of.
 
@@ -131,9 +130,8 @@ def check_faults(
         key = f"faults.{index}"
         if fault.at_s >= duration_s:
             raise ConfigurationError(f"{key}.at_s", fault.at_s, f"below duration_s = {duration_s}")
-        if isinstance(fault, ChannelFault | MessageFault) and link_kind == "can":
-            allowed = "without link.kind can, where link.can.faults says what befalls the bus"
-            raise ConfigurationError(f"{key}.kind", fault.kind, allowed)
+        if isinstance(fault, link_kind.refused_faults):
+            raise ConfigurationError(f"{key}.kind", fault.kind, link_kind.refusal)
         if isinstance(fault, JointFault) and fault.joint not in joint_names:
             allowed = f"one of {', '.join(joint_names)}"
             raise ConfigurationError(f"{key}.joint", fault.joint, allowed)

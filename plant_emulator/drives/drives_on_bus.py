@@ -44,7 +44,10 @@ class DrivesOnBus:
         self._began_ns = 0
         self._is_running = False
         self.bank = build(self._send)
-        self.receive = bus.receive
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """The next frame that another node sent; None if none came within `timeout_s`."""
+        return self._bus.receive(timeout_s)
 
     def begin_run(self, now_ns: int) -> None:
         """The run's time 0 is now. The drives' own time goes on: they have been on for a while."""

@@ -93,6 +93,7 @@ class FaultyLink:
         self.controller_has_left = link.controller_has_left
         self.sender_has_left = link.sender_has_left
         self.fault, self.report, self.overflow = link.fault, link.report, link.overflow
+        self.await_recorder, self.await_recorded = link.await_recorder, link.await_recorded
         self.close = link.close
 
     def publish(self, topic: Topic, payload: bytes) -> int:

@@ -17,7 +17,7 @@ from cantools.database.errors import Error as CantoolsError
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
-from bus_schema.link.can_files import CANSIMPLE_DBC
+from bus_schema.link.can_configuration import CANSIMPLE_DBC
 from plant_emulator.drives.cansimple.axis import Axis
 from plant_emulator.drives.drive import (
     DriveFault,
