@@ -12,25 +12,25 @@ T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Classes by name. A new one is one more line in the table, or one `register` from outside.
+    """Classes by name.
 
     Args:
         key: dotted key of the scenario that takes one of the names.
-        places: where the class of each name is, as ``module:class``.
+        places: see below.
+
+    Attributes:
+        places: where the class of each name is, as ``module:class``. One more entry is one more
+            class, wherever it comes from.
     """
 
     def __init__(self, key: str, places: Mapping[str, str]) -> None:
         self._key = key
-        self._places = dict(places)
+        self.places = dict(places)
 
     @property
     def names(self) -> tuple[str, ...]:
         """All names, in the order of the table."""
-        return tuple(self._places)
-
-    def register(self, name: str, place: str) -> None:
-        """Add a class, or put another one in place of the one that has the name."""
-        self._places[name] = place
+        return tuple(self.places)
 
     def check(self, name: str) -> None:
         """Check that there is such a name.
@@ -38,7 +38,7 @@ class Registry(Generic[T]):
         Raises:
             ConfigurationError: there is none.
         """
-        if name not in self._places:
+        if name not in self.places:
             *others, last = (repr(each) for each in self.names)
             allowed = f"must be {', '.join(others)} or {last}"
             raise ConfigurationError(self._key, name, allowed)
@@ -50,5 +50,5 @@ class Registry(Generic[T]):
             ConfigurationError: there is no such name.
         """
         self.check(name)
-        module, attribute = self._places[name].split(":")
+        module, attribute = self.places[name].split(":")
         return cast(T, getattr(import_module(module), attribute)())

@@ -161,7 +161,7 @@ def _control(
 
 def _require_simulable(setup: Setup) -> None:
     for fault in process_faults(setup.scenario.faults):
-        if setup.scenario.link.kind == "can":
+        if not setup.link_kind.simulates_process_faults:
             raise ScenarioError(
                 f"{setup.source}: faults: kind = {fault.kind!r}: must be of another kind for"
                 " simulate over this link; run strikes processes"

@@ -39,7 +39,7 @@ from controller.funnel import Funnel
 from controller.reference import Reference, sample_positions
 from controller.torque_guard import TorqueGuard
 from deploy.link_kinds.kind import LinkKind, LinkRun
-from deploy.link_kinds.table import LINK_KINDS
+from deploy.link_kinds.table import kind_of
 from deploy.scenario.faults import ScheduledFault, check_faults, plant_faults
 from deploy.scenario.link_files import find_delay_files
 from deploy.scenario.robot_files import find_urdf
@@ -158,7 +158,7 @@ class Setup:
     @property
     def link_kind(self) -> LinkKind[Any]:
         """What there is to know of the scenario's kind of link."""
-        return LINK_KINDS.build(self.scenario.link.kind)
+        return kind_of(self.scenario.link)
 
     def link_run(
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
@@ -265,7 +265,7 @@ def find_scenario(name_or_path: str) -> Path:
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:
-    link_kind = LINK_KINDS.build(scenario.link.kind)
+    link_kind = kind_of(scenario.link)
     PROTOCOLS.check(scenario.link.can.protocol)
     robot = load_robot(find_urdf(scenario.robot.urdf, source.parent))
     reference = scenario.reference.build(robot)
