@@ -2,7 +2,7 @@
 
 A cycle is, for each axis, a remote frame that asks for its encoder estimates, the answer (turns,
 turns per second) and the torque to give. Axes must not send estimates unasked
-(``encoder_msg_rate_ms = 0``): an answer could not be told from one of those.
+(``encoder_msg_rate_ms = 0``): an answer could not be distinguished from one of those.
 """
 
 from __future__ import annotations

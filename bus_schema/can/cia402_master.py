@@ -188,7 +188,7 @@ class Cia402Master(CanMaster):
     def _hand_over(self, frame: CanFrame) -> None:
         """Give canopen a frame that a drive may send; what it cannot read is ignored.
 
-        canopen would also take in torques that a stranger sends, and go on with those.
+        canopen would also take in torques that another node sends, and go on with those.
 
         It goes without a time stamp: from two of them canopen would take an event-driven PDO for a
         periodic one, and wait for more.

@@ -187,7 +187,7 @@ class CanControllerLink:
                 self._read_while_stopping()
             self._master.leave()
         except Exception as error:  # noqa: BLE001 (what led here matters more)
-            logger.error("the drives may not have been told to stop: %s", error)
+            logger.error("the drives may not have been commanded to stop: %s", error)
 
     def _read_while_stopping(self) -> None:
         fields = self._state.fields

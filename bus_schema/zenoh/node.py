@@ -144,7 +144,7 @@ class ZenohNode:
             time.sleep(POLL_S)
 
     def watch_silence(self, role: Role) -> SilenceWatch:
-        """What says why one of our own processes may be missing."""
+        """A watch that reports why one of our own processes may be missing."""
         return SilenceWatch(self._link, self._role, role)
 
     def sees(self, role: Role) -> bool:
@@ -155,11 +155,11 @@ class ZenohNode:
         )
 
     def acknowledge(self, gid: bytes) -> None:
-        """As a recorder: say that all messages of a publisher of run events are recorded."""
+        """As a recorder: announce that all messages of a publisher of run events are recorded."""
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
 
     def expect_acknowledgement(self) -> None:
-        """Watch for the recorder's token that says it has everything."""
+        """Watch for the token by which a recorder reports that it has everything."""
         _, gid = self._publishers[topics.RUN_EVENTS.name]
         key = recorded_key_expression(self._domain, gid.hex())
         self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())

@@ -183,7 +183,7 @@ class CanPlantLink:
                 frame = self._next_frame(_POLL_S)
                 if frame is not None:
                     self._take(frame)
-        except Exception as error:  # noqa: BLE001 (told by `fault`, which ends the run)
+        except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
             self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
 
     def _stop_serving(self) -> None:

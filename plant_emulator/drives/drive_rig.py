@@ -19,12 +19,12 @@ class RigCounts:
     """What a rig did.
 
     Attributes:
-        heard: frames that came.
+        received: frames that came.
         ticks: ticks that passed.
         skipped: ticks at which the drives had no turn because the machine was late.
     """
 
-    heard: int = 0
+    received: int = 0
     ticks: int = 0
     skipped: int = 0
 
@@ -37,7 +37,7 @@ class DriveRig:
     Args:
         arm: the arm.
         bank: its drives.
-        bus: what the drives hear.
+        bus: the bus they are on.
         clock: the rig's time.
         grid: when drives and physics have their turns.
         plan: what goes wrong.
@@ -65,7 +65,7 @@ class DriveRig:
         self._on_frame, self._on_event = on_frame, on_event
         self._motion = np.zeros_like(arm.motion)
         arm.attach_encoders(self._motion)
-        self._told: list[str] = []
+        self._reported: list[str] = []
         self._stop_requested = False
         self.counts = RigCounts()
 
@@ -79,22 +79,22 @@ class DriveRig:
         self._arm.begin()
         self._measure()
         while not self._stop_requested and (ticks is None or self.counts.ticks < ticks):
-            self._hear_until(self._grid.tick_ns(self.counts.ticks + 1))
+            self._receive_until(self._grid.tick_ns(self.counts.ticks + 1))
             now_ns = self._clock.now_ns()
             for sentence in self._plan.carry_out(self._bank, now_ns):
                 self._on_event(sentence)
             self._bank.advance(now_ns)
-            self._tell()
+            self._report_statuses()
             self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))
             self._measure()
         self._arm.brake()
 
-    def _hear_until(self, instant_ns: int) -> None:
+    def _receive_until(self, instant_ns: int) -> None:
         """Hand frames to the drives until it is time for the physics, however many they are."""
         while (remaining_ns := instant_ns - self._clock.now_ns()) > 0:
             frame = self._bus.receive(remaining_ns * 1e-9)
             if frame is not None:
-                self.counts.heard += 1
+                self.counts.received += 1
                 self._on_frame(frame)
                 self._bank.receive(frame, self._clock.now_ns())
 
@@ -114,10 +114,10 @@ class DriveRig:
         position, velocity = self._motion
         self._bank.measure(position, velocity, self._arm.torques.actuator)
 
-    def _tell(self) -> None:
-        """Say which drives have changed their state."""
+    def _report_statuses(self) -> None:
+        """Report which drives have changed their state."""
         statuses = self._bank.statuses
         for status in statuses:
-            if status not in self._told:
+            if status not in self._reported:
                 self._on_event(status)
-        self._told = statuses
+        self._reported = statuses

@@ -56,7 +56,7 @@ class DrivesOnBus:
         self.medium.start_counting()
 
     def handle(self, frame: CanFrame, now_ns: int) -> None:
-        """Let the drives take a frame; once the bus is off, nobody hears it."""
+        """Let the drives take a frame; once the bus is off, it reaches nobody."""
         self.answers.clear()
         if self.is_off:
             return

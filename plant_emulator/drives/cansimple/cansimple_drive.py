@@ -136,7 +136,7 @@ class CanSimpleDrive:
         return ", ".join([text, *(f"{name} {value}" for name, value in values.items())])
 
     def _answer(self, message: Message, frame: CanFrame) -> None:
-        """What an axis tells is asked for by a remote frame, or by one without data."""
+        """Answer a request for a report: a remote frame, or one without data."""
         if frame.data:
             raise InvalidMessageError("not_a_command", f"only an axis sends {message.name}")
         self._transmit(message.name)

@@ -205,7 +205,7 @@ def test_rules_follow_the_table_of_topics() -> None:
     assert puts("egress") == keys_of(Role.PLANT, None)
     assert puts("ingress") == keys_of(Role.PLANT, Role.CONTROLLER, None)
     for rule in rules:
-        if rule["id"].startswith("plant hears recorder"):
+        if rule["id"].startswith("plant from recorder"):
             assert "put" not in rule["messages"]
             speaks = rule["messages"] == ["liveliness_token"]
             assert (recorded_key_expression(7) in rule["key_exprs"]) == (
