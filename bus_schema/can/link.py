@@ -18,7 +18,7 @@ import numpy as np
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.interface import StateHandler, Telemetry, never
+from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Topic
@@ -51,7 +51,7 @@ class CanRun:
     lockstep: bool
 
 
-class CanControllerLink:
+class CanControllerLink(ControllerLink):
     """The controller's side.
 
     Args:

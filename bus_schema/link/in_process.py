@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any
 
 from bus_schema.errors import PeerSilentError
-from bus_schema.link.interface import CommandArrival, StateHandler, never
+from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Role, Topic
 from bus_schema.runtime.clock import Clock
 
@@ -105,7 +104,7 @@ class InProcessNode:
         self._bus.leave(self._role)
 
 
-class InProcessPlantLink(InProcessNode):
+class InProcessPlantLink(InProcessNode, PlantLink):
     """The plant's side of an `InProcessBus`."""
 
     def __init__(self, bus: InProcessBus) -> None:
@@ -128,9 +127,6 @@ class InProcessPlantLink(InProcessNode):
     def take_commands(self) -> list[CommandArrival]:
         return self._bus.take_commands()
 
-    def overflow(self) -> int:
-        return 0
-
     def controller_has_left(self) -> bool:
         # A controller that has not answered by now never will: states are answered at once.
         return not self._bus.commands
@@ -138,14 +134,8 @@ class InProcessPlantLink(InProcessNode):
     def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (the interface)
         return self._bus.on_state is None
 
-    def fault(self) -> str | None:
-        return None
 
-    def report(self) -> dict[str, Any]:
-        return {}
-
-
-class InProcessControllerLink(InProcessNode):
+class InProcessControllerLink(InProcessNode, ControllerLink):
     """The controller's side of an `InProcessBus`."""
 
     def __init__(self, bus: InProcessBus) -> None:

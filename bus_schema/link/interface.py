@@ -68,7 +68,7 @@ class Telemetry(Link, Protocol):
 
 
 class PlantLink(Link, Protocol):
-    """The plant's side."""
+    """The plant's side. What a class derived from it does not say, it has nothing to say about."""
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -94,7 +94,7 @@ class PlantLink(Link, Protocol):
 
     def overflow(self) -> int:
         """How many commands were left out, because too many waited to be taken."""
-        ...
+        return 0
 
     def controller_has_left(self) -> bool:
         """Whether the controller was on the bus and is there no longer."""
@@ -106,11 +106,11 @@ class PlantLink(Link, Protocol):
 
     def fault(self) -> str | None:
         """Why the arm must stop now, as the bus or a drive on it reports; None if all is well."""
-        ...
+        return None
 
     def report(self) -> dict[str, Any]:
         """What the link has to add to the transport's counts."""
-        ...
+        return {}
 
 
 StateHandler = Callable[[bytes, bytes | None], None]

@@ -10,11 +10,10 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.interface import CommandArrival, StateHandler, never
+from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES
 from bus_schema.messages.topics import Role, Topic
@@ -27,7 +26,7 @@ _LARGEST_BACKLOG = 10_000
 _GRACE_S = 1.0
 
 
-class ZenohPlantLink(ZenohNode):
+class ZenohPlantLink(ZenohNode, PlantLink):
     """The plant's side.
 
     Args:
@@ -47,7 +46,6 @@ class ZenohPlantLink(ZenohNode):
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
             self.advertise(topic)
         self.subscribe(topics.JOINT_COMMANDS, self._on_command)
-        self.expect_acknowledgement()
         self.announce()
 
     def await_controller(
@@ -97,12 +95,6 @@ class ZenohPlantLink(ZenohNode):
     def sender_has_left(self, sender: bytes) -> bool:
         return self.has_left(sender)
 
-    def fault(self) -> str | None:
-        return None
-
-    def report(self) -> dict[str, Any]:
-        return {}
-
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
             self._overflow += 1  # a flood: what comes after is no use, and memory is bounded
@@ -111,7 +103,7 @@ class ZenohPlantLink(ZenohNode):
         self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
 
 
-class ZenohControllerLink(ZenohNode):
+class ZenohControllerLink(ZenohNode, ControllerLink):
     """The controller's side. States are answered on the network thread, as they arrive.
 
     Not before it is active, though: in a run that is under way they arrive at once.
@@ -135,7 +127,6 @@ class ZenohControllerLink(ZenohNode):
             self.advertise(topic)
         self.subscribe(topics.PLANT_STATUS, self._on_status_delivery)
         self.subscribe(topics.JOINT_STATES, self._on_state_delivery)
-        self.expect_acknowledgement()
         self.announce()
 
     def serve(self, on_state: StateHandler) -> None:
@@ -194,7 +185,6 @@ def open_telemetry(link: LinkConfiguration, role: Role, *, lossless: bool) -> Ze
     node = ZenohNode(link, role, lossless=lossless)
     for topic in _TELEMETRY[role]:
         node.advertise(topic)
-    node.expect_acknowledgement()
     node.announce()
     return node
 

@@ -69,7 +69,14 @@ class ZenohNode:
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
 
     def announce(self) -> None:
-        """Show the node to the others; to be called once it is ready."""
+        """Show the node to the others; to be called once it is ready.
+
+        From then on it watches for the token by which a recorder reports that it has everything.
+        """
+        if topics.RUN_EVENTS.name in self._publishers:
+            _, gid = self._publishers[topics.RUN_EVENTS.name]
+            key = recorded_key_expression(self._domain, gid.hex())
+            self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
 
     def advertise(self, topic: Topic) -> ZenohPublisher:
@@ -157,12 +164,6 @@ class ZenohNode:
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
-
-    def expect_acknowledgement(self) -> None:
-        """Watch for the token by which a recorder reports that it has everything."""
-        _, gid = self._publishers[topics.RUN_EVENTS.name]
-        key = recorded_key_expression(self._domain, gid.hex())
-        self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never

@@ -14,7 +14,6 @@ from bus_schema.can.link import CanControllerLink, CanRun
 from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
-from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
@@ -117,17 +116,12 @@ def _open_telemetry(run: LinkRun, role: Role) -> Telemetry:
 
 def _check_unimpaired(link: LinkConfiguration) -> None:
     """Check that messages are not to be impaired: on a CAN bus there are none."""
-    for direction in ("uplink", "downlink"):
-        given = getattr(link, direction)
-        if given != ChannelConfiguration():
-            raise _impaired(f"link.{direction}", given.model_dump(exclude_defaults=True))
-    if link.playout_ms:
-        raise _impaired("link.playout_ms", link.playout_ms)
-
-
-def _impaired(key: str, given: object) -> ConfigurationError:
-    return ConfigurationError(
-        key, given,
-        "must be left out with link.kind = can: what a CAN bus does to frames is up to"
-        " link.can.bitrate and link.can.faults",
-    )  # fmt: skip
+    for name in ("uplink", "downlink", "playout_ms"):
+        given = getattr(link, name)
+        if given != LinkConfiguration.model_fields[name].default:
+            shown = given if name == "playout_ms" else given.model_dump(exclude_defaults=True)
+            raise ConfigurationError(
+                f"link.{name}", shown,
+                "must be left out with link.kind = can: what a CAN bus does to frames is up to"
+                " link.can.bitrate and link.can.faults",
+            )  # fmt: skip

@@ -20,7 +20,7 @@ from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.link import CanRun
 from bus_schema.errors import PeerSilentError
-from bus_schema.link.interface import CommandArrival, Telemetry, never
+from bus_schema.link.interface import CommandArrival, PlantLink, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
@@ -33,7 +33,7 @@ _LEAD = 0.3
 """Share of the period by which the physics is ahead of the master in real time."""
 
 
-class CanPlantLink:
+class CanPlantLink(PlantLink):
     """The plant's side.
 
     Args:
@@ -135,9 +135,6 @@ class CanPlantLink:
 
     def take_commands(self) -> list[CommandArrival]:
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
-
-    def overflow(self) -> int:
-        return 0
 
     def fault(self) -> str | None:
         """What is wrong with the drives, or what ended the serving of frames, if anything did."""
