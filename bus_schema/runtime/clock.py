@@ -14,9 +14,9 @@ class Clock(Protocol):
         ...
 
     def anchor(self, ago_ns: int) -> None:
-        """The run began `ago_ns` ago, by a sign from outside: `start` leaves time 0 there.
+        """Note that the run began `ago_ns` ago, by a sign from outside: `start` sets time 0 there.
 
-        Of no effect on virtual time, which nothing outside can tell.
+        Until `start`, time goes on as before. Virtual time begins with `start` whatever was noted.
         """
         ...
 
@@ -57,15 +57,14 @@ class MonotonicClock:
     """
 
     def __init__(self) -> None:
-        self._is_anchored = False
+        self._anchor_ns: int | None = None
         self.start()
 
     def start(self) -> None:
-        if not self._is_anchored:
-            self._start_ns = time.monotonic_ns()
+        self._start_ns = time.monotonic_ns() if self._anchor_ns is None else self._anchor_ns
 
     def anchor(self, ago_ns: int) -> None:
-        self._start_ns, self._is_anchored = time.monotonic_ns() - ago_ns, True
+        self._anchor_ns = time.monotonic_ns() - ago_ns
 
     def now_ns(self) -> int:
         return time.monotonic_ns() - self._start_ns

@@ -71,8 +71,10 @@ def open_link(
 def test_what_ends_the_serving_of_frames_is_a_fault(
     setup: Setup, arm: ArmPlant, error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link, _ = open_link(setup, arm, error, monkeypatch)
+    link, clock = open_link(setup, arm, error, monkeypatch)
+    clock.wait_until(50_000_000)
     link.await_controller(HANG_S)
+    assert clock.now_ns() >= 50_000_000  # the drives' own time goes on: the run has not begun yet
     assert link.fault() is None
     state = Record(layout(JOINT_STATES, setup.robot.joint_names))
     link.send_state(state.payload(), layout(PLANT_STATUS, setup.robot.joint_names).template)
