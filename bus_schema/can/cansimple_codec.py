@@ -2,7 +2,7 @@
 
 A cycle is, for each axis, a remote frame that asks for its encoder estimates, the answer (turns,
 turns per second) and the torque to give. Axes must not send estimates unasked
-(``encoder_msg_rate_ms = 0``): an answer could not be told from one of those.
+(``encoder_msg_rate_ms = 0``): an answer could not be distinguished from one of those.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame_timing import CycleFrames
 
 COMMAND_BITS = 5
 HEARTBEAT, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 0x01, 0x07, 0x09
@@ -29,11 +30,15 @@ def identifier(node_id: int, command: int) -> int:
 
 
 class CanSimpleCodec:
-    """Frames of one control cycle.
+    """Frames of one control cycle, see `CanCodec`.
 
     Args:
         node_ids: addresses of the axes, one for each joint.
     """
+
+    cycle = CycleFrames(
+        (), (0, 8, 4), "{n} × (request + encoder estimates 8 bytes + torque 4 bytes)"
+    )
 
     def __init__(self, node_ids: Sequence[int]) -> None:
         estimates = [identifier(node_id, GET_ENCODER_ESTIMATES) for node_id in node_ids]

@@ -19,47 +19,33 @@ from bus_schema.can.cansimple_codec import (
     identifier,
 )
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.master import DriveError, Roll, bus_fault
+from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.link.can_configuration import CanConfiguration
 
 _IDLE, _CLOSED_LOOP_CONTROL = 1, 8
 _TORQUE_CONTROL, _PASSTHROUGH = 1, 1
 _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _BEAT = struct.Struct("<IBB")
-_COMMAND_MASK = (1 << COMMAND_BITS) - 1
 _POLL_S = 0.05
 _AGAIN_S = 0.3
 
 
-class CanSimpleMaster:
-    """The master. What an axis is doing, its heartbeats tell; they can be asked for.
+class CanSimpleMaster(CanMaster):
+    """The master; the arguments are those of `CanMaster`.
 
-    Args:
-        bus: where the axes are.
-        can: section ``link.can`` of the scenario.
-        node_ids: addresses of the axes, one for each joint.
-        codec: the frames of a cycle.
+    What an axis is doing, its heartbeats report; they can be requested.
     """
 
     def __init__(
         self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: CanSimpleCodec
     ) -> None:
-        self._bus, self._can, self._codec = bus, can, codec
-        self._node_ids = node_ids
-        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
-        self._roll = Roll(node_ids)
+        super().__init__(bus, can, node_ids, codec)
         self._states = [0] * len(node_ids)
         self._errors = [0] * len(node_ids)
-        self._next_question_ns = 0
-        self._is_stopping = False
-        self._faults: list[str] = []
-        self._zero: Vector = np.zeros(len(node_ids))
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         give_up_s = time.monotonic() + timeout_s
-        while True:
-            if self._try_to_enable(is_stop_requested):
-                break
+        while not self._try_to_enable(is_stop_requested):
             if is_stop_requested():
                 return False
             if time.monotonic() > give_up_s:
@@ -67,66 +53,29 @@ class CanSimpleMaster:
         self._faults.clear()
         return True
 
-    def sample(self, now_ns: int) -> None:
-        if now_ns >= self._next_question_ns or self._is_stopping:
-            self._send_to_all(HEARTBEAT, is_remote=True)
-            self._next_question_ns = now_ns + self._can.heartbeat_ms * 1_000_000
-        self._roll.call()
-        for frame in self._codec.sampling_frames():
-            self._bus.send(frame)
-
-    def read(self, timeout_s: float, position: Vector, velocity: Vector) -> bool:
-        give_up_s = time.monotonic() + timeout_s
-        while not self._roll.is_complete:
-            frame = self._bus.receive(max(0.0, give_up_s - time.monotonic()))
-            if frame is None:
-                break
-            joint = self._codec.read_state(frame, position, velocity)
-            if joint is None:
-                self._hear(frame)
-            else:
-                self._roll.answered(joint)
-        faults, self._faults = self._faults, []
-        if faults and not self._is_stopping:
-            raise DriveError("; ".join(dict.fromkeys(faults)))
-        return self._roll.is_complete
-
-    def missing(self) -> str:
-        return self._roll.missing
-
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:
             self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
-            torque_nm = self._zero
-        for frame in self._codec.torque_frames(torque_nm):
-            self._bus.send(frame)
-
-    def begin_stop(self) -> None:
-        self._is_stopping = True
-        self._roll.give_up()
-
-    def is_stopped(self) -> bool:
-        return not any(
-            state == _CLOSED_LOOP_CONTROL and joint not in self._roll.silent
-            for joint, state in enumerate(self._states)
-        )
+            torque_nm = np.zeros_like(torque_nm)
+        super().command(torque_nm)
 
     def leave(self) -> None:
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
 
     def _try_to_enable(self, is_stop_requested: Callable[[], bool]) -> bool:
-        """Ask all axes to follow torques, and hear for a while whether they do."""
+        """Ask all axes to follow torques, and watch for a while whether they do."""
         self._states = [0] * len(self._node_ids)
+        self._is_powered = [False] * len(self._node_ids)
         self._send_to_all(CLEAR_ERRORS, b"\0")
         self._send_to_all(SET_CONTROLLER_MODE, _TWO_U32.pack(_TORQUE_CONTROL, _PASSTHROUGH))
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
-        self._send_to_all(HEARTBEAT, is_remote=True)
+        self._send_heartbeat()
         until_s = time.monotonic() + _AGAIN_S
         while time.monotonic() < until_s and not is_stop_requested():
             frame = self._bus.receive(_POLL_S)
             if frame is not None:
-                self._hear(frame)
-            if all(state == _CLOSED_LOOP_CONTROL for state in self._states):
+                self._handle(frame)
+            if all(self._is_powered):
                 return True
         return False
 
@@ -139,22 +88,28 @@ class CanSimpleMaster:
                 sentences.append(f"axis {node_id} stays in state {state}, errors 0x{errors:X}")
         return "; ".join(sentences)
 
-    def _hear(self, frame: CanFrame) -> None:
-        if frame.is_error:
-            if (fault := bus_fault(frame)) is not None:
-                self._faults.append(fault)
-            return
-        node_id = frame.identifier >> COMMAND_BITS
+    def _is_heartbeat_due(self) -> bool:
+        return self._is_stopping or super()._is_heartbeat_due()
+
+    def _send_heartbeat(self) -> None:
+        """Request the heartbeats of all axes; they need none of the master's."""
+        self._send_to_all(HEARTBEAT, is_remote=True)
+
+    def _handle_report(self, frame: CanFrame) -> None:
+        """Take in heartbeats."""
+        node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
         joint = self._joint_of.get(node_id)
-        is_beat = frame.identifier & _COMMAND_MASK == HEARTBEAT and not frame.is_extended
-        if joint is None or not is_beat or len(frame.data) < _BEAT.size:
+        if joint is None or command != HEARTBEAT or len(frame.data) < _BEAT.size:
             return
         self._errors[joint], self._states[joint], _ = _BEAT.unpack_from(frame.data)
+        self._is_powered[joint] = self._states[joint] == _CLOSED_LOOP_CONTROL
         if self._errors[joint]:
             self._faults.append(f"axis {node_id}: error 0x{self._errors[joint]:X}")
-        elif self._states[joint] != _CLOSED_LOOP_CONTROL:
+        elif not self._is_powered[joint]:
             self._faults.append(f"axis {node_id}: state {self._states[joint]}, not closed loop")
 
     def _send_to_all(self, command: int, data: bytes = b"", *, is_remote: bool = False) -> None:
-        for node_id in self._node_ids:
-            self._bus.send(CanFrame(identifier(node_id, command), data, is_remote=is_remote))
+        self._send(
+            CanFrame(identifier(node_id, command), data, is_remote=is_remote)
+            for node_id in self._node_ids
+        )

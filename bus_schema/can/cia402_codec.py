@@ -6,12 +6,19 @@ A cycle is SYNC, one TPDO 1 from each drive (position, velocity) and one RPDO 1 
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanFrame, is_classical_data
-from bus_schema.can.units import DriveUnits
+from bus_schema.can.frame_timing import CycleFrames
+from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import RobotDescription
 
 SYNC = 0x080
 TPDO_1, RPDO_1 = 0x180, 0x200
@@ -22,24 +29,78 @@ _STATE = struct.Struct("<ii")
 _COMMAND = struct.Struct("<Hh")
 _SYNC_FRAMES = (CanFrame(SYNC),)
 
+PEAK_TO_RATED = 32.0
+"""Effort limit to rated torque by default: the limit is 32000 ‰, nearly all that 16 bits hold."""
+
+_WORD = np.iinfo(np.int16)
+_NM_PER_MILLE_MNM = 1e-6
+
+
+def rated_torque_nm(can: CanConfiguration, robot: RobotDescription) -> Vector:
+    """Rated torque of each drive, shape (joints,).
+
+    Raises:
+        ConfigurationError: it is not given, and the URDF has no effort limit to take it from.
+    """
+    if can.rated_torque_nm is not None:
+        return expand(can.rated_torque_nm, robot.joints, "link.can.rated_torque_nm")
+    for name, limit in zip(robot.joint_names, robot.effort_limits_nm, strict=True):
+        if not math.isfinite(limit):
+            allowed = f"must be given: the URDF has no effort limit for joint {name}"
+            raise ConfigurationError("link.can.rated_torque_nm", None, allowed)
+    return np.asarray(robot.effort_limits_nm / PEAK_TO_RATED)
+
+
+class DriveUnits:
+    """Units of a robot's CiA 402 drives.
+
+    Args:
+        counts_per_turn: increments per turn of the joint.
+        rated_nm: rated torques, shape (joints,); drives know them in whole mN m.
+
+    Attributes:
+        rad_per_count: angle of an increment.
+        rated_mnm: rated torques as object 0x6076 has them, shape (joints,).
+    """
+
+    def __init__(self, counts_per_turn: int, rated_nm: Vector) -> None:
+        self.rad_per_count = 2.0 * math.pi / counts_per_turn
+        self.rated_mnm: NDArray[np.int64] = np.rint(rated_nm * 1000.0).astype(np.int64)
+        self._nm_per_mille = self.rated_mnm * _NM_PER_MILLE_MNM
+
+    def torque_words(self, torque_nm: Vector) -> list[int]:
+        """Torques per mille of the rated ones: to the nearest, within 16 bits."""
+        words = np.rint(torque_nm / self._nm_per_mille)
+        return [int(word) for word in np.clip(words, _WORD.min, _WORD.max)]
+
+    def torque_nm(self, joint: int, word: int) -> float:
+        """The torque that a word stands for."""
+        return word * float(self._nm_per_mille[joint])
+
 
 class Cia402Codec:
-    """Frames of one control cycle.
+    """Frames of one control cycle, see `CanCodec`.
 
     Args:
         node_ids: addresses of the drives, one for each joint.
         units: what their numbers mean.
 
     Attributes:
-        controlword: controlword that goes with each torque.
+        units: the same.
     """
+
+    cycle = CycleFrames((0,), (8, 4), "SYNC + {n} × (TPDO 8 bytes + RPDO 4 bytes)")
 
     def __init__(self, node_ids: Sequence[int], units: DriveUnits) -> None:
         self.units = units
-        self.controlword = ENABLE_OPERATION
+        self._controlword = ENABLE_OPERATION
         self._rpdos = [RPDO_1 + node_id for node_id in node_ids]
         self._joint_of_tpdo = {TPDO_1 + node: joint for joint, node in enumerate(node_ids)}
         self._joint_of_rpdo = {rpdo: joint for joint, rpdo in enumerate(self._rpdos)}
+
+    def begin_quick_stop(self) -> None:
+        """From now on the controlword that goes with each torque asks for a quick stop."""
+        self._controlword = QUICK_STOP
 
     def sampling_frames(self) -> Sequence[CanFrame]:
         return _SYNC_FRAMES
@@ -59,7 +120,7 @@ class Cia402Codec:
     def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
         words = self.units.torque_words(torque_nm)
         return [
-            CanFrame(rpdo, _COMMAND.pack(self.controlword, word))
+            CanFrame(rpdo, _COMMAND.pack(self._controlword, word))
             for rpdo, word in zip(self._rpdos, words, strict=True)
         ]
 

@@ -20,12 +20,11 @@ from canopen.emcy import EmcyError
 from canopen.profiles.p402 import BaseNode402, State402
 from canopen.sdo.exceptions import SdoError
 
-from bus_schema.arrays import Vector
-from bus_schema.can.cia402_codec import QUICK_STOP, Cia402Codec
+from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
-from bus_schema.can.master import DriveError, Roll, bus_fault
-from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.link.can_files import CIA402_EDS
+from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.errors import BusError
+from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
 
 logger = logging.getLogger(__name__)
 # canopen reports in its log what it then raises.
@@ -35,27 +34,22 @@ MASTER_NODE = 127
 _EMCY, _TPDO_2, _HEARTBEAT = 0x080, 0x280, 0x700
 _FROM_DRIVES = (_EMCY, 0x180, _TPDO_2, 0x380, 0x480, 0x580, _HEARTBEAT)
 _OPERATIONAL, _BOOT_UP = 5, 0
-_STATUSWORD = struct.Struct("<H")
+_STATUSWORD, _EMERGENCY = struct.Struct("<H"), struct.Struct("<HB5s")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
 _MODE = "CYCLIC SYNCHRONOUS TORQUE"
 _POLL_S = 0.005
 _BOOT_S = 1.0
 
 
-class Cia402Master:
-    """The master.
+class Cia402Master(CanMaster):
+    """The master; the arguments are those of `CanMaster`."""
 
-    Args:
-        bus: where the drives are.
-        can: section ``link.can`` of the scenario.
-        node_ids: addresses of the drives, one for each joint.
-        codec: the frames of a cycle.
-    """
+    _codec: Cia402Codec
 
     def __init__(
         self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: Cia402Codec
     ) -> None:
-        self._bus, self._can, self._codec = bus, can, codec
+        super().__init__(bus, can, node_ids, codec)
         self._network = _Network(bus)
         self._nodes = [BaseNode402(node_id, str(can.eds or CIA402_EDS)) for node_id in node_ids]
         for node in self._nodes:
@@ -65,15 +59,9 @@ class Cia402Master:
             )
             node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
             self._network.add_node(node)
-        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
-        self._roll = Roll(node_ids)
-        self._faults: list[str] = []
-        self._is_powered = [False] * len(node_ids)
-        self._heard_ns = [0] * len(node_ids)
+        self._last_heartbeat_ns = [0] * len(node_ids)
         self._emergencies = [""] * len(node_ids)
-        self._now_ns = 0
-        self._next_heartbeat_ns = 0
-        self._is_stopping = False
+        self._lost: BusError | None = None
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         with self._listening():
@@ -92,62 +80,29 @@ class Cia402Master:
         self._is_powered = [True] * len(self._nodes)
         return True
 
-    def sample(self, now_ns: int) -> None:
-        self._now_ns = now_ns
-        if now_ns >= self._next_heartbeat_ns:
-            self._bus.send(CanFrame(_HEARTBEAT + MASTER_NODE, bytes([_OPERATIONAL])))
-            self._next_heartbeat_ns = now_ns + self._can.heartbeat_ms * 1_000_000
-        self._roll.call()
-        for frame in self._codec.sampling_frames():
-            self._bus.send(frame)
-
-    def read(self, timeout_s: float, position: Vector, velocity: Vector) -> bool:
-        give_up_s = time.monotonic() + timeout_s
-        while not self._roll.is_complete:
-            frame = self._bus.receive(max(0.0, give_up_s - time.monotonic()))
-            if frame is None:
-                break
-            joint = self._codec.read_state(frame, position, velocity)
-            if joint is None:
-                self._hear(frame)
-            else:
-                self._roll.answered(joint)
-        self._watch()
-        return self._roll.is_complete
-
-    def missing(self) -> str:
-        return self._roll.missing
-
-    def command(self, torque_nm: Vector) -> None:
-        for frame in self._codec.torque_frames(torque_nm):
-            self._bus.send(frame)
-
     def begin_stop(self) -> None:
-        self._is_stopping = True
-        self._codec.controlword = QUICK_STOP
-        self._roll.give_up()
-
-    def is_stopped(self) -> bool:
-        return not any(
-            is_powered and joint not in self._roll.silent
-            for joint, is_powered in enumerate(self._is_powered)
-        )
+        super().begin_stop()
+        self._codec.begin_quick_stop()
 
     def leave(self) -> None:
         self._network.nmt.state = "PRE-OPERATIONAL"
 
     def _await_boot(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        """Reset all drives until each has said that it is there; false if asked to stop."""
+        """Reset all drives until each has reported its boot-up; false if asked to stop."""
         give_up_s = time.monotonic() + timeout_s
         missing = set(self._joint_of)
         for node_id, joint in self._joint_of.items():
-            heard = partial(_strike_off, missing, node_id)
-            self._nodes[joint].nmt.add_heartbeat_callback(heard)
-        while missing and not is_stop_requested():
+            note_boot = partial(_note_boot, missing, node_id)
+            self._nodes[joint].nmt.add_heartbeat_callback(note_boot)
+
+        def must_end() -> bool:
+            return self._lost is not None or is_stop_requested()
+
+        while missing and not must_end():
             for node_id in sorted(missing):
                 self._network[node_id].nmt.state = "RESET"
             again_s = time.monotonic() + _BOOT_S
-            while missing and time.monotonic() < again_s and not is_stop_requested():
+            while missing and time.monotonic() < again_s and not must_end():
                 time.sleep(0.005)
             if missing and time.monotonic() > give_up_s:
                 nodes = ", ".join(str(node_id) for node_id in sorted(missing))
@@ -190,55 +145,50 @@ class Cia402Master:
         variable = entry[subindex] if subindex else entry
         variable.raw = value
 
-    def _hear(self, frame: CanFrame) -> None:
-        """Take in what is no state: emergencies, status words, heartbeats."""
-        if frame.is_error:
-            if (fault := bus_fault(frame)) is not None:
-                self._faults.append(fault)
-            return
+    def _send_heartbeat(self) -> None:
+        self._bus.send(CanFrame(_HEARTBEAT + MASTER_NODE, bytes([_OPERATIONAL])))
+
+    def _handle_report(self, frame: CanFrame) -> None:
+        """Take in emergencies, status words and heartbeats."""
         function, node_id = frame.identifier & ~0x7F, frame.identifier & 0x7F
         joint = self._joint_of.get(node_id)
-        if joint is None or frame.is_extended or frame.is_remote:
+        if joint is None:
             return
         if function == _EMCY and len(frame.data) == _EMERGENCY.size:
-            self._hear_emergency(joint, frame.data)
+            self._note_emergency(joint, frame.data)
         elif function == _TPDO_2 and len(frame.data) >= _STATUSWORD.size:
-            self._hear_status(joint, node_id, *_STATUSWORD.unpack_from(frame.data))
+            self._note_status(joint, node_id, *_STATUSWORD.unpack_from(frame.data))
         elif function == _HEARTBEAT and frame.data:
-            self._heard_ns[joint] = self._now_ns
+            self._last_heartbeat_ns[joint] = self._now_ns
             if frame.data[0] != _OPERATIONAL:
                 self._faults.append(f"drive {node_id} is no longer operational")
 
-    def _hear_emergency(self, joint: int, data: bytes) -> None:
-        """Remember why a drive may be about to stop; that it does so its statusword tells."""
+    def _note_emergency(self, joint: int, data: bytes) -> None:
+        """Remember why a drive may be about to stop; that it does, its statusword reports."""
         code, register, _ = _EMERGENCY.unpack(data)
         meaning = EmcyError(code, register, b"", 0.0).get_desc()
         self._emergencies[joint] = f", emergency 0x{code:04X} ({meaning})" if code else ""
 
-    def _hear_status(self, joint: int, node_id: int, word: int) -> None:
+    def _note_status(self, joint: int, node_id: int, word: int) -> None:
         states = [name for name, (mask, bits) in State402.SW_MASK.items() if word & mask == bits]
         state = states[0] if states else f"unknown state 0x{word:04X}"
         self._is_powered[joint] = state in _POWERED
         if state != "OPERATION ENABLED":
             self._faults.append(f"drive {node_id}: {state.lower()}{self._emergencies[joint]}")
 
-    def _watch(self) -> None:
-        """Raise what is wrong."""
-        timeout_ns = self._can.heartbeat_timeout_ms * 1_000_000
+    def _missed_heartbeats(self) -> list[str]:
+        sentences, timeout_ms = [], self._can.heartbeat_timeout_ms
         for node_id, joint in self._joint_of.items():
-            if self._now_ns - self._heard_ns[joint] > timeout_ns and joint not in self._roll.silent:
-                self._faults.append(
-                    f"drive {node_id}: no heartbeat for {self._can.heartbeat_timeout_ms} ms"
-                )
-                self._roll.silent.add(joint)
-        faults, self._faults = self._faults, []
-        if faults and not self._is_stopping:
-            raise DriveError("; ".join(dict.fromkeys(faults)))
+            age_ns = self._now_ns - self._last_heartbeat_ns[joint]
+            if age_ns > timeout_ms * 1_000_000 and joint not in self._replies.silent:
+                sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms} ms")
+                self._replies.lost(joint)
+        return sentences
 
     def _hand_over(self, frame: CanFrame) -> None:
         """Give canopen a frame that a drive may send; what it cannot read is ignored.
 
-        canopen would also take in torques that a stranger sends, and go on with those.
+        canopen would also take in torques that another node sends, and go on with those.
 
         It goes without a time stamp: from two of them canopen would take an event-driven PDO for a
         periodic one, and wait for more.
@@ -252,14 +202,21 @@ class Cia402Master:
 
     @contextlib.contextmanager
     def _listening(self) -> Iterator[None]:
-        """Hand frames to canopen, on a thread, since its requests wait for their answers."""
+        """Hand frames to canopen, on a thread, since its requests wait for their answers.
+
+        Raises:
+            BusError: the bus was lost meanwhile, whatever followed from that.
+        """
         over = threading.Event()
 
         def hand_over() -> None:
-            while not over.is_set():
-                frame = self._bus.receive(_POLL_S)
-                if frame is not None and is_classical_data(frame, len(frame.data)):
-                    self._hand_over(frame)
+            try:
+                while not over.is_set():
+                    frame = self._bus.receive(_POLL_S)
+                    if frame is not None and is_classical_data(frame, len(frame.data)):
+                        self._hand_over(frame)
+            except BusError as error:
+                self._lost = error
 
         thread = threading.Thread(target=hand_over, daemon=True)
         thread.start()
@@ -268,9 +225,11 @@ class Cia402Master:
         finally:
             over.set()
             thread.join()
+            if self._lost is not None:
+                raise self._lost
 
 
-def _strike_off(missing: set[int], node_id: int, state: int) -> None:
+def _note_boot(missing: set[int], node_id: int, state: int) -> None:
     """A heartbeat has come; a node that has just booted is missing no longer."""
     if state == _BOOT_UP:
         missing.discard(node_id)
@@ -286,6 +245,3 @@ class _Network(canopen.Network):
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
         """Send a frame."""
         self._our_bus.send(CanFrame(can_id, bytes(data), is_remote=remote))
-
-
-_EMERGENCY = struct.Struct("<HB5s")

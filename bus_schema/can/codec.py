@@ -1,4 +1,4 @@
-"""Cyclic traffic between a master and its drives: which frames ask, tell and command."""
+"""Cyclic traffic between a master and its drives: which frames sample, report and command."""
 
 from __future__ import annotations
 
@@ -8,16 +8,18 @@ from typing import Protocol
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.can.cansimple_codec import CanSimpleCodec
-from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.units import DriveUnits, rated_torque_nm
-from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.robot_description import RobotDescription
+from bus_schema.can.frame_timing import CycleFrames
 
 
 class CanCodec(Protocol):
-    """The frames of one control cycle of a protocol; joints are counted from 0."""
+    """The frames of one control cycle of a protocol; joints are counted from 0.
+
+    Attributes:
+        cycle: how many frames of which length these are.
+    """
+
+    cycle: CycleFrames
 
     def sampling_frames(self) -> Sequence[CanFrame]:
         """Frames by which the master has all drives sample their joints."""
@@ -28,12 +30,12 @@ class CanCodec(Protocol):
         ...
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        """Write what a drive tells of its joint, rad and rad/s; the joint, None if it is no such.
+        """Decode the state of a joint, rad and rad/s; the joint, None for any other frame.
 
         Args:
             frame: any frame.
-            position: shape (joints,).
-            velocity: shape (joints,).
+            position: where its position is written, shape (joints,).
+            velocity: where its velocity is written, shape (joints,).
         """
         ...
 
@@ -42,24 +44,17 @@ class CanCodec(Protocol):
         ...
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
-        """Write the torque in a frame, as rounded for the wire; the joint, None if it has none."""
+        """Decode the torque for a joint, as rounded for the wire; the joint, None if it has none.
+
+        Args:
+            frame: any frame.
+            torque_nm: where the torque is written, shape (joints,).
+        """
         ...
 
 
-def build_codec(can: CanConfiguration, robot: RobotDescription) -> CanCodec:
-    """The codec of a scenario.
-
-    Raises:
-        ConfigurationError: a value does not fit the robot.
-    """
-    node_ids = can.node_ids_of(robot.joints)
-    if can.protocol == "cansimple":
-        return CanSimpleCodec(node_ids)
-    return Cia402Codec(node_ids, DriveUnits(can.counts_per_turn, rated_torque_nm(can, robot)))
-
-
 def as_delivered(codec: CanCodec, torque_nm: Vector) -> Vector:
-    """What the drives get of these torques, shape (joints,)."""
+    """What the drives receive of these torques, shape (joints,)."""
     delivered = np.zeros_like(torque_nm)
     for frame in codec.torque_frames(torque_nm):
         codec.read_torque(frame, delivered)

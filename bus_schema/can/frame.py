@@ -20,7 +20,7 @@ class CanFrame(NamedTuple):
         data: at most 8 bytes, 64 with CAN FD; of a remote frame, none.
         is_extended: the identifier has 29 bits.
         is_remote: a remote transmission request.
-        is_error: no frame from the bus, but what the local controller tells about it.
+        is_error: no frame from the bus, but a report of the local controller about it.
         is_fd: a CAN FD frame.
     """
 

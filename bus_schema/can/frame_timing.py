@@ -1,4 +1,6 @@
-"""How long a CAN frame is on the wire: the frame formats of ISO 11898-1, stuff bits counted.
+"""How long CAN frames are on the wire, and whether those of a control cycle fit into its period.
+
+The frame formats are those of ISO 11898-1, stuff bits counted.
 
 What a frame occupies reaches from its start-of-frame bit to the end of the interframe space (three
 bits), so that frames sent back to back add up.
@@ -12,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.can.frame import CanFrame
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.runtime.compiled import compiled
 
 _CRC15 = 0x4599
@@ -26,6 +30,9 @@ _FD_TAIL_BITS = 12
 # Stuff count (4 bits) and CRC; a fixed stuff bit before them and after every fourth; the delimiter.
 _CRC17_FIELD_BITS = 4 + 17 + 6 + 1
 _CRC21_FIELD_BITS = 4 + 21 + 7 + 1
+_RATES_HZ = (10_000, 8000, 5000, 4000, 2500, 2000, 1000, 800, 500, 400, 250, 200, 125, 100)
+_LARGEST_SHARE = 0.95
+"""Of the period: the rest is for heartbeats, status words and emergencies."""
 
 
 class WireBits(NamedTuple):
@@ -42,6 +49,20 @@ class WireBits(NamedTuple):
     def duration_ns(self, bitrate: int, data_bitrate: int) -> int:
         """How long the frame occupies the bus."""
         return round(1e9 * (self.nominal / bitrate + self.fast / data_bitrate))
+
+
+class CycleFrames(NamedTuple):
+    """Classical frames of one control cycle.
+
+    Attributes:
+        shared: data bytes of each frame that all drives share.
+        per_drive: data bytes of each frame that is sent for or by every single drive.
+        words: the same in words; ``{n}`` stands for the number of drives.
+    """
+
+    shared: tuple[int, ...]
+    per_drive: tuple[int, ...]
+    words: str
 
 
 def wire_bits(frame: CanFrame) -> WireBits:
@@ -64,6 +85,36 @@ def longest_classical_bits(data_bytes: int) -> int:
     """Bits of a classical frame with a standard identifier and the most stuff bits possible."""
     stuffable = 34 + 8 * data_bytes
     return stuffable + (stuffable - 1) // 4 + _CLASSICAL_TAIL_BITS
+
+
+def cycle_bits(cycle: CycleFrames, joints: int) -> int:
+    """Most bits that the frames of one cycle can have, stuff bits included."""
+    lengths = (*cycle.shared, *(joints * cycle.per_drive))
+    return sum(longest_classical_bits(data_bytes) for data_bytes in lengths)
+
+
+def check_cycle_fits(
+    can: CanConfiguration, cycle: CycleFrames, joints: int, rate_hz: float
+) -> None:
+    """Refuse a rate at which the frames of a cycle do not fit into its period.
+
+    Raises:
+        ConfigurationError: with the arithmetic, and the nearest rate that fits.
+    """
+    bits = cycle_bits(cycle, joints)
+    needed_us = 1e6 * bits / can.bitrate
+    period_us = 1e6 / rate_hz
+    if needed_us <= _LARGEST_SHARE * period_us:
+        return
+    limit_hz = _LARGEST_SHARE * 1e6 / needed_us
+    fitting = next((rate for rate in _RATES_HZ if rate <= limit_hz), int(limit_hz))
+    raise ConfigurationError(
+        "rate_hz", rate_hz,
+        f"a cycle of {joints} drives takes {cycle.words.format(n=joints)} = up to {bits} bits with"
+        f" stuffing = {needed_us:.0f} µs at {can.bitrate // 1000} kbit/s, and of the period of"
+        f" {period_us:.0f} µs {_LARGEST_SHARE:.0%} may be used; the nearest rate that fits is"
+        f" {fitting} Hz (at most {limit_hz:.0f})",
+    )  # fmt: skip
 
 
 def arbitration_key(frame: CanFrame) -> tuple[int, int]:

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from bus_schema.can.can_run import CanRun
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import CanMaster, DriveError
-from bus_schema.link.interface import StateHandler
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Topic
-from bus_schema.runtime.clock import Clock
-from bus_schema.zenoh.telemetry import Telemetry
+from bus_schema.runtime.clock import Clock, TickGrid
 
 logger = logging.getLogger(__name__)
 
@@ -32,7 +32,26 @@ _REALTIME_PATIENCE = 0.8
 """Share of the period within which states must be there; a torque needs the rest."""
 
 
-class CanControllerLink:
+@dataclass(frozen=True)
+class CanRun:
+    """What both sides of a run over CAN must know of it.
+
+    Attributes:
+        joint_names: names of the joints, in the order of the drives.
+        link: section ``link`` of the scenario.
+        grid: its ticks.
+        ticks: how many there are.
+        lockstep: virtual time, made by the cycles themselves.
+    """
+
+    joint_names: tuple[str, ...]
+    link: LinkConfiguration
+    grid: TickGrid
+    ticks: int
+    lockstep: bool
+
+
+class CanControllerLink(ControllerLink):
     """The controller's side.
 
     Args:
@@ -40,7 +59,7 @@ class CanControllerLink:
         master: master of the drives.
         bus: the bus it is on, which the link closes.
         clock: time of the run.
-        telemetry: where all that is no state or torque goes.
+        telemetry: where everything goes that is no state or torque.
 
     Attributes:
         incomplete: ticks at which a drive did not answer in time.
@@ -63,7 +82,7 @@ class CanControllerLink:
         self.skipped = 0
 
     def publish(self, topic: Topic, payload: bytes) -> int:
-        """Send torques to the drives, and everything else to whoever listens."""
+        """Send torques to the drives, and everything else by telemetry."""
         if topic is not topics.JOINT_COMMANDS:
             return self._telemetry.publish(topic, payload)
         self._command_layout.decode(payload, self._command)
@@ -75,16 +94,10 @@ class CanControllerLink:
     def serve(self, on_state: StateHandler) -> None:
         self._on_state = on_state
 
-    def take_command(self, *, await_recorder: bool, is_stop_requested: Callable[[], bool]) -> None:
-        """Wait for the recorder, if there is to be one.
+    def activate(self) -> None:
+        """The first frames to the drives announce it, once it spins."""
 
-        Raises:
-            PeerSilentError: it did not come.
-        """
-        if await_recorder:
-            self._telemetry.await_recorder(self._run.link.connect_timeout_s, is_stop_requested)
-
-    def join(self, *, is_stop_requested: Callable[[], bool]) -> None:
+    def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
         """Enable the drives, run all cycles, and bring the drives to rest.
 
         Raises:
@@ -103,8 +116,12 @@ class CanControllerLink:
         finally:
             self._bring_to_rest(tick)
 
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self._telemetry.await_recorder(timeout_s, is_stop_requested)
+
     def await_recorded(self) -> None:
-        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
         self._telemetry.await_recorded()
 
     def close(self) -> None:
@@ -170,7 +187,7 @@ class CanControllerLink:
                 self._read_while_stopping()
             self._master.leave()
         except Exception as error:  # noqa: BLE001 (what led here matters more)
-            logger.error("the drives may not have been told to stop: %s", error)
+            logger.error("the drives may not have been commanded to stop: %s", error)
 
     def _read_while_stopping(self) -> None:
         fields = self._state.fields

@@ -1,69 +1,24 @@
-"""What a controller may ask of the master of a CAN bus with motor drives."""
+"""The master of a CAN bus with motor drives: what all protocols have in common."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 
 from bus_schema.arrays import Vector
-from bus_schema.can.frame import BUS_OFF, CanFrame
+from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
 from bus_schema.errors import BusError
+from bus_schema.link.can_configuration import CanConfiguration
 
 
 class DriveError(BusError):
     """A drive is not what it should be, or no longer does what it must; the message says which."""
 
 
-class CanMaster(Protocol):
-    """The master of one protocol; joints are counted from 0."""
-
-    def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        """Take all drives from power-on to where they follow torques; false if asked to stop.
-
-        Args:
-            timeout_s: how long to wait for the drives to turn up, wall time.
-            is_stop_requested: looked at while waiting.
-
-        Raises:
-            DriveError: a drive does not come, is another than expected, or does not follow.
-        """
-        ...
-
-    def sample(self, now_ns: int) -> None:
-        """Have all drives sample their joints; `now_ns` is the time of the run."""
-        ...
-
-    def read(self, timeout_s: float, position: Vector, velocity: Vector) -> bool:
-        """Write what the drives answer, shape (joints,); false if some do not within `timeout_s`.
-
-        Raises:
-            DriveError: a drive reports a fault, stopped following, or fell silent.
-        """
-        ...
-
-    def missing(self) -> str:
-        """Addresses of the drives that have not answered yet, in words."""
-        ...
-
-    def command(self, torque_nm: Vector) -> None:
-        """Send torques, shape (joints,)."""
-        ...
-
-    def begin_stop(self) -> None:
-        """From now on drives are to come to rest; torques are no longer sent, faults expected."""
-        ...
-
-    def is_stopped(self) -> bool:
-        """Whether no drive that can be heard has its power stage on any longer."""
-        ...
-
-    def leave(self) -> None:
-        """Say goodbye to the drives."""
-        ...
-
-
-class Roll:
-    """Which drives have answered since they were asked, and which will no longer.
+class PendingReplies:
+    """Which drives still have to answer since they were last sampled, and which never will.
 
     Args:
         node_ids: addresses of the drives.
@@ -86,13 +41,17 @@ class Roll:
         """Addresses of those that have not answered yet."""
         return ", ".join(str(self._node_ids[joint]) for joint in sorted(self._missing))
 
-    def call(self) -> None:
-        """All were asked."""
+    def expect_all(self) -> None:
+        """All were sampled."""
         self._missing = set(range(len(self._node_ids))) - self.silent
 
-    def answered(self, joint: int) -> None:
+    def received(self, joint: int) -> None:
         """One has answered."""
         self._missing.discard(joint)
+
+    def lost(self, joint: int) -> None:
+        """One will answer no more."""
+        self.silent.add(joint)
 
     def give_up(self) -> None:
         """Those that have not answered are not waited for any longer."""
@@ -100,6 +59,124 @@ class Roll:
         self._missing = set()
 
 
-def bus_fault(frame: CanFrame) -> str | None:
-    """What an error frame of the local controller says is wrong with the bus, if anything."""
-    return "the CAN controller is bus-off" if frame.identifier & BUS_OFF else None
+class CanMaster(ABC):
+    """The master of one protocol; joints are counted from 0.
+
+    Args:
+        bus: where the drives are.
+        can: section ``link.can`` of the scenario.
+        node_ids: addresses of the drives, one for each joint.
+        codec: the frames of a cycle.
+    """
+
+    def __init__(
+        self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: CanCodec
+    ) -> None:
+        self._bus, self._can, self._codec = bus, can, codec
+        self._node_ids = node_ids
+        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
+        self._replies = PendingReplies(node_ids)
+        self._is_powered = [False] * len(node_ids)
+        self._faults: list[str] = []
+        self._is_stopping = False
+        self._now_ns = 0
+        self._next_heartbeat_ns = 0
+
+    @abstractmethod
+    def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
+        """Take all drives from power-on to where they follow torques; false if asked to stop.
+
+        Args:
+            timeout_s: how long to wait for the drives to turn up, wall time.
+            is_stop_requested: looked at while waiting.
+
+        Raises:
+            DriveError: a drive does not come, is another than expected, or does not follow.
+            BusError: the bus itself was lost.
+        """
+
+    def sample(self, now_ns: int) -> None:
+        """Have all drives sample their joints; `now_ns` is the time of the run."""
+        self._now_ns = now_ns
+        if self._is_heartbeat_due():
+            self._send_heartbeat()
+            self._next_heartbeat_ns = now_ns + self._can.heartbeat_ms * 1_000_000
+        self._replies.expect_all()
+        self._send(self._codec.sampling_frames())
+
+    def read(self, timeout_s: float, position: Vector, velocity: Vector) -> bool:
+        """Read what the drives answer; false if some do not within `timeout_s`.
+
+        Args:
+            timeout_s: wall time.
+            position: where positions are written, rad, shape (joints,).
+            velocity: where velocities are written, rad/s, shape (joints,).
+
+        Raises:
+            DriveError: a drive reports a fault, stopped following, or fell silent.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        while not self._replies.is_complete:
+            frame = self._bus.receive(max(0.0, give_up_s - time.monotonic()))
+            if frame is None:
+                break
+            joint = self._codec.read_state(frame, position, velocity)
+            if joint is None:
+                self._handle(frame)
+            else:
+                self._replies.received(joint)
+        faults, self._faults = self._faults + self._missed_heartbeats(), []
+        if faults and not self._is_stopping:
+            raise DriveError("; ".join(dict.fromkeys(faults)))
+        return self._replies.is_complete
+
+    def missing(self) -> str:
+        """Addresses of the drives that have not answered yet, in words."""
+        return self._replies.missing
+
+    def command(self, torque_nm: Vector) -> None:
+        """Send torques, shape (joints,)."""
+        self._send(self._codec.torque_frames(torque_nm))
+
+    def begin_stop(self) -> None:
+        """From now on drives are to come to rest, whatever torques say; faults are expected."""
+        self._is_stopping = True
+        self._replies.give_up()
+
+    def is_stopped(self) -> bool:
+        """Whether no drive that still answers has its power stage on any longer."""
+        return not any(
+            is_powered and joint not in self._replies.silent
+            for joint, is_powered in enumerate(self._is_powered)
+        )
+
+    @abstractmethod
+    def leave(self) -> None:
+        """Leave the drives in the state in which they wait for a master."""
+
+    @abstractmethod
+    def _send_heartbeat(self) -> None:
+        """Do what keeps drives and master aware of each other, every `heartbeat_ms`."""
+
+    @abstractmethod
+    def _handle_report(self, frame: CanFrame) -> None:
+        """Take in a data frame that is no state, and note the faults it reports."""
+
+    def _missed_heartbeats(self) -> list[str]:
+        """One sentence for each drive whose heartbeat has become overdue; none is awaited here."""
+        return []
+
+    def _is_heartbeat_due(self) -> bool:
+        return self._now_ns >= self._next_heartbeat_ns
+
+    def _handle(self, frame: CanFrame) -> None:
+        """Take in what is no state: error frames of the local controller, reports of drives."""
+        if frame.is_error:
+            if frame.identifier & BUS_OFF:
+                self._faults.append("the CAN controller is bus-off")
+        elif not (frame.is_extended or frame.is_remote):
+            self._handle_report(frame)
+
+    def _send(self, frames: Iterable[CanFrame]) -> None:
+        for frame in frames:
+            self._bus.send(frame)

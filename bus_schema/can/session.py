@@ -21,7 +21,7 @@ from bus_schema.link.can_configuration import CanConfiguration
 _SEND_TIMEOUT_S = 1.0
 _IFF_UP = 1
 
-# What the interfaces have to say reaches the user in the exceptions they raise.
+# What the interfaces report reaches the user in the exceptions they raise.
 logging.getLogger("can").setLevel(logging.CRITICAL)
 
 
@@ -35,14 +35,14 @@ class PythonCanBus:
     Args:
         bus: python-can's bus.
         channel: what it is called, for error messages.
-        hears_itself: what it sends comes back to it, as a multicast group does.
+        receives_own: it receives its own frames too, as in a multicast group; these are left out.
     """
 
-    def __init__(self, bus: can.BusABC, channel: str, *, hears_itself: bool) -> None:
+    def __init__(self, bus: can.BusABC, channel: str, *, receives_own: bool) -> None:
         self._bus = bus
         self._channel = channel
-        self._hears_itself = hears_itself
-        self._echoes: Counter[CanFrame] = Counter()
+        self._receives_own = receives_own
+        self._own_frames: Counter[CanFrame] = Counter()
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame.
@@ -50,8 +50,8 @@ class PythonCanBus:
         Raises:
             CanSessionError: the interface is down, or its queue stays full for a second.
         """
-        if self._hears_itself:
-            self._echoes[frame] += 1
+        if self._receives_own:
+            self._own_frames[frame] += 1
         message = can.Message(
             arbitration_id=frame.identifier,
             data=frame.data,
@@ -73,10 +73,10 @@ class PythonCanBus:
             CanSessionError: the interface is down.
         """
         frame = self._receive(timeout_s)
-        if not self._hears_itself:
+        if not self._receives_own:
             return frame
         give_up_s = time.monotonic() + timeout_s
-        while frame is not None and self._is_echo(frame):
+        while frame is not None and self._is_own(frame):
             frame = self._receive(max(0.0, give_up_s - time.monotonic()))
         return frame
 
@@ -89,7 +89,7 @@ class PythonCanBus:
         try:
             message = self._bus.recv(timeout_s)
         except (can.CanError, OSError) as error:
-            if self._hears_itself and not isinstance(error.__cause__, OSError):
+            if self._receives_own and not isinstance(error.__cause__, OSError):
                 return None  # a datagram on the multicast group that is no CAN frame
             raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
         if message is None:
@@ -103,12 +103,12 @@ class PythonCanBus:
             message.is_fd,
         )
 
-    def _is_echo(self, frame: CanFrame) -> bool:
-        outstanding = self._echoes[frame]
+    def _is_own(self, frame: CanFrame) -> bool:
+        outstanding = self._own_frames[frame]
         if outstanding <= 1:
-            del self._echoes[frame]
+            del self._own_frames[frame]
         else:
-            self._echoes[frame] = outstanding - 1
+            self._own_frames[frame] = outstanding - 1
         return outstanding > 0
 
 
@@ -128,7 +128,7 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
         bus = can.Bus(interface=interface, channel=channel, **_arguments(configuration))
     except Exception as error:
         raise _explained(error, interface, channel) from error
-    return PythonCanBus(bus, channel, hears_itself=interface == "udp_multicast")
+    return PythonCanBus(bus, channel, receives_own=interface == "udp_multicast")
 
 
 def check_can_bus(configuration: CanConfiguration) -> None:

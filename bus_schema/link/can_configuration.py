@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
@@ -13,6 +15,11 @@ from bus_schema.configuration import (
     Positive,
     StrictModel,
 )
+
+_DESCRIPTIONS = Path(str(resources.files("bus_schema").joinpath("can")))
+CIA402_EDS = _DESCRIPTIONS / "cia402_drive.eds"
+CANSIMPLE_DBC = _DESCRIPTIONS / "cansimple.dbc"
+"""The descriptions of the drives' protocols, which both sides read."""
 
 _CHANNELS = {"udp_multicast": "239.74.163.2", "virtual": "funnel_hil"}
 
@@ -52,7 +59,8 @@ class CanConfiguration(StrictModel):
         bitrate: bits per second; on emulated buses it counts in the plant's time.
         fd: the bus carries CAN FD frames too. Neither protocol sends any.
         data_bitrate: bit rate of the data phase of FD frames.
-        protocol: what the drives speak: CiA 402 on CANopen, or ODrive's CANSimple.
+        protocol: what the drives speak: ``cia402`` on CANopen, ODrive's ``cansimple``, or another
+            one of the table of drive protocols.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
@@ -71,7 +79,7 @@ class CanConfiguration(StrictModel):
     bitrate: Literal[125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
     fd: bool = False
     data_bitrate: Annotated[int, Field(ge=125_000, le=8_000_000)] | None = None
-    protocol: Literal["cia402", "cansimple"] = "cia402"
+    protocol: str = "cia402"
     node_ids: (
         Annotated[tuple[Annotated[int, Field(ge=1, le=127)], ...], AfterValidator(_check_node_ids)]
         | None
@@ -98,19 +106,11 @@ class CanConfiguration(StrictModel):
         """One address per joint.
 
         Raises:
-            ConfigurationError: there are not as many as joints, or too large for the protocol.
+            ConfigurationError: there are not as many as joints.
         """
         node_ids = self.node_ids or tuple(range(1, joints + 1))
         if len(node_ids) != joints:
             raise ConfigurationError(
                 "link.can.node_ids", list(node_ids), f"one for each of the {joints} joints"
             )
-        if self.protocol == "cansimple" and max(node_ids) > _LARGEST_CANSIMPLE_NODE:
-            raise ConfigurationError(
-                "link.can.node_ids", list(node_ids),
-                f"must be at most {_LARGEST_CANSIMPLE_NODE} with CANSimple",
-            )  # fmt: skip
         return node_ids
-
-
-_LARGEST_CANSIMPLE_NODE = 63

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
@@ -50,7 +50,8 @@ class LinkConfiguration(StrictModel, validate_default=True):
 
     Attributes:
         kind: ``zenoh`` between processes, ``in_process`` within one (for ``simulate``), ``can`` for
-            joint states and torques on a CAN bus (telemetry still goes over Zenoh).
+            joint states and torques on a CAN bus (telemetry still goes over Zenoh), or another one
+            of the table of kinds of links.
         domain: ROS domain, the first part of every key.
         security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
@@ -67,7 +68,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 
-    kind: Literal["zenoh", "in_process", "can"] = "zenoh"
+    kind: str = "zenoh"
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"

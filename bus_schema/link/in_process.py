@@ -1,18 +1,20 @@
-"""Both sides of a bus inside one process and one thread: a message is a function call.
+"""Both sides of a bus inside one process: a message is a function call.
 
-It models no transport: nothing is delayed, lost or reordered here. A state is answered before
-`send_state` returns.
+It models no transport: nothing is delayed, lost or reordered here. A state is answered, on the
+plant's thread, before `send_state` returns.
 """
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
-from typing import Any
 
 from bus_schema.errors import PeerSilentError
-from bus_schema.link.interface import CommandArrival, StateHandler, never
+from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Role, Topic
 from bus_schema.runtime.clock import Clock
+
+_POLL_S = 0.05
 
 
 class InProcessBus:
@@ -22,10 +24,11 @@ class InProcessBus:
         topics: topic of each message that was on the bus, in order.
         payloads: its payload. Two flat lists: with no container per message, Python's garbage
             collector finds nothing to do while a loop runs.
-        on_state: the controller; None before it came and after it failed.
+        on_state: the controller; None before it came and after it left or failed.
         failure: the exception that ended the controller's service of states, if any.
         commands_sent: number of the newest command.
         commands: commands that the plant has not taken yet.
+        has_left: by role, set once that side has left.
     """
 
     def __init__(self, plant_clock: Clock) -> None:
@@ -36,6 +39,7 @@ class InProcessBus:
         self.on_state: StateHandler | None = None
         self.failure: Exception | None = None
         self.commands: list[CommandArrival] = []
+        self.has_left = {role: threading.Event() for role in Role}
 
     def publish(self, topic: Topic, payload: bytes) -> int:
         """Put a message on the bus; its number if it is a command, which alone are counted here."""
@@ -47,13 +51,64 @@ class InProcessBus:
         self.commands.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))
         return sequence
 
+    def send_state(self, state: bytes, status: bytes) -> None:
+        """Put a state and its status on the bus, and have the controller answer."""
+        self.topics += PLANT_STATUS, JOINT_STATES
+        self.payloads += status, state
+        if self.on_state is None:
+            return
+        try:
+            self.on_state(state, status)
+        except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
+            self.on_state, self.failure = None, error
 
-class InProcessPlantLink:
+    def take_commands(self) -> list[CommandArrival]:
+        """All commands that the plant has not taken yet."""
+        taken = self.commands
+        if taken:
+            self.commands = []
+        return taken
+
+    def connect(self, on_state: StateHandler) -> None:
+        """Have the controller answer states from now on."""
+        self.on_state = on_state
+
+    def leave(self, role: Role) -> None:
+        """One side leaves; without its controller, states are not answered any longer."""
+        if role is Role.CONTROLLER:
+            self.on_state = None
+        self.has_left[role].set()
+
+
+class InProcessNode:
+    """One side of an `InProcessBus`; on its own, telemetry of loops whose states go another way."""
+
+    def __init__(self, bus: InProcessBus, role: Role) -> None:
+        self._bus, self._role = bus, role
+
+    def publish(self, topic: Topic, payload: bytes) -> int:
+        return self._bus.publish(topic, payload)
+
+    def sees(self, role: Role) -> bool:
+        return not self._bus.has_left[role].is_set()
+
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """The bus itself remembers everything."""
+
+    def await_recorded(self) -> None:
+        """The bus itself remembers everything."""
+
+    def close(self) -> None:
+        self._bus.leave(self._role)
+
+
+class InProcessPlantLink(InProcessNode, PlantLink):
     """The plant's side of an `InProcessBus`."""
 
     def __init__(self, bus: InProcessBus) -> None:
-        self._bus = bus
-        self.publish = bus.publish
+        super().__init__(bus, Role.PLANT)
 
     def await_controller(
         self,
@@ -64,78 +119,38 @@ class InProcessPlantLink:
             raise PeerSilentError("controller", timeout_s, "handler of joint states")
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        bus = self._bus
-        bus.topics += PLANT_STATUS, JOINT_STATES
-        bus.payloads += status, state
-        if bus.on_state is None:
-            return
-        try:
-            bus.on_state(state, status)
-        except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
-            bus.on_state, bus.failure = None, error
+        self._bus.send_state(state, status)
 
     def await_command(self, timeout_s: float) -> bool:  # noqa: ARG002 (the interface)
         return bool(self._bus.commands)
 
+    def take_commands(self) -> list[CommandArrival]:
+        return self._bus.take_commands()
+
     def controller_has_left(self) -> bool:
-        # A controller that has not answered by now never will: there is no other thread.
+        # A controller that has not answered by now never will: states are answered at once.
         return not self._bus.commands
 
     def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (the interface)
         return self._bus.on_state is None
 
-    def take_commands(self) -> list[CommandArrival]:
-        taken = self._bus.commands
-        if taken:
-            self._bus.commands = []
-        return taken
 
-    def overflow(self) -> int:
-        return 0
-
-    def fault(self) -> str | None:
-        return None
-
-    def report(self) -> dict[str, Any]:
-        return {}
-
-    def close(self) -> None:
-        """Nothing to close."""
-
-
-class InProcessControllerLink:
+class InProcessControllerLink(InProcessNode, ControllerLink):
     """The controller's side of an `InProcessBus`."""
 
     def __init__(self, bus: InProcessBus) -> None:
-        self._bus = bus
-        self.publish = bus.publish
+        super().__init__(bus, Role.CONTROLLER)
 
     def serve(self, on_state: StateHandler) -> None:
-        self._bus.on_state = on_state
+        self._bus.connect(on_state)
 
-    def close(self) -> None:
-        self._bus.on_state = None
+    def activate(self) -> None:
+        """Nobody waits for it: whoever serves states has announced it."""
 
-
-class InProcessTelemetry:
-    """Telemetry of loops whose states and torques go over CAN: to an `InProcessBus`.
-
-    Attributes:
-        controller_is_there: whether the controller is still at work.
-    """
-
-    def __init__(self, bus: InProcessBus) -> None:
-        self.publish = bus.publish
-        self.controller_is_there = True
-
-    def sees(self, role: Role) -> bool:
-        return role is not Role.CONTROLLER or self.controller_is_there
-
-    def await_recorder(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> None:
-        """There is nobody to wait for."""
-
-    def await_recorded(self) -> None:
-        """There is nobody to wait for."""
-
-    def close(self) -> None:
-        """Nothing to close."""
+    def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
+        """Wait until the plant has left; its own thread has the states answered."""
+        plant_has_left = self._bus.has_left[Role.PLANT]
+        while not plant_has_left.wait(_POLL_S) and not is_stop_requested():
+            pass
+        if self._bus.failure is not None:
+            raise self._bus.failure

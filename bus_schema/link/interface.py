@@ -1,6 +1,7 @@
 """What a loop may ask of a bus: one small interface with two sides.
 
-Messages cross it as CDR payloads, so that what a loop sends is what a recorder writes.
+Messages cross it as CDR payloads, so that what a loop sends is what a recorder writes. Whoever
+implements a side completely is on the bus: nobody asks what kind of link it is.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from bus_schema.messages.topics import Topic
+from bus_schema.messages.topics import Role, Topic
 
 
 class CommandArrival(NamedTuple):
@@ -32,11 +33,25 @@ def never() -> bool:
     return False
 
 
-class Publisher(Protocol):
+class Link(Protocol):
     """What both sides have in common."""
 
     def publish(self, topic: Topic, payload: bytes) -> int:
         """Send a message; for a command, its number, from 1."""
+        ...
+
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        """Wait until a recorder is on the bus, or until asked to stop.
+
+        Raises:
+            PeerSilentError: none came within `timeout_s`, wall time.
+        """
+        ...
+
+    def await_recorded(self) -> None:
+        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
         ...
 
     def close(self) -> None:
@@ -44,8 +59,16 @@ class Publisher(Protocol):
         ...
 
 
-class PlantLink(Publisher, Protocol):
-    """The plant's side."""
+class Telemetry(Link, Protocol):
+    """Where everything else goes when states and commands travel another way."""
+
+    def sees(self, role: Role) -> bool:
+        """Whether one of our own processes is on the bus."""
+        ...
+
+
+class PlantLink(Link, Protocol):
+    """The plant's side. What a class derived from it does not say, it has nothing to say about."""
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -53,7 +76,7 @@ class PlantLink(Publisher, Protocol):
         """Wait until somebody is there to answer, or until asked to stop.
 
         Raises:
-            PeerSilentError: nobody came.
+            PeerSilentError: nobody came within `timeout_s`, wall time.
         """
         ...
 
@@ -65,6 +88,14 @@ class PlantLink(Publisher, Protocol):
         """Wait for a command that was not yet taken; whether there is one."""
         ...
 
+    def take_commands(self) -> list[CommandArrival]:
+        """All commands that arrived since the last call, in order of arrival."""
+        ...
+
+    def overflow(self) -> int:
+        """How many commands were left out, because too many waited to be taken."""
+        return 0
+
     def controller_has_left(self) -> bool:
         """Whether the controller was on the bus and is there no longer."""
         ...
@@ -73,30 +104,35 @@ class PlantLink(Publisher, Protocol):
         """Whether the session that sends commands as `sender` was on the bus and is gone."""
         ...
 
-    def take_commands(self) -> list[CommandArrival]:
-        """All commands that arrived since the last call, in order of arrival."""
-        ...
-
-    def overflow(self) -> int:
-        """How many commands were left out, because too many waited to be taken."""
-        ...
-
     def fault(self) -> str | None:
-        """Why the arm must stop now, as what hangs on the bus tells; None if all is well."""
-        ...
+        """Why the arm must stop now, as the bus or a drive on it reports; None if all is well."""
+        return None
 
     def report(self) -> dict[str, Any]:
         """What the link has to add to the transport's counts."""
-        ...
+        return {}
 
 
 StateHandler = Callable[[bytes, bytes | None], None]
 """Called with a joint state and, where its sender gave one, the plant status that belongs to it."""
 
 
-class ControllerLink(Publisher, Protocol):
+class ControllerLink(Link, Protocol):
     """The controller's side."""
 
     def serve(self, on_state: StateHandler) -> None:
         """Have `on_state` called for each joint state that arrives, one at a time."""
+        ...
+
+    def activate(self) -> None:
+        """Announce that states will be answered from now on, which lets the plant start."""
+        ...
+
+    def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
+        """Answer joint states to the end of the run, or until asked to stop.
+
+        Raises:
+            BusError: the plant never came or went silent, a drive failed, or the bus was lost.
+            Exception: whatever the handler of states raised.
+        """
         ...

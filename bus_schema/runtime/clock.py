@@ -13,6 +13,13 @@ class Clock(Protocol):
         """The run starts now: time is 0."""
         ...
 
+    def anchor(self, ago_ns: int) -> None:
+        """Note that the run began `ago_ns` ago, by a sign from outside: `start` sets time 0 there.
+
+        Until `start`, time goes on as before. Virtual time begins with `start` whatever was noted.
+        """
+        ...
+
     def now_ns(self) -> int:
         """Time since the start of the run."""
         ...
@@ -31,6 +38,9 @@ class VirtualClock:
     def start(self) -> None:
         self._now_ns = 0
 
+    def anchor(self, ago_ns: int) -> None:
+        """Virtual time begins when its owner starts it."""
+
     def now_ns(self) -> int:
         return self._now_ns
 
@@ -47,10 +57,14 @@ class MonotonicClock:
     """
 
     def __init__(self) -> None:
+        self._anchor_ns: int | None = None
         self.start()
 
     def start(self) -> None:
-        self._start_ns = time.monotonic_ns()
+        self._start_ns = time.monotonic_ns() if self._anchor_ns is None else self._anchor_ns
+
+    def anchor(self, ago_ns: int) -> None:
+        self._anchor_ns = time.monotonic_ns() - ago_ns
 
     def now_ns(self) -> int:
         return time.monotonic_ns() - self._start_ns
@@ -59,23 +73,6 @@ class MonotonicClock:
         while (remaining_ns := instant_ns - self.now_ns()) > 0:
             time.sleep(remaining_ns * 1e-9)
         return -remaining_ns
-
-
-class SyncedClock(MonotonicClock):
-    """A monotonic clock of a run that began with a sign from outside, not when it was noticed."""
-
-    def __init__(self) -> None:
-        self._sign_ns: int | None = None
-        super().__init__()
-
-    def note_sign(self, lead_ns: int) -> None:
-        """The sign is given: the run's time 0 was `lead_ns` ago."""
-        self._sign_ns = time.monotonic_ns() - lead_ns
-
-    def start(self) -> None:
-        super().start()
-        if self._sign_ns is not None:
-            self._start_ns = self._sign_ns
 
 
 class TickGrid:

@@ -1,8 +1,8 @@
-"""Zenoh settings for mutual TLS, and who may say what: the table of topics as access rules.
+"""Zenoh settings for mutual TLS, and who may send what: the table of topics as access rules.
 
 A peer is what the common name of its certificate says. Every process applies the rules to what it
 receives and to what it sends, so a peer can neither speak nor listen out of turn even where the
-other side was set up carelessly. What no rule allows is dropped, and nobody is told.
+other side was set up carelessly. What no rule allows is dropped silently.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bus_schema.zenoh.ros_graph import graph_key_expression, node_tokens
 
 
 def recorded_key_expression(domain: int, gid: str = "*") -> str:
-    """Liveliness token by which a recorder says that it has all of one publisher's messages."""
+    """Liveliness token by which a recorder reports that it has all of one publisher's messages."""
     return f"funnel_hil/{domain}/recorded/{gid}"
 
 
@@ -47,8 +47,8 @@ def access_control(role: Role, domain: int) -> dict[str, Any]:
     """Zenoh's section ``access_control`` for one process: by default, everything is denied."""
     rules, policies = [], []
     for peer in Role:
-        own = [*_rules(f"{role} hears {peer}", "ingress", peer, domain),
-               *_rules(f"{role} tells {peer}", "egress", role, domain)]  # fmt: skip
+        own = [*_rules(f"{role} from {peer}", "ingress", peer, domain),
+               *_rules(f"{role} to {peer}", "egress", role, domain)]  # fmt: skip
         rules += own
         policies.append({"subjects": [peer], "rules": [rule["id"] for rule in own]})
     return {

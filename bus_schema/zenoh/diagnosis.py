@@ -1,7 +1,7 @@
-"""Why a peer may be missing. Zenoh refuses silently, so whoever waits has to be told what to check.
+"""Why a peer may be missing. Zenoh refuses silently, so whoever waits has to know what to check.
 
-A process that connects knocks at the door once and tells what it found; one that listens can only
-list what keeps visitors away.
+A process that connects probes the endpoint once and reports what it found; one that listens can
+only list what keeps peers away.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from bus_schema.messages.topics import Role
 logger = logging.getLogger(__name__)
 
 SILENCE_S = 2.0
-"""How long a peer may be missing before somebody says so."""
-_KNOCK_S = 1.0
+"""How long a peer may be missing before it is reported."""
+_PROBE_S = 1.0
 
 
 class SilenceWatch:
@@ -55,7 +55,7 @@ def explain_silence(link: LinkConfiguration, role: Role, peer: Role) -> str:
     endpoint = link.listen_endpoint(peer)
     protocol, _, address = endpoint.partition("/")
     if protocol == "tcp":
-        finding = _knock(address)
+        finding = _probe(address)
     elif protocol == "tls":
         finding = _shake_hands(address, link, role, peer)
     else:
@@ -84,7 +84,7 @@ def _why_nobody_answers(link: LinkConfiguration, peer: Role) -> str:
     )
 
 
-def _knock(address: str) -> str | None:
+def _probe(address: str) -> str | None:
     """What is wrong at a TCP endpoint; None if somebody is there."""
     try:
         _connect(address).close()
@@ -104,9 +104,9 @@ def _shake_hands(address: str, link: LinkConfiguration, role: Role, peer: Role) 
         context = ssl.create_default_context(cafile=str(keys.authority))
         context.load_cert_chain(keys.certificate(role), keys.key(role))
         with plain, context.wrap_socket(plain, server_hostname=_host(address)) as secure:
-            said = _common_name(secure.getpeercert() or {})
-            if said != peer:
-                return f"the certificate there is for the role {said!r}; link.security refuses it"
+            found = _common_name(secure.getpeercert() or {})
+            if found != peer:
+                return f"the certificate there is for the role {found!r}; link.security refuses it"
             return _our_refusal(secure, role)
     except ssl.SSLCertVerificationError as error:
         return (
@@ -120,7 +120,7 @@ def _shake_hands(address: str, link: LinkConfiguration, role: Role, peer: Role) 
 def _our_refusal(secure: ssl.SSLSocket, role: Role) -> str | None:
     """Under TLS 1.3 a server says only after the handshake that it refuses our certificate."""
     try:
-        secure.settimeout(_KNOCK_S)
+        secure.settimeout(_PROBE_S)
         secure.recv(1)
     except TimeoutError:
         return None
@@ -130,7 +130,7 @@ def _our_refusal(secure: ssl.SSLSocket, role: Role) -> str | None:
 
 
 def _connect(address: str) -> socket.socket:
-    return socket.create_connection((_host(address), int(address.rpartition(":")[2])), _KNOCK_S)
+    return socket.create_connection((_host(address), int(address.rpartition(":")[2])), _PROBE_S)
 
 
 def _host(address: str) -> str:

@@ -10,11 +10,10 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.interface import CommandArrival, StateHandler, never
+from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES
 from bus_schema.messages.topics import Role, Topic
@@ -27,52 +26,42 @@ _LARGEST_BACKLOG = 10_000
 _GRACE_S = 1.0
 
 
-class ZenohPlantLink:
+class ZenohPlantLink(ZenohNode, PlantLink):
     """The plant's side.
 
     Args:
         link: section ``link`` of the scenario.
         clock: the plant's clock, which stamps arrivals.
         lossless: rather wait for a slow recorder than go on without it.
-        await_recorder: do not start without a recorder.
     """
 
-    def __init__(
-        self, link: LinkConfiguration, clock: Clock, *, lossless: bool, await_recorder: bool
-    ) -> None:
-        self._link = link
+    def __init__(self, link: LinkConfiguration, clock: Clock, *, lossless: bool) -> None:
+        super().__init__(link, Role.PLANT, lossless=lossless)
         self._clock = clock
-        self._await_recorder = await_recorder
         self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._pending: list[CommandArrival] = []
         self._overflow = 0
         self._commander_was_seen = False
-        self._node = ZenohNode(link, Role.PLANT, lossless=lossless)
-        self._states = self._node.advertise(topics.JOINT_STATES)
-        for topic in _TELEMETRY[Role.PLANT]:
-            self._node.advertise(topic)
-        self._node.subscribe(topics.JOINT_COMMANDS, self._on_command)
-        self._node.expect_acknowledgement()
-        self._node.announce()
-        self.publish = self._node.publish
-        self.close = self._node.close
+        self._states = self.advertise(topics.JOINT_STATES)
+        for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
+            self.advertise(topic)
+        self.subscribe(topics.JOINT_COMMANDS, self._on_command)
+        self.announce()
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        """Wait for a publisher of commands, or at least for a stranger who listens to states."""
+        """Wait for a publisher of commands, or at least for a foreign subscriber to states."""
         give_up_s = time.monotonic() + timeout_s
-        if self._await_recorder:
-            self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
-        listened_since_s = None
-        silence = self._node.watch_silence(Role.CONTROLLER)
-        while not self._node.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
+        subscribed_since_s = None
+        silence = self.watch_silence(Role.CONTROLLER)
+        while not self.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
             silence.look()
             now_s = time.monotonic()
-            # A client without rmw_zenoh's tokens can only be told by its subscription.
-            if self._states.has_subscribers() and not self._node.sees(Role.RECORDER):
-                listened_since_s = now_s if listened_since_s is None else listened_since_s
-                if now_s - listened_since_s > _GRACE_S:
+            # A client without rmw_zenoh's tokens can be known by its subscription only.
+            if self._states.has_subscribers() and not self.sees(Role.RECORDER):
+                subscribed_since_s = now_s if subscribed_since_s is None else subscribed_since_s
+                if now_s - subscribed_since_s > _GRACE_S:
                     return
             if now_s > give_up_s:
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
@@ -91,16 +80,6 @@ class ZenohPlantLink:
                 return False
         return True
 
-    def controller_has_left(self) -> bool:
-        return self._commander_was_seen and not self._node.has_publisher(topics.JOINT_COMMANDS)
-
-    def sender_has_left(self, sender: bytes) -> bool:
-        return self._node.has_left(sender)
-
-    def await_recorded(self) -> None:
-        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
-        self._node.await_acknowledgement(self._link.reply_timeout_s)
-
     def take_commands(self) -> list[CommandArrival]:
         taken, self._pending = self._pending, []
         for _ in range(self._arrivals.qsize()):
@@ -110,11 +89,11 @@ class ZenohPlantLink:
     def overflow(self) -> int:
         return self._overflow
 
-    def fault(self) -> str | None:
-        return None
+    def controller_has_left(self) -> bool:
+        return self._commander_was_seen and not self.has_publisher(topics.JOINT_COMMANDS)
 
-    def report(self) -> dict[str, Any]:
-        return {}
+    def sender_has_left(self, sender: bytes) -> bool:
+        return self.has_left(sender)
 
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
@@ -124,10 +103,10 @@ class ZenohPlantLink:
         self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
 
 
-class ZenohControllerLink:
+class ZenohControllerLink(ZenohNode, ControllerLink):
     """The controller's side. States are answered on the network thread, as they arrive.
 
-    Not before it has taken command, though: in a run that is under way they arrive at once.
+    Not before it is active, though: in a run that is under way they arrive at once.
 
     Args:
         link: section ``link`` of the scenario.
@@ -138,50 +117,31 @@ class ZenohControllerLink:
     """
 
     def __init__(self, link: LinkConfiguration, *, lossless: bool) -> None:
-        self._link = link
+        super().__init__(link, Role.CONTROLLER, lossless=lossless)
         self._on_state: StateHandler | None = None
         self._status = b""
         self._states_seen = 0
         self._over = threading.Event()
         self.failure: Exception | None = None
-        self._node = ZenohNode(link, Role.CONTROLLER, lossless=lossless)
-        for topic in _TELEMETRY[Role.CONTROLLER]:
-            self._node.advertise(topic)
-        self._node.subscribe(topics.PLANT_STATUS, self._on_status_delivery)
-        self._node.subscribe(topics.JOINT_STATES, self._on_state_delivery)
-        self._node.expect_acknowledgement()
-        self._node.announce()
-        self.publish = self._node.publish
-        self.close = self._node.close
+        for topic in (topics.CONTROL_STATUS, topics.RUN_EVENTS):
+            self.advertise(topic)
+        self.subscribe(topics.PLANT_STATUS, self._on_status_delivery)
+        self.subscribe(topics.JOINT_STATES, self._on_state_delivery)
+        self.announce()
 
     def serve(self, on_state: StateHandler) -> None:
         self._on_state = on_state
 
-    def take_command(
-        self, *, await_recorder: bool, is_stop_requested: Callable[[], bool] = never
-    ) -> None:
-        """Announce that commands will come, which lets the plant start.
+    def activate(self) -> None:
+        self.advertise(topics.JOINT_COMMANDS)
 
-        Raises:
-            PeerSilentError: a recorder was to be awaited and did not come.
-        """
-        if await_recorder:
-            timeout_s = self._link.connect_timeout_s
-            self._node.await_role(Role.RECORDER, timeout_s, is_stop_requested)
-        self._node.advertise(topics.JOINT_COMMANDS)
-
-    def join(self, *, is_stop_requested: Callable[[], bool]) -> None:
-        """Wait for the end of the run.
-
-        Raises:
-            PeerSilentError: the plant never came, or went silent.
-            Exception: whatever the handler of states raised.
-        """
+    def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
+        """Wait for the end of the run while the network thread has the states answered."""
         seen, last_change_s, allowed_s = 0, time.monotonic(), self._link.connect_timeout_s
         plant_was_there = False
-        silence = self._node.watch_silence(Role.PLANT)
+        silence = self.watch_silence(Role.PLANT)
         while not self._over.wait(POLL_S) and not is_stop_requested():
-            plant_is_there = self._node.has_publisher(topics.JOINT_STATES)
+            plant_is_there = self.has_publisher(topics.JOINT_STATES)
             if plant_was_there and not plant_is_there:
                 return
             if not plant_is_there and not self._states_seen:
@@ -195,24 +155,38 @@ class ZenohControllerLink:
         if self.failure is not None:
             raise self.failure
 
-    def await_recorded(self) -> None:
-        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
-        self._node.await_acknowledgement(self._link.reply_timeout_s)
-
     def _on_status_delivery(self, delivery: Delivery) -> None:
         self._status = delivery.payload
 
     def _on_state_delivery(self, delivery: Delivery) -> None:
         status, self._status = self._status, b""
-        is_in_command = self._node.sends_on(topics.JOINT_COMMANDS)
-        if self._on_state is None or not is_in_command or self._over.is_set():
+        is_active = self.sends_on(topics.JOINT_COMMANDS)
+        if self._on_state is None or not is_active or self._over.is_set():
             return
         self._states_seen += 1
         try:
             self._on_state(delivery.payload, status or None)
-        except Exception as error:  # noqa: BLE001 (raised again by join, on the main thread)
+        except Exception as error:  # noqa: BLE001 (raised again by spin, on the main thread)
             self.failure = error
             self._over.set()
+
+
+def open_telemetry(link: LinkConfiguration, role: Role, *, lossless: bool) -> ZenohNode:
+    """Telemetry of a loop whose states and torques do not go over Zenoh.
+
+    Args:
+        link: section ``link`` of the scenario.
+        role: whose it is.
+        lossless: rather wait for a slow recorder than go on without it.
+
+    Raises:
+        SessionError: an endpoint cannot be served.
+    """
+    node = ZenohNode(link, role, lossless=lossless)
+    for topic in _TELEMETRY[role]:
+        node.advertise(topic)
+    node.announce()
+    return node
 
 
 def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
@@ -226,7 +200,11 @@ def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival
     )
 
 
+# The plant's side publishes states and commands, since it is there that they take effect.
 _TELEMETRY: dict[Role, Sequence[Topic]] = {
-    Role.PLANT: (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS),
+    Role.PLANT: (
+        topics.JOINT_STATES, topics.JOINT_COMMANDS, topics.PLANT_STATUS, topics.PLANT_TRUTH,
+        topics.RUN_EVENTS,
+    ),
     Role.CONTROLLER: (topics.CONTROL_STATUS, topics.RUN_EVENTS),
-}
+}  # fmt: skip

@@ -35,7 +35,7 @@ _REALTIME_PATIENCE_S = 0.02
 
 
 class ZenohNode:
-    """A session that is a node of the ROS graph: it announces itself and knows who is there.
+    """A session that is a node of the ROS graph, and what both sides of a link have in common.
 
     Args:
         link: section ``link`` of the scenario.
@@ -69,7 +69,14 @@ class ZenohNode:
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
 
     def announce(self) -> None:
-        """Show the node to the others; to be called once it is ready."""
+        """Show the node to the others; to be called once it is ready.
+
+        From then on it watches for the token by which a recorder reports that it has everything.
+        """
+        if topics.RUN_EVENTS.name in self._publishers:
+            _, gid = self._publishers[topics.RUN_EVENTS.name]
+            key = recorded_key_expression(self._domain, gid.hex())
+            self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
 
     def advertise(self, topic: Topic) -> ZenohPublisher:
@@ -144,7 +151,7 @@ class ZenohNode:
             time.sleep(POLL_S)
 
     def watch_silence(self, role: Role) -> SilenceWatch:
-        """What says why one of our own processes may be missing."""
+        """A watch that reports why one of our own processes may be missing."""
         return SilenceWatch(self._link, self._role, role)
 
     def sees(self, role: Role) -> bool:
@@ -155,18 +162,16 @@ class ZenohNode:
         )
 
     def acknowledge(self, gid: bytes) -> None:
-        """As a recorder: say that all messages of a publisher of run events are recorded."""
+        """As a recorder: announce that all messages of a publisher of run events are recorded."""
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
 
-    def expect_acknowledgement(self) -> None:
-        """Listen for the recorder's word that it has everything."""
-        _, gid = self._publishers[topics.RUN_EVENTS.name]
-        key = recorded_key_expression(self._domain, gid.hex())
-        self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self.await_role(Role.RECORDER, timeout_s, is_stop_requested)
 
-    def await_acknowledgement(self, timeout_s: float) -> None:
-        """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
-        give_up_s = time.monotonic() + timeout_s
+    def await_recorded(self) -> None:
+        give_up_s = time.monotonic() + self._link.reply_timeout_s
         while self.sees(Role.RECORDER) and time.monotonic() < give_up_s:
             if self._acknowledged.wait(POLL_S):
                 return

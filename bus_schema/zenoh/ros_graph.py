@@ -57,7 +57,7 @@ class EntityKind(StrEnum):
 
 @dataclass(frozen=True)
 class Entity:
-    """An entity in the ROS graph, as its liveliness token tells.
+    """An entity in the ROS graph, as its liveliness token describes it.
 
     Attributes:
         session: Zenoh identifier of the session it lives in.

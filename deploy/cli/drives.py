@@ -91,7 +91,7 @@ def _serve(
     skipped = f", {rig.counts.skipped} of {rig.counts.ticks} ticks late" * bool(rig.counts.skipped)
     rejected = dict(monitor.bank.rejections.counts) or "none"
     monitor.print(
-        f"{rig.counts.heard} frames heard, {monitor.sent} sent, rejected: {rejected}{skipped}"
+        f"{rig.counts.received} frames heard, {monitor.sent} sent, rejected: {rejected}{skipped}"
     )
     was_cut_short = ticks is not None and rig.counts.ticks < ticks
     return INTERRUPTED if was_cut_short else FINISHED

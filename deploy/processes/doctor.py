@@ -222,7 +222,7 @@ def _measure_lateness_us() -> tuple[bool, Vector]:
 
 
 def _socketcan() -> Finding:
-    cost = "link.kind can has no bus to run on; every other link is unaffected"
+    cost = "a link of kind can has no bus to run on; every other link is unaffected"
     if not hasattr(socket, "AF_CAN"):
         return Finding("SocketCAN", "missing", "not known to this Python", cost)
     try:

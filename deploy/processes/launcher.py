@@ -97,7 +97,7 @@ class Launcher:
         if role is Role.RECORDER:
             return ["record", scenario, "--log", str(_numbered(self._log, start))]
         arguments = [role.value, scenario, "--await-recorder"]
-        if role is Role.PLANT and self._setup.scenario.link.kind == "can":
+        if role is Role.PLANT and self._setup.link_kind.logs_frames:
             arguments += ["--can-log", str(_numbered(self._can_log, start))]
         return arguments
 

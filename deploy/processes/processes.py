@@ -10,32 +10,28 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bus_schema.errors import BusError
+from bus_schema.link.interface import ControllerLink
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.clock import Clock, MonotonicClock, SyncedClock, VirtualClock
+from bus_schema.runtime.clock import MonotonicClock, VirtualClock
 from bus_schema.runtime.realtime import (
     RealtimeSetting,
     forgo_preemption,
     go_realtime,
     request_precedence,
 )
-from bus_schema.zenoh.link import ZenohControllerLink
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
 from deploy.exit_codes import FAULT, FINISHED
-from deploy.processes.links import open_controller_link, open_plant_link
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
 from deploy.scenario.scenario import Setup
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
-
-if TYPE_CHECKING:
-    from bus_schema.can.link import CanControllerLink
 
 _PROGRESS_S = 0.2
 
@@ -66,12 +62,13 @@ def run_plant(
 ) -> int:
     """Be the plant for one run; the exit code."""
     lockstep = setup.scenario.clock == "lockstep"
-    clock = _plant_clock(setup)
+    clock = VirtualClock() if lockstep else MonotonicClock()
     arm = setup.arm()
     _set_up_scheduling(setup, reporter, Role.PLANT)
     link = None
     try:
-        link = open_plant_link(setup, arm, clock, await_recorder=await_recorder, can_log=can_log)
+        run = setup.link_run(lockstep=lockstep, can_log=can_log)
+        link = setup.link_kind.open_plant(run, arm, clock)
         request = partial(reporter.request, await_execution=lockstep)
         actions = process_actions(setup.scenario.faults, request)
         task = setup.plant_task(lockstep=lockstep, process_actions=actions)
@@ -79,7 +76,9 @@ def run_plant(
         loop.warm_up()
         stop = StopRequest(loop.request_stop)
         reporter.report("note", text=f"listening at {setup.scenario.link.plant_endpoint}")
-        link.await_controller(setup.scenario.link.connect_timeout_s, lambda: stop.is_set)
+        if await_recorder:
+            link.await_recorder(run.link.connect_timeout_s, lambda: stop.is_set)
+        link.await_controller(run.link.connect_timeout_s, lambda: stop.is_set)
         with _reporting_progress(reporter, lambda: _plant_progress(loop, setup)):
             outcome = loop.run()
         link.await_recorded()
@@ -99,18 +98,13 @@ def run_plant(
         arm.close()
 
 
-def _plant_clock(setup: Setup) -> Clock:
-    if setup.scenario.clock == "lockstep":
-        return VirtualClock()
-    return SyncedClock() if setup.scenario.link.kind == "can" else MonotonicClock()
-
-
 def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
     _set_up_scheduling(setup, reporter, Role.CONTROLLER)
+    run = setup.link_run(lockstep=setup.scenario.clock == "lockstep")
     try:
-        link = open_controller_link(setup)
+        link = setup.link_kind.open_controller(run)
     except BusError as error:
         reporter.report("fault", text=str(error))
         return FAULT
@@ -120,7 +114,9 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
         reporter.report(
             "note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}"
         )
-        link.take_command(await_recorder=await_recorder, is_stop_requested=lambda: stop.is_set)
+        if await_recorder:
+            link.await_recorder(run.link.connect_timeout_s, lambda: stop.is_set)
+        link.activate()
         with _reporting_progress(reporter, lambda: _controller_progress(loop)):
             return _control(loop, link, stop, reporter)
     except BusError as error:
@@ -133,14 +129,14 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
 
 def _control(
     loop: ControlLoop,
-    link: ZenohControllerLink | CanControllerLink,
+    link: ControllerLink,
     stop: StopRequest,
     reporter: StatusReporter,
 ) -> int:
     """Answer states to the end, and leave the bus in order; the exit code."""
     code = FINISHED
     try:
-        link.join(is_stop_requested=lambda: stop.is_set)
+        link.spin(lambda: stop.is_set)
     except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
         reporter.report("fault", text=str(error))
         loop.stop(str(error))
@@ -200,11 +196,11 @@ def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) 
 
 def _own_cpu(setup: Setup, role: Role) -> int | None:
     """One of the usable CPUs for each loop, the last for the plant: it owns the clock, and the
-    first often has the interrupts. None for no choice: where there is but one, and over CAN, where
-    canopen polls while another thread has to hand it the answers.
+    first often has the interrupts. None for no choice: where there is but one, or where the link
+    has threads that need the others.
     """
     usable = sorted(os.sched_getaffinity(0))
-    if len(usable) == 1 or setup.scenario.link.kind == "can":
+    if len(usable) == 1 or not setup.link_kind.may_pin_loops:
         return None
     return usable[-1] if role is Role.PLANT else usable[0]
 

@@ -105,7 +105,7 @@ class Recorder:
 
     def __init__(self, setup: Setup, path: Path) -> None:
         self._setup = setup
-        self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.scenario.link.kind)
+        self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.link_kind.name)
         domain = setup.scenario.link.domain
         self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
         self._gaps = GapCounter()

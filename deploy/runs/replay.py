@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from bus_schema.can.codec import as_delivered, build_codec
+from bus_schema.arrays import Vector
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
@@ -62,8 +63,9 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
         except Exception:  # noqa: BLE001 (a law that failed in the recording fails again)
             break
     replayed = [command.payload for command in bus.commands]
-    if setup.scenario.link.kind == "can":
-        replayed = _as_delivered(setup, replayed)
+    rounding = setup.link_kind.wire_rounding(setup.link_run(lockstep=True))
+    if rounding is not None:
+        replayed = _as_delivered(setup, replayed, rounding)
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
@@ -80,13 +82,14 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     )
 
 
-def _as_delivered(setup: Setup, commands: list[bytes]) -> list[bytes]:
-    """Commands as the drives of a CAN bus get them: torques rounded for the wire."""
-    codec = build_codec(setup.scenario.link.can, setup.robot)
+def _as_delivered(
+    setup: Setup, commands: list[bytes], rounding: Callable[[Vector], Vector]
+) -> list[bytes]:
+    """Commands as they arrive over a link that rounds torques."""
     layout = topics.layout(topics.JOINT_COMMANDS, setup.robot.joint_names)
     command, delivered = Record(layout), []
     for payload in commands:
         layout.decode(payload, command)
-        command.fields["effort"][:] = as_delivered(codec, command.fields["effort"])
+        command.fields["effort"][:] = rounding(command.fields["effort"])
         delivered.append(command.payload())
     return delivered

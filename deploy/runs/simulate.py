@@ -1,13 +1,16 @@
-"""A run in one process and in virtual time: the loops of the bus, on the in-process link."""
+"""A run in one process and in virtual time: the same loops, on links that share the process."""
 
 from __future__ import annotations
 
+import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
+from bus_schema.link.in_process import InProcessBus
+from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import RUN_EVENTS, Role, Topic
@@ -15,7 +18,6 @@ from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
 from deploy.processes.recorder import close_log, open_log
 from deploy.runs.run_data import RunData, build_run_data
-from deploy.runs.simulate_can import run_over_can
 from deploy.scenario.scenario import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.faults.process_faults import (
@@ -26,7 +28,6 @@ from plant_emulator.faults.process_faults import (
 from plant_emulator.plant_loop import PlantLoop
 
 CLOCK = "virtual"
-LINK = "in_process"
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,8 @@ class Simulation:
         by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             by_topic[topic.name].append(payload)
-        return build_run_data(self.setup, by_topic, clock=CLOCK, link=self._link)
-
-    @property
-    def _link(self) -> str:
-        return "can" if self.setup.scenario.link.kind == "can" else LINK
+        link = self.setup.link_kind.simulated_as
+        return build_run_data(self.setup, by_topic, clock=CLOCK, link=link)
 
     def write_log(self, path: Path) -> None:
         """Write the recording that a recorder would have made.
@@ -61,7 +59,7 @@ class Simulation:
         Raises:
             OSError: the disk does not take it.
         """
-        log = open_log(self.setup, path, clock=CLOCK, link=self._link)
+        log = open_log(self.setup, path, clock=CLOCK, link=self.setup.link_kind.simulated_as)
         sequences: Counter[str] = Counter()
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             sequences[topic.name] += 1
@@ -90,43 +88,89 @@ def simulate(
     _require_simulable(setup)
     clock = VirtualClock()
     bus = InProcessBus(clock)
-    if setup.scenario.link.kind == "can":
-        stopped_by = run_over_can(setup, bus, clock, on_start, can_log)
-        return Simulation(setup, bus.topics, bus.payloads, stopped_by)
-    controllers_link = InProcessControllerLink(bus)
-    controller = ControlLoop(setup.control_task(), controllers_link)
+    run = setup.link_run(lockstep=True, bus=bus, can_log=can_log)
+    arm = setup.arm()
+    controller_link = setup.link_kind.open_controller(run)
+    plant_link = setup.link_kind.open_plant(run, arm, clock)
+    controller = ControlLoop(setup.control_task(), controller_link)
 
     def silence(action: ProcessAction) -> None:
         """Silence the controller for good: the plant gives up on it at the first missed reply."""
         if action.verb not in ("resume", "start"):
-            controllers_link.close()
+            controller_link.close()
 
     actions = process_actions(setup.scenario.faults, silence)
     task = setup.plant_task(lockstep=True, process_actions=actions)
-    arm = setup.arm()
-    plant = PlantLoop(task, arm, InProcessPlantLink(bus), clock)
+    plant = PlantLoop(task, arm, plant_link, clock)
     if on_start is not None:
         on_start(plant)
     try:
-        try:
-            controller.warm_up()
-        except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
-            bus.failure = error
-            controller.stop(reason_of(error))
-        else:
-            plant.run()
-        controller.end()
+        failure = _warm_up(controller)
+        if failure is None:
+            timeout_s = run.link.connect_timeout_s
+            failure = _run(plant, plant_link, controller, controller_link, timeout_s)
     finally:
+        plant_link.close()
+        controller_link.close()
         arm.close()
-    return Simulation(setup, bus.topics, bus.payloads, bus.failure)
+    return Simulation(setup, bus.topics, bus.payloads, failure)
+
+
+def _warm_up(controller: ControlLoop) -> Exception | None:
+    """Make the controller ready; what stopped it for good, if anything did."""
+    try:
+        controller.warm_up()
+    except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
+        controller.stop(reason_of(error))
+        controller.end()
+        return error
+    return None
+
+
+def _run(
+    plant: PlantLoop,
+    plant_link: PlantLink,
+    controller: ControlLoop,
+    controller_link: ControllerLink,
+    timeout_s: float,
+) -> Exception | None:
+    """Run the plant on this thread, the controller on another; what stopped it, if anything did."""
+    stop = threading.Event()
+    with ThreadPoolExecutor(max_workers=1) as executor:
+        failure = executor.submit(_control, controller, controller_link, stop.is_set)
+        try:
+            plant.warm_up()
+            plant_link.await_controller(timeout_s, failure.done)
+            plant.run()
+            plant_link.await_recorded()
+        finally:
+            plant_link.close()
+            stop.set()
+    return failure.result()
+
+
+def _control(
+    controller: ControlLoop, link: ControllerLink, is_stop_requested: Callable[[], bool]
+) -> Exception | None:
+    """Be the controller to the end of the run; what stopped it, if anything did."""
+    failure = None
+    try:
+        link.activate()
+        link.spin(is_stop_requested)
+    except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
+        controller.stop(reason_of(error))
+        failure = error
+    controller.end()
+    link.close()
+    return failure
 
 
 def _require_simulable(setup: Setup) -> None:
     for fault in process_faults(setup.scenario.faults):
-        if setup.scenario.link.kind == "can":
+        if not setup.link_kind.simulates_process_faults:
             raise ScenarioError(
                 f"{setup.source}: faults: kind = {fault.kind!r}: must be of another kind for"
-                " simulate over CAN; run has processes"
+                " simulate over this link; run has processes"
             )
         if Role(fault.target) is not Role.CONTROLLER:
             raise ScenarioError(

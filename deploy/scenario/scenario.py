@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.can_run import CanRun
 from bus_schema.configuration import (
     ConfigurationError,
     NonNegative,
@@ -27,6 +26,7 @@ from bus_schema.configuration import (
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.in_process import InProcessBus
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
 from controller.configuration import ControllerConfiguration
@@ -35,6 +35,8 @@ from controller.funnel import Funnel
 from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import Reference, sample_positions
 from controller.reference_configuration import ReferenceConfiguration
+from deploy.link_kinds.kind import LinkKind, LinkRun
+from deploy.link_kinds.table import kind_of
 from deploy.scenario.referenced_files import find_delay_files, find_urdf
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -49,7 +51,7 @@ from deploy.scenario.yaml_files import (
 )
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.drives.driven_arm import DrivenArm
+from plant_emulator.drives.protocol import PROTOCOLS
 from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import ScheduledFault, check_faults
 from plant_emulator.faults.process_faults import plant_faults
@@ -164,15 +166,30 @@ class Setup:
             process_actions=process_actions,
         )
 
-    def can_run(self, *, lockstep: bool) -> CanRun:
-        """What both sides of a run over CAN must know of it."""
-        link, names = self.scenario.link, self.robot.joint_names
-        return CanRun(names, link, self.grid, self.ticks, lockstep=lockstep)
+    @property
+    def link_kind(self) -> LinkKind[Any]:
+        """What there is to know of the scenario's kind of link."""
+        return kind_of(self.scenario.link)
+
+    def link_run(
+        self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
+    ) -> LinkRun:
+        """What the link has to know of the run; the arguments are those of `LinkRun`."""
+        return LinkRun(
+            robot=self.robot,
+            link=self.scenario.link,
+            plant=self.scenario.plant,
+            grid=self.grid,
+            ticks=self.ticks,
+            seed=self.scenario.seed,
+            lockstep=lockstep,
+            bus=bus,
+            can_log=can_log,
+        )
 
     def arm(self) -> ArmPlant:
-        """A fresh arm at its start; over CAN one that waits for its drives."""
-        kind = DrivenArm if self.scenario.link.kind == "can" else ArmPlant
-        return kind(
+        """A fresh arm at its start, of the type that the link needs."""
+        arm: ArmPlant = self.link_kind.arm_type(
             self.scenario.plant,
             self.robot,
             self.start_position_rad,
@@ -181,6 +198,7 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
         )
+        return arm
 
 
 def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
@@ -243,6 +261,8 @@ def check(scenario: Scenario, source: Path) -> Setup:
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:
+    link_kind = kind_of(scenario.link)
+    PROTOCOLS.check(scenario.link.can.protocol)
     robot = load_robot(find_urdf(scenario.robot.urdf, source.parent))
     reference = scenario.reference.build(robot)
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
@@ -257,7 +277,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
         raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
     context = FaultContext(
-        robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, scenario.link.kind
+        robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
     )
     check_faults(scenario.faults, context)
     link = find_delay_files(scenario.link, source.parent)
@@ -272,10 +292,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         grid=grid,
     )
     setup.control_task()
-    if scenario.link.kind == "can":
-        from deploy.scenario.can_check import check_can_link  # imports what only CAN needs
-
-        check_can_link(setup.can_run(lockstep=True), robot, scenario.plant)
+    link_kind.check(setup.link_run(lockstep=True))
     ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
     return setup
 

@@ -1,7 +1,7 @@
 """All drives of a robot: what stands between its joints and the CAN bus.
 
 For a plant in lockstep the bank counts what the controller does: `samplings` rises when it has
-sampled every axis (a SYNC; or, without one, a request to each axis), `take_targets` tells when it
+sampled every axis (a SYNC; or, without one, a request to each axis), `take_targets` is true once it
 has given every axis a new target.
 """
 
@@ -128,7 +128,7 @@ class DriveBank:
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
         if frame.is_error:
-            self._hear_controller(frame, now_ns)
+            self._take_controller_error(frame, now_ns)
             return
         try:
             self._deliver(frame, now_ns)
@@ -171,7 +171,7 @@ class DriveBank:
         if not understood:
             raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
 
-    def _hear_controller(self, frame: CanFrame, now_ns: int) -> None:
+    def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
         for axis in self._axes:
             if frame.identifier & BUS_OFF:
                 axis.drive.lose_bus(now_ns)

@@ -1,8 +1,8 @@
 """The plant's side of the link over CAN: emulated drives between the loop and the bus.
 
-The loop shows the drives their joints by `send_state`; a master has them sampled when it likes, and
-when it has given every drive a torque, that is a command. In lockstep time stands still in between,
-so frames are handled where the loop waits for the command; in real time, by a thread.
+The loop has the drives measure their joints by `send_state`; a master samples them when it likes,
+and when it has given every drive a torque, that is a command. In lockstep time stands still in
+between, so frames are handled where the loop waits for the command; in real time, by a thread.
 """
 
 from __future__ import annotations
@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.can.can_run import CanRun
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
+from bus_schema.can.link import CanRun
 from bus_schema.errors import PeerSilentError
-from bus_schema.link.interface import CommandArrival, never
+from bus_schema.link.interface import CommandArrival, PlantLink, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import Role
-from bus_schema.runtime.clock import Clock, SyncedClock
-from bus_schema.zenoh.telemetry import Telemetry
+from bus_schema.messages.topics import Role, Topic
+from bus_schema.runtime.clock import Clock
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 
 _POLL_S = 0.02
@@ -34,7 +33,7 @@ _LEAD = 0.3
 """Share of the period by which the physics is ahead of the master in real time."""
 
 
-class CanPlantLink:
+class CanPlantLink(PlantLink):
     """The plant's side.
 
     Args:
@@ -42,8 +41,7 @@ class CanPlantLink:
         drives: the drives on their bus.
         codec: their cyclic frames.
         clock: the plant's clock.
-        telemetry: where all that is no frame goes; what the frames say too, for the record.
-        await_recorder: do not start without a recorder.
+        telemetry: where everything goes that is no frame; and what frames say, to be recorded.
     """
 
     def __init__(
@@ -53,12 +51,9 @@ class CanPlantLink:
         codec: CanCodec,
         clock: Clock,
         telemetry: Telemetry,
-        *,
-        await_recorder: bool,
     ) -> None:
         self._run, self._drives, self._codec = run, drives, codec
         self._clock, self._telemetry = clock, telemetry
-        self._await_recorder = await_recorder
         self._measured = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
         self._sampled = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, run.joint_names))
@@ -71,37 +66,42 @@ class CanPlantLink:
         self._thread: threading.Thread | None = None
         self._controller_was_seen = False
         self._layout = topics.layout(topics.JOINT_STATES, run.joint_names)
-        self.publish = telemetry.publish
+        self._failure: str | None = None
+
+    def publish(self, topic: Topic, payload: bytes) -> int:
+        return self._telemetry.publish(topic, payload)
+
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self._telemetry.await_recorder(timeout_s, is_stop_requested)
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
         """Let the drives be enabled, until the first tick is asked for."""
-        if self._await_recorder:
-            self._telemetry.await_recorder(timeout_s, is_stop_requested)
-        heard_s = time.monotonic()
+        last_frame_s = time.monotonic()
         while not is_stop_requested():
             self._drives.advance(self._clock.now_ns())
             frame = self._drives.receive(_POLL_S)
             if frame is None:
-                if time.monotonic() - heard_s > timeout_s:
+                if time.monotonic() - last_frame_s > timeout_s:
                     raise PeerSilentError(Role.CONTROLLER, timeout_s, "frame on the CAN bus")
                 continue
-            heard_s = time.monotonic()
+            last_frame_s = time.monotonic()
             if self._codec.is_sampling(frame):
                 self._waiting.append(frame)
                 break
             self._drives.handle(frame, self._clock.now_ns())
-        if isinstance(self._clock, SyncedClock):
-            # Each tick comes a little before it is asked for, so that what is told is fresh.
-            self._clock.note_sign(round(_LEAD * self._run.grid.period_ns))
+        # Each tick comes a little before it is asked for, so that what is sampled is fresh.
+        self._clock.anchor(round(_LEAD * self._run.grid.period_ns))
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
         self._drives.begin_run(self._clock.now_ns())
         self._controller_was_seen = self._telemetry.sees(Role.CONTROLLER)
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        """Show the drives their joints, and let them do what is due."""
+        """Have the drives measure their joints, and do what is due."""
         with self._lock:
             now_ns = self._clock.now_ns()
             self._layout.decode(state, self._measured)
@@ -136,12 +136,9 @@ class CanPlantLink:
     def take_commands(self) -> list[CommandArrival]:
         return [self._arrivals.popleft() for _ in range(len(self._arrivals))]
 
-    def overflow(self) -> int:
-        return 0
-
     def fault(self) -> str | None:
-        """What is wrong with drives, if anything is."""
-        return "; ".join(self._drives.bank.faults) or None
+        """What is wrong with the drives, or what ended the serving of frames, if anything did."""
+        return "; ".join(self._drives.bank.faults) or self._failure
 
     def report(self) -> dict[str, Any]:
         """Load, latency and counts of the bus."""
@@ -152,6 +149,18 @@ class CanPlantLink:
     def await_recorded(self) -> None:
         """Stay until the master has stopped the drives, and the recorder has everything."""
         self._stop_serving()
+        if self._failure is None:
+            self._await_standstill()
+        self._telemetry.await_recorded()
+
+    def close(self) -> None:
+        """Leave the buses."""
+        self._stop_serving()
+        self._drives.close()
+        self._telemetry.close()
+
+    def _await_standstill(self) -> None:
+        """Serve the master until it has brought the drives to rest; in lockstep it makes time."""
         bank, fields = self._drives.bank, self._measured.fields
         bank.measure(fields["position"], 0.0 * fields["velocity"], 0.0 * fields["effort"])
         now_ns, give_up_s = self._clock.now_ns(), time.monotonic() + _FAREWELL_S
@@ -161,21 +170,18 @@ class CanPlantLink:
                 now_ns += self._run.grid.period_ns if self._codec.is_sampling(frame) else 0
                 self._drives.handle(frame, now_ns)
             elif bank.braked.all() and not self._controller_was_seen:
-                break  # nobody can tell when a foreign master has heard enough
+                break  # a foreign master does not announce that it is done
             self._drives.advance(now_ns)
-        self._telemetry.await_recorded()
-
-    def close(self) -> None:
-        """Leave the buses."""
-        self._stop_serving()
-        self._drives.close()
-        self._telemetry.close()
 
     def _serve(self) -> None:
-        while not self._over.is_set():
-            frame = self._next_frame(_POLL_S)
-            if frame is not None:
-                self._take(frame)
+        """Handle frames as they come, on a thread, until the run or the bus is at its end."""
+        try:
+            while not self._over.is_set():
+                frame = self._next_frame(_POLL_S)
+                if frame is not None:
+                    self._take(frame)
+        except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
+            self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
 
     def _stop_serving(self) -> None:
         self._over.set()
@@ -186,7 +192,7 @@ class CanPlantLink:
         return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
 
     def _take(self, frame: CanFrame) -> None:
-        """Hand a frame to the drives, and note what it brought about."""
+        """Hand a frame to the drives, and publish what it led to."""
         with self._lock:
             self._drives.handle(frame, self._clock.now_ns())
             for answer in self._drives.answers:
@@ -196,18 +202,18 @@ class CanPlantLink:
             samplings = self._drives.bank.samplings
             if samplings != self._samplings:
                 self._samplings = samplings
-                self._note_sampling()
+                self._publish_state()
             if self._drives.bank.take_targets():
-                self._note_command()
+                self._publish_command()
 
-    def _note_sampling(self) -> None:
-        """All drives have told their states: what the controller gets to see."""
+    def _publish_state(self) -> None:
+        """All drives have sent their states: what the controller receives."""
         self._sampled.stamp_ns = self._measured.stamp_ns
         self._sampled.fields["effort"][:] = self._torque
         self.publish(topics.JOINT_STATES, self._sampled.payload())
 
-    def _note_command(self) -> None:
-        """All drives have got their torques: a command that answers the last sampling."""
+    def _publish_command(self) -> None:
+        """All drives have received their torques: a command that answers the last sampling."""
         self._command.stamp_ns = self._sampled.stamp_ns
         self._command.fields["effort"][:] = self._torque
         payload = self._command.payload()

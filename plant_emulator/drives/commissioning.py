@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from bus_schema.can.units import rated_torque_nm
+from bus_schema.can.cia402_codec import rated_torque_nm
 from bus_schema.configuration import expand
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
-from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
-from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
-from plant_emulator.drives.drive import Drive, DriveSettings, Send
-
-PROTOCOLS: dict[str, type[Drive]] = {"cia402": Cia402Drive, "cansimple": CanSimpleDrive}
+from plant_emulator.drives.drive import DriveSettings, Send
+from plant_emulator.drives.protocol import PROTOCOLS
 
 _LARGEST_PER_MILLE = 32_767
 
@@ -29,6 +26,7 @@ def commission(
     """
     damping = expand(plant.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
     rated = rated_torque_nm(can, robot)
+    node_ids = PROTOCOLS.build(can.protocol).node_ids(can, robot.joints)
     return tuple(
         DriveSettings(
             node_id=node_id,
@@ -40,7 +38,7 @@ def commission(
             stop_damping_nm_s=float(damping[joint]),
             watchdog_ms=can.command_timeout_ms,
         )
-        for joint, node_id in enumerate(can.node_ids_of(robot.joints))
+        for joint, node_id in enumerate(node_ids)
     )
 
 
@@ -60,7 +58,7 @@ def build_bank(
     settings = commission(can, robot, plant)
     if polled:
         settings = tuple(replace(each, estimates_ms=0) for each in settings)
-    return DriveBank(PROTOCOLS[can.protocol], settings, send)
+    return DriveBank(PROTOCOLS.build(can.protocol).drive, settings, send)
 
 
 def _max_torque_nm(effort_limit_nm: float, rated_nm: float) -> float:

@@ -1,6 +1,6 @@
-"""What a protocol and a joint have to say to each other: the interface of an emulated drive.
+"""What a protocol and a joint exchange: the interface of an emulated drive.
 
-Drives are passive: they live in the time they are told, have no thread and look at no clock, so
+Drives are passive: they live in the time they are given, have no thread and look at no clock, so
 that the same frames at the same instants always give the same answers, whatever carries them.
 """
 
@@ -48,7 +48,7 @@ class DriveFault(StrEnum):
     """Short circuit in the power stage: over as soon as the power stage is off."""
 
     SILENT = "silent"
-    """Its bus connection is cut: it neither hears nor is heard."""
+    """Its bus connection is cut: it neither receives nor sends."""
 
     ENCODER_FROZEN = "encoder-frozen"
     """Position stays at its last value and velocity at zero; the drive does not notice."""

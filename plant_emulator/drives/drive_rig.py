@@ -17,12 +17,12 @@ class RigCounts:
     """What a rig did.
 
     Attributes:
-        heard: frames that came.
+        received: frames that came.
         ticks: ticks that passed.
         skipped: ticks at which the drives had no turn because the machine was late.
     """
 
-    heard: int = 0
+    received: int = 0
     ticks: int = 0
     skipped: int = 0
 
@@ -35,7 +35,7 @@ class DriveRig:
     Args:
         arm: the arm.
         bank: its drives.
-        bus: what the drives are connected to.
+        bus: the bus they are on.
         clock: the rig's time.
         grid: when drives and physics have their turns.
         faults: what goes wrong.
@@ -76,21 +76,21 @@ class DriveRig:
         self._arm.begin()
         self._measure()
         while not self._stop_requested and (ticks is None or self.counts.ticks < ticks):
-            self._hear_until(self._grid.tick_ns(self.counts.ticks + 1))
+            self._receive_until(self._grid.tick_ns(self.counts.ticks + 1))
             now_ns = self._clock.now_ns()
             self._faults.run_due(now_ns, self._on_event)
             self._bank.advance(now_ns)
-            self._report_changes()
+            self._report_statuses()
             self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))
             self._measure()
         self._arm.brake()
 
-    def _hear_until(self, instant_ns: int) -> None:
+    def _receive_until(self, instant_ns: int) -> None:
         """Hand frames to the drives until it is time for the physics, however many they are."""
         while (remaining_ns := instant_ns - self._clock.now_ns()) > 0:
             frame = self._bus.receive(remaining_ns * 1e-9)
             if frame is not None:
-                self.counts.heard += 1
+                self.counts.received += 1
                 self._on_frame(frame)
                 self._bank.receive(frame, self._clock.now_ns())
 
@@ -110,7 +110,7 @@ class DriveRig:
         position, velocity = self._arm.measured
         self._bank.measure(position, velocity, self._arm.torques.actuator)
 
-    def _report_changes(self) -> None:
+    def _report_statuses(self) -> None:
         """Report which drives have changed their state."""
         statuses = self._bank.statuses
         for status in statuses:

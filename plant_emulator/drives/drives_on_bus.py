@@ -45,7 +45,10 @@ class DrivesOnBus:
         self._is_running = False
         self.bank = build(self._send)
         self._faults = schedule_faults(faults, self.bank)
-        self.receive = bus.receive
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """The next frame that another node sent; None if none came within `timeout_s`."""
+        return self._bus.receive(timeout_s)
 
     def begin_run(self, now_ns: int) -> None:
         """The run's time 0 is now. The drives' own time goes on: they have been on for a while."""
@@ -54,7 +57,7 @@ class DrivesOnBus:
         self.medium.start_counting()
 
     def handle(self, frame: CanFrame, now_ns: int) -> None:
-        """Let the drives take a frame; once the bus is off, nobody hears it."""
+        """Let the drives take a frame; once the bus is off, it reaches nobody."""
         self.answers.clear()
         if self.is_off:
             return

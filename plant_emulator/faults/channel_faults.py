@@ -17,9 +17,8 @@ class LinkFault(Fault):
 
     def check(self, key: str, context: FaultContext) -> None:
         super().check(key, context)
-        if context.link_kind == "can":
-            allowed = "without link.kind can, where link.can.faults says what befalls the bus"
-            raise ConfigurationError(f"{key}.kind", self.kind, allowed)
+        if context.no_link_faults is not None:
+            raise ConfigurationError(f"{key}.kind", self.kind, context.no_link_faults)
 
 
 class ChannelFault(LinkFault):

@@ -19,13 +19,14 @@ class FaultContext(NamedTuple):
         joint_names: names of the robot's joints.
         duration_s: length of the run.
         payload_kg: mass that the arm carries.
-        link_kind: ``link.kind`` of the scenario.
+        no_link_faults: what is allowed in place of faults of messages, where the link has none
+            that the plant could change; None where it has.
     """
 
     joint_names: tuple[str, ...]
     duration_s: float
     payload_kg: float
-    link_kind: str
+    no_link_faults: str | None
 
 
 class Fault(StrictModel):

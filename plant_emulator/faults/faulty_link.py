@@ -101,6 +101,14 @@ class FaultyLink:
     ) -> None:
         self._link.await_controller(timeout_s, is_stop_requested)
 
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self._link.await_recorder(timeout_s, is_stop_requested)
+
+    def await_recorded(self) -> None:
+        self._link.await_recorded()
+
     def controller_has_left(self) -> bool:
         return self._link.controller_has_left()
 

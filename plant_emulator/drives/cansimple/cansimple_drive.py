@@ -17,7 +17,7 @@ from cantools.database.errors import Error as CantoolsError
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
-from bus_schema.link.can_files import CANSIMPLE_DBC
+from bus_schema.link.can_configuration import CANSIMPLE_DBC
 from plant_emulator.drives.cansimple.axis import Axis
 from plant_emulator.drives.drive import (
     DriveFault,
@@ -136,7 +136,7 @@ class CanSimpleDrive:
         return ", ".join([text, *(f"{name} {value}" for name, value in values.items())])
 
     def _answer(self, message: Message, frame: CanFrame) -> None:
-        """What an axis tells is asked for by a remote frame, or by one without data."""
+        """Answer a request for a report: a remote frame, or one without data."""
         if frame.data:
             raise InvalidMessageError("not_a_command", f"only an axis sends {message.name}")
         self._transmit(message.name)

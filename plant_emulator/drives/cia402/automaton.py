@@ -42,7 +42,7 @@ class Automaton:
         reset_errors: resets all errors; false while the cause of one is there.
 
     Attributes:
-        state: as the statusword tells it.
+        state: as the statusword has it.
         halted: the controlword's halt bit is set.
     """
 

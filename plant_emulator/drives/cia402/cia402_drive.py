@@ -141,7 +141,7 @@ class Cia402Drive:
             if self._is_operational():
                 self._process_data.receive(pdo, data)
         elif identifier - HEARTBEAT in self._network.watched:
-            self._network.hear(identifier - HEARTBEAT)
+            self._network.note_heartbeat(identifier - HEARTBEAT)
         else:
             return False
         return True

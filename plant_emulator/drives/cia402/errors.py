@@ -42,16 +42,16 @@ SENTENCES = {
 
 
 class ErrorLog:
-    """Which errors there are, and who was told.
+    """Which errors there are, and which were reported.
 
     Args:
         node: whose errors they are.
-        may_speak: whether the state of the node allows emergency frames.
+        may_send: whether the state of the node allows emergency frames.
     """
 
-    def __init__(self, node: DriveNode, may_speak: Callable[[], bool]) -> None:
+    def __init__(self, node: DriveNode, may_send: Callable[[], bool]) -> None:
         self._node = node
-        self._may_speak = may_speak
+        self._may_send = may_send
         self._lasting: dict[ErrorCode, bool] = {}
         self._history: list[int] = []
         node.serve(0x1001, lambda _: self.register)
@@ -107,7 +107,7 @@ class ErrorLog:
 
     def _emit(self, code: ErrorCode) -> None:
         identifier = self._node.value(0x1014)
-        if self._may_speak() and not identifier & _NOT_VALID:
+        if self._may_send() and not identifier & _NOT_VALID:
             self._node.emcy.cob_id = identifier
             self._node.emcy.send(code, self.register)
 

@@ -19,7 +19,7 @@ _MOST_NODES = 127
 
 
 class NmtState(IntEnum):
-    """States, as heartbeats tell them."""
+    """States, as heartbeats report them."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -94,7 +94,7 @@ class NetworkState:
         """Change the state; resets are for the drive as a whole to do."""
         self.state = _STATE_AFTER[command]
 
-    def hear(self, node_id: int) -> None:
+    def note_heartbeat(self, node_id: int) -> None:
         """A heartbeat of a watched node has come."""
         self._heard_ns[node_id] = self._node.now_ns
         if node_id in self._lost:

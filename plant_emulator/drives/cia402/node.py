@@ -17,7 +17,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.link.can_files import CIA402_EDS
+from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.drive import Send
 

@@ -7,8 +7,9 @@ import random
 import pytest
 from bit_strings import classical
 
-from bus_schema.can.budget import check_cycle_fits, cycle_bits
+from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.frame import CanFrame
+from bus_schema.can.frame_timing import check_cycle_fits, cycle_bits
 from bus_schema.can.medium import CanMedium
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration, CanFaults
@@ -83,18 +84,18 @@ def test_error_frames_cost_time_and_come_as_often_as_asked_for() -> None:
 def test_seven_drives_at_1_khz_are_refused_with_the_arithmetic() -> None:
     """SYNC 55 bits, TPDO 135 and RPDO 95 with all stuff bits: 55 + 7 · 230 = 1665 in 1000 µs."""
     with pytest.raises(ConfigurationError) as refusal:
-        check_cycle_fits(CanConfiguration(), 7, 1000.0)
+        check_cycle_fits(CanConfiguration(), Cia402Codec.cycle, 7, 1000.0)
     message = str(refusal.value)
     assert "rate_hz = 1000.0" in message
     assert "1665 bits" in message
     assert "period of 1000 µs" in message
     assert "nearest rate that fits is 500 Hz (at most 571)" in message
-    check_cycle_fits(CanConfiguration(), 7, 570.0)
-    check_cycle_fits(CanConfiguration(), 3, 1000.0)
+    check_cycle_fits(CanConfiguration(), Cia402Codec.cycle, 7, 570.0)
+    check_cycle_fits(CanConfiguration(), Cia402Codec.cycle, 3, 1000.0)
 
 
 def test_budget_is_the_longest_that_a_cycle_can_be() -> None:
-    budget = cycle_bits(CanConfiguration(), 3)
+    budget = cycle_bits(Cia402Codec.cycle, 3)
     chance = random.Random(1)
     longest = max(
         sum(len(classical(frame)) for frames in three_drive_cycle(chance) for frame in frames)

@@ -95,3 +95,20 @@ def test_monotonic_clock_never_returns_early_and_tells_its_lateness():
     assert lateness_ns >= 0
     assert clock.now_ns() >= instant_ns + lateness_ns
     assert clock.wait_until(0) > instant_ns
+
+
+def test_start_goes_back_to_the_anchor_and_time_goes_on_until_then():
+    clock = MonotonicClock()
+    clock.wait_until(1_000_000)
+    clock.anchor(400)
+    assert clock.now_ns() >= 1_000_000
+    anchored_ns = time.monotonic_ns()
+    clock.start()
+    started_ns = time.monotonic_ns()
+    assert clock.now_ns() >= started_ns - anchored_ns + 400
+    virtual = VirtualClock()
+    virtual.wait_until(5)
+    virtual.anchor(3)
+    assert virtual.now_ns() == 5
+    virtual.start()
+    assert virtual.now_ns() == 0

@@ -47,8 +47,9 @@ def secured_plant(keys: KeyFolder) -> Iterator[tuple[LinkConfiguration, ZenohPla
         security=SecurityConfiguration(enabled=True, folder=str(keys.path)),
         plant_endpoint=f"tcp/127.0.0.1:{free_port()}",
         controller_endpoint=f"tcp/127.0.0.1:{free_port()}",
+        reply_timeout_s=HANG_S,
     )
-    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True, await_recorder=False)
+    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True)
     try:
         yield link, plant
     finally:
@@ -138,7 +139,7 @@ def test_other_roles_cannot_command(keys: KeyFolder, role: Role) -> None:
         exchange(plant, stranger, lambda: False)
         assert STATE in stranger.heard  # it is connected; its commands are what is refused
         assert plant.take_commands() == []
-        assert not plant._node.sees(Role.CONTROLLER)  # nor can it pretend to be there
+        assert not plant.sees(Role.CONTROLLER)  # nor can it pretend to be there
         stranger.close()
 
 
@@ -148,7 +149,7 @@ def test_the_controllers_certificate_opens_the_door(keys: KeyFolder) -> None:
         exchange(plant, stranger, lambda: STATE in stranger.heard and plant.await_command(0.01))
         assert STATE in stranger.heard
         assert plant.take_commands()[0].payload == COMMAND
-        assert plant._node.sees(Role.CONTROLLER)
+        assert plant.sees(Role.CONTROLLER)
         stranger.close()
 
 
@@ -179,11 +180,11 @@ def test_recorder_says_nothing_but_that_it_has_everything(keys: KeyFolder) -> No
     with secured_plant(keys) as (link, plant):
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
         recorder.announce()
-        plant._node.await_role(Role.RECORDER, HANG_S)
-        _, gid = plant._node._publishers[topics.RUN_EVENTS.name]
+        plant.await_role(Role.RECORDER, HANG_S)
+        _, gid = plant._publishers[topics.RUN_EVENTS.name]
         recorder.acknowledge(gid)
-        plant._node.await_acknowledgement(HANG_S)
-        assert plant._node._acknowledged.is_set()
+        plant.await_recorded()
+        assert plant._acknowledged.is_set()
         recorder.close()
 
 
@@ -204,7 +205,7 @@ def test_rules_follow_the_table_of_topics() -> None:
     assert puts("egress") == keys_of(Role.PLANT, None)
     assert puts("ingress") == keys_of(Role.PLANT, Role.CONTROLLER, None)
     for rule in rules:
-        if rule["id"].startswith("plant hears recorder"):
+        if rule["id"].startswith("plant from recorder"):
             assert "put" not in rule["messages"]
             speaks = rule["messages"] == ["liveliness_token"]
             assert (recorded_key_expression(7) in rule["key_exprs"]) == (

@@ -43,7 +43,7 @@ def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
             controller.publish(CONTROL_STATUS, b"beside the point")
 
         controller.serve(answer)
-        controller.take_command(await_recorder=False)
+        controller.activate()
         plant.await_controller(HANG_S)
         for tick in range(50):
             plant.send_state(state(tick), status())
@@ -63,12 +63,12 @@ def test_controller_that_joins_a_run_under_way_answers_once_it_is_in_command() -
             controller.publish(JOINT_COMMANDS, reply)
 
         controller.serve(answer)
-        await_true(lambda: plant._node.sees(Role.CONTROLLER))
+        await_true(lambda: plant.sees(Role.CONTROLLER))
         for tick in range(3):
             plant.send_state(state(tick), status())
         plant.publish(PLANT_STATUS, b"the last of what came too early")
         await_true(lambda: controller._status == b"the last of what came too early")
-        controller.take_command(await_recorder=False)
+        controller.activate()
         plant.await_controller(HANG_S)
         plant.send_state(state(3), status())
         assert plant.await_command(HANG_S)
@@ -81,7 +81,7 @@ def test_state_of_a_foreign_plant_comes_without_a_status() -> None:
     heard: list[bytes | None] = []
     with plant_on(link) as plant, controller_on(link) as controller:
         controller.serve(lambda _, status: heard.append(status))
-        controller.take_command(await_recorder=False)
+        controller.activate()
         plant.await_controller(HANG_S)
         plant.send_state(state(0), status())
         plant.publish(JOINT_STATES, state(1))
@@ -95,7 +95,7 @@ def test_plant_knows_when_its_controller_has_left() -> None:
     with plant_on(link) as plant:
         assert not plant.controller_has_left()  # nobody has come yet
         with controller_on(link) as controller:
-            controller.take_command(await_recorder=False)
+            controller.activate()
             plant.await_controller(HANG_S)
             assert not plant.controller_has_left()
         await_true(plant.controller_has_left)
@@ -116,13 +116,13 @@ def test_commander_is_followed_only_once_it_has_left() -> None:
     with plant_on(link) as plant:
         gate = CommandGate(JOINTS, plant.sender_has_left)
         with controller_on(link) as first:
-            first.take_command(await_recorder=False)
+            first.activate()
             plant.await_controller(HANG_S)
             assert command(first, plant, 1) is not None
         commander = gate.commander or b""
         await_true(lambda: plant.sender_has_left(commander))
         with controller_on(link) as again:  # the same controller, started again: a new session
-            again.take_command(await_recorder=False)
+            again.activate()
             plant.await_controller(HANG_S)
             assert command(again, plant, 2) is not None
             assert gate.commander not in (None, commander)
@@ -133,7 +133,7 @@ def test_commands_beyond_the_largest_backlog_are_counted(monkeypatch: pytest.Mon
     monkeypatch.setattr(zenoh_link, "_LARGEST_BACKLOG", 20)
     link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
     with plant_on(link) as plant, controller_on(link) as controller:
-        controller.take_command(await_recorder=False)
+        controller.activate()
         plant.await_controller(HANG_S)
         for _ in range(50):
             controller.publish(JOINT_COMMANDS, reply)
@@ -158,8 +158,8 @@ def test_error_of_the_handler_ends_the_service_and_reaches_the_main_thread() -> 
 
     with plant_on(link) as plant, controller_on(link) as controller:
         controller.serve(fail)
-        controller.take_command(await_recorder=False)
+        controller.activate()
         plant.await_controller(HANG_S)
         plant.send_state(state(0), status())
         with pytest.raises(ZeroDivisionError):
-            controller.join(is_stop_requested=lambda: False)
+            controller.spin()

@@ -19,7 +19,7 @@ JOINTS = ("base_yaw", "shoulder", "elbow")
 
 @contextmanager
 def plant_on(link: LinkConfiguration) -> Iterator[ZenohPlantLink]:
-    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True, await_recorder=False)
+    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True)
     try:
         yield plant
     finally:

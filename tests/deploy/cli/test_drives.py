@@ -12,7 +12,7 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from bus_schema.link.can_files import CIA402_EDS
+from bus_schema.link.can_configuration import CIA402_EDS
 from deploy.cli import main
 
 GROUP = "239.74.163.9"

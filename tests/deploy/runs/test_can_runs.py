@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from bus_schema.arrays import Vector
+from bus_schema.can.cia402_codec import rated_torque_nm
 from bus_schema.can.cia402_master import MASTER_NODE
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.session import open_can_bus
-from bus_schema.can.units import rated_torque_nm
-from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.link.can_files import CANSIMPLE_DBC, CIA402_EDS
+from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData

@@ -112,7 +112,7 @@ def test_recording_of_a_harsh_run_replays_bit_for_bit(tmp_path):
     conclude(folder, run)
     page = folder.report.read_text()
     assert "Lost in a row, most" in page
-    assert "Delay, 99.9" in page
+    assert "Delay, p99.9" in page
 
 
 def test_playout_turns_jitter_into_a_constant_round_trip():

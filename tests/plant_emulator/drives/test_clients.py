@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
+from bus_schema.can.cia402_codec import PEAK_TO_RATED
 from bus_schema.can.session import open_can_bus
-from bus_schema.can.units import PEAK_TO_RATED
-from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.link.can_files import CIA402_EDS
+from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
 from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import MonotonicClock, TickGrid
 from controller.manipulator_model import ManipulatorModel

@@ -6,7 +6,7 @@ import pytest
 from canopen.objectdictionary import NUMBER_TYPES, ODVariable
 from drive_bench import NODE, SETTINGS, AbortedError, Bench
 
-from bus_schema.link.can_files import CANSIMPLE_DBC, CIA402_EDS
+from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
 from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
 
 DICTIONARY = canopen.import_od(str(CIA402_EDS), NODE)

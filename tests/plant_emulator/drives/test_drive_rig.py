@@ -102,7 +102,7 @@ def test_under_a_flood_the_physics_keep_their_time_and_nothing_moves(make):
     rig, arm, bank, _ = make(FloodedBus(), MonotonicClock())
     rig.run(50)
     assert rig.counts.ticks >= 50
-    assert bank.rejections.counts == {"unknown_identifier": rig.counts.heard}
+    assert bank.rejections.counts == {"unknown_identifier": rig.counts.received}
     assert bank.braked.all()
     assert not bank.torque_nm.any()
     assert np.abs(arm.position - START).max() < 1e-3

@@ -1,0 +1,125 @@
+"""A link over CAN: motor drives between controller and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from bus_schema.arrays import Vector
+from bus_schema.can.candump import CandumpLog
+from bus_schema.can.codec import as_delivered
+from bus_schema.can.frame import CanBus
+from bus_schema.can.frame_timing import check_cycle_fits
+from bus_schema.can.link import CanControllerLink, CanRun
+from bus_schema.can.medium import CanMedium
+from bus_schema.can.session import check_can_bus, open_can_bus
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.in_process import InProcessNode
+from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
+from bus_schema.zenoh.link import open_telemetry
+from deploy.link_kinds.kind import LinkKind, LinkRun
+from plant_emulator.drives.can_plant_link import CanPlantLink
+from plant_emulator.drives.commissioning import build_bank, commission
+from plant_emulator.drives.driven_arm import DrivenArm
+from plant_emulator.drives.drives_on_bus import DrivesOnBus
+from plant_emulator.drives.fault_plan import parse_fault
+from plant_emulator.drives.protocol import PROTOCOLS
+
+
+class CanKind(LinkKind[DrivenArm]):
+    """``can``: states and torques are frames; telemetry goes over Zenoh, or stays in the process.
+
+    Loops are not bound to CPUs: canopen polls while another thread has to hand it the answers.
+    """
+
+    name = "can"
+    simulated_as = "can"
+    arm_type = DrivenArm
+    logs_frames = True
+    may_pin_loops = False
+    simulates_process_faults = False
+    no_link_faults = "without link.kind can, where link.can.faults says what befalls the bus"
+
+    def check(self, run: LinkRun) -> None:
+        can, robot = run.link.can, run.robot
+        protocol = PROTOCOLS.build(can.protocol)
+        node_ids = protocol.node_ids(can, robot.joints)
+        codec = protocol.codec(can, robot)
+        check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
+        _check_unimpaired(run.link)
+        commission(can, robot, run.plant)
+        for text in can.faults.drives:
+            try:
+                parse_fault(text, node_ids)
+            except ConfigurationError as error:
+                raise ConfigurationError("link.can.faults.drives", text, error.allowed) from error
+        protocol.check(can)
+
+    def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
+        if link.can.interface == "virtual" and not one_process:
+            raise ConfigurationError(
+                "link.can.interface", "virtual",
+                "reaches no other process: must be udp_multicast, socketcan or hardware for"
+                " run; simulate runs in one process",
+            )  # fmt: skip
+        check_can_bus(link.can)
+
+    def wire_rounding(self, run: LinkRun) -> Callable[[Vector], Vector]:
+        can = run.link.can
+        return partial(as_delivered, PROTOCOLS.build(can.protocol).codec(can, run.robot))
+
+    def open_plant(self, run: LinkRun, arm: DrivenArm, clock: Clock) -> PlantLink:
+        can, robot = run.link.can, run.robot
+        node_ids = can.node_ids_of(robot.joints)
+        bus, telemetry = _open_bus(run), _open_telemetry(run, Role.PLANT)
+        drives = DrivesOnBus(
+            bus,
+            [parse_fault(text, node_ids) for text in can.faults.drives],
+            lambda send: build_bank(can, robot, run.plant, send, polled=True),
+            CanMedium(can, run.seed),
+            None if run.can_log is None else CandumpLog(run.can_log, can.resolved_channel),
+        )
+        arm.attach(drives.bank)
+        codec = PROTOCOLS.build(can.protocol).codec(can, robot)
+        return CanPlantLink(_can_run(run), drives, codec, clock, telemetry)
+
+    def open_controller(self, run: LinkRun) -> ControllerLink:
+        can = run.link.can
+        bus, telemetry = _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
+        master = PROTOCOLS.build(can.protocol).master(bus, can, run.robot)
+        clock: Clock = VirtualClock() if run.lockstep else MonotonicClock()
+        return CanControllerLink(_can_run(run), master, bus, clock, telemetry)
+
+
+def _can_run(run: LinkRun) -> CanRun:
+    return CanRun(run.robot.joint_names, run.link, run.grid, run.ticks, run.lockstep)
+
+
+def _open_bus(run: LinkRun) -> CanBus:
+    can = run.link.can
+    if run.bus is not None and can.interface == "virtual":
+        # Simulations in threads of one process must not meet.
+        can = can.model_copy(update={"channel": f"{can.resolved_channel}-{id(run.bus)}"})
+    return open_can_bus(can)
+
+
+def _open_telemetry(run: LinkRun, role: Role) -> Telemetry:
+    if run.bus is not None:
+        return InProcessNode(run.bus, role)
+    return open_telemetry(run.link, role, lossless=run.lockstep)
+
+
+def _check_unimpaired(link: LinkConfiguration) -> None:
+    """Check that messages are not to be impaired: on a CAN bus there are none."""
+    for name in ("uplink", "downlink", "playout_ms"):
+        given = getattr(link, name)
+        if given != LinkConfiguration.model_fields[name].default:
+            shown = given if name == "playout_ms" else given.model_dump(exclude_defaults=True)
+            raise ConfigurationError(
+                f"link.{name}", shown,
+                "must be left out with link.kind = can: what a CAN bus does to frames is up to"
+                " link.can.bitrate and link.can.faults",
+            )  # fmt: skip

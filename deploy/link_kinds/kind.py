@@ -1,0 +1,114 @@
+"""What everything else has to know of a kind of link, and how its two sides are opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from bus_schema.arrays import Vector
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.in_process import InProcessBus
+from bus_schema.link.interface import ControllerLink, PlantLink
+from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import Clock, TickGrid
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.configuration import PlantConfiguration
+
+Arm = TypeVar("Arm", bound=ArmPlant)
+
+
+@dataclass(frozen=True)
+class LinkRun:
+    """What a link has to know of the run that goes over it.
+
+    Attributes:
+        link: section ``link`` of the scenario.
+        plant: section ``plant`` of the scenario.
+        grid: ticks and physics steps of the run.
+        ticks: how many ticks there are.
+        seed: seed of everything random on the link.
+        lockstep: virtual time: the plant waits for the reply to every state.
+        bus: what both sides share inside one process; None between processes.
+        can_log: file for the frames of a CAN bus; None for no log.
+    """
+
+    robot: RobotDescription
+    link: LinkConfiguration
+    plant: PlantConfiguration
+    grid: TickGrid
+    ticks: int
+    seed: int
+    lockstep: bool
+    bus: InProcessBus | None = None
+    can_log: Path | None = None
+
+
+class LinkKind(Generic[Arm]):
+    """A kind of link. What it does not say otherwise is as it is over a network.
+
+    Attributes:
+        name: its name in a scenario.
+        simulated_as: what the recording of a simulation calls it.
+        arm_type: the arm behind it: with motor drives or without.
+        logs_frames: whether its plant's side can write a log of frames.
+        may_pin_loops: whether each loop may be bound to a CPU of its own.
+        simulates_process_faults: whether a controller can be silenced in a simulation.
+        no_link_faults: what is allowed in place of scheduled faults of messages, where there are
+            none that the plant could change; None where there are.
+    """
+
+    name: str
+    simulated_as: str
+    arm_type: type[Arm]
+    logs_frames = False
+    may_pin_loops = True
+    simulates_process_faults = True
+    no_link_faults: str | None = None
+
+    def check(self, run: LinkRun) -> None:
+        """Check that a scenario fits the link, whatever the machine has.
+
+        Raises:
+            ConfigurationError: it does not.
+        """
+
+    def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
+        """Check that this machine has what the link needs, before anything starts.
+
+        Args:
+            link: section ``link`` of the scenario.
+            one_process: both sides will be in this process.
+
+        Raises:
+            ConfigurationError: it has not.
+        """
+
+    def wire_rounding(
+        self,
+        run: LinkRun,  # noqa: ARG002 (for links that round)
+    ) -> Callable[[Vector], Vector] | None:
+        """What the wire makes of torques, N m, shape (joints,); None if they arrive as sent."""
+        return None
+
+    def open_plant(self, run: LinkRun, arm: Arm, clock: Clock) -> PlantLink:
+        """The plant's side.
+
+        Args:
+            run: the run.
+            arm: the arm, which gets its drives where the link has drives.
+            clock: the plant's clock.
+
+        Raises:
+            BusError: the link cannot be opened.
+        """
+        raise NotImplementedError
+
+    def open_controller(self, run: LinkRun) -> ControllerLink:
+        """The controller's side.
+
+        Raises:
+            BusError: the link cannot be opened.
+        """
+        raise NotImplementedError

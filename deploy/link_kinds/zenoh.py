@@ -1,0 +1,30 @@
+"""A link over Zenoh between processes; within one there is nothing for it to carry."""
+
+from __future__ import annotations
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.link.interface import ControllerLink, PlantLink
+from bus_schema.runtime.clock import Clock
+from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+from deploy.link_kinds.in_process import InProcessKind
+from deploy.link_kinds.kind import LinkRun
+from plant_emulator.arm.arm_plant import ArmPlant
+
+
+class ZenohKind(InProcessKind):
+    """``zenoh``: between processes; simulations are those of ``in_process``."""
+
+    name = "zenoh"
+
+    def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
+        """Every machine has what it needs."""
+
+    def open_plant(self, run: LinkRun, arm: ArmPlant, clock: Clock) -> PlantLink:
+        if run.bus is not None:
+            return super().open_plant(run, arm, clock)
+        return ZenohPlantLink(run.link, clock, lossless=run.lockstep)
+
+    def open_controller(self, run: LinkRun) -> ControllerLink:
+        if run.bus is not None:
+            return super().open_controller(run)
+        return ZenohControllerLink(run.link, lossless=run.lockstep)

@@ -1,0 +1,47 @@
+"""CiA 402 on CANopen, as one of the protocols of motor drives."""
+
+from __future__ import annotations
+
+import canopen
+
+from bus_schema.can.cia402_codec import Cia402Codec, DriveUnits, rated_torque_nm
+from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.frame import CanBus
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.protocol import DriveProtocol
+
+_NEEDED = (
+    0x1000, 0x1016, 0x1017, 0x1400, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6076,
+    0x608F, 0x6502,
+)  # fmt: skip
+"""Objects that a master must find in the description of a drive."""
+
+
+class Cia402Protocol(DriveProtocol):
+    """CiA 402 in cyclic synchronous torque mode."""
+
+    title = "CiA 402"
+    drive = Cia402Drive
+
+    def codec(self, can: CanConfiguration, robot: RobotDescription) -> Cia402Codec:
+        units = DriveUnits(can.counts_per_turn, rated_torque_nm(can, robot))
+        return Cia402Codec(self.node_ids(can, robot.joints), units)
+
+    def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> Cia402Master:
+        return Cia402Master(bus, can, self.node_ids(can, robot.joints), self.codec(can, robot))
+
+    def check(self, can: CanConfiguration) -> None:
+        if can.eds is None:
+            return
+        try:
+            dictionary = canopen.import_od(can.eds, 1)
+        except Exception as error:  # the parser raises whatever comes its way
+            allowed = f"must be a file that is an EDS of a CiA 402 drive: {error}"
+            raise ConfigurationError("link.can.eds", can.eds, allowed) from error
+        lacking = [f"0x{index:04X}" for index in _NEEDED if index not in dictionary]
+        if lacking:
+            allowed = f"must describe a CiA 402 drive; it lacks {', '.join(lacking)}"
+            raise ConfigurationError("link.can.eds", can.eds, allowed)

@@ -1,0 +1,72 @@
+"""Protocols of motor drives: what each consists of, and the table of them."""
+
+from __future__ import annotations
+
+from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import CanBus
+from bus_schema.can.master import CanMaster
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.registry import Registry
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.drives.drive import Drive
+
+
+class DriveProtocol:
+    """A protocol of motor drives; section ``link.can`` of a scenario says how it is used.
+
+    Attributes:
+        title: its name in sentences.
+        largest_node_id: largest address that a drive can have.
+        drive: emulated drives that speak it.
+    """
+
+    title: str
+    largest_node_id = 127
+    drive: type[Drive]
+
+    def codec(self, can: CanConfiguration, robot: RobotDescription) -> CanCodec:
+        """The frames of a control cycle.
+
+        Raises:
+            ConfigurationError: a value does not fit the robot.
+        """
+        raise NotImplementedError
+
+    def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> CanMaster:
+        """A master of drives on `bus`.
+
+        Raises:
+            ConfigurationError: a value does not fit the robot.
+        """
+        raise NotImplementedError
+
+    def check(self, can: CanConfiguration) -> None:
+        """Check values that concern this protocol alone.
+
+        Raises:
+            ConfigurationError: one cannot be used.
+        """
+
+    def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
+        """One address per joint.
+
+        Raises:
+            ConfigurationError: there are not as many as joints, or too large ones.
+        """
+        node_ids = can.node_ids_of(joints)
+        if max(node_ids) > self.largest_node_id:
+            raise ConfigurationError(
+                "link.can.node_ids", list(node_ids),
+                f"must be at most {self.largest_node_id} with {self.title}",
+            )  # fmt: skip
+        return node_ids
+
+
+PROTOCOLS: Registry[DriveProtocol] = Registry(
+    "link.can.protocol",
+    {
+        "cia402": "plant_emulator.drives.cia402.protocol:Cia402Protocol",
+        "cansimple": "plant_emulator.drives.cansimple.protocol:CanSimpleProtocol",
+    },
+)

@@ -1,0 +1,90 @@
+"""Masters on a bus that fails: they end by what is wrong with the bus, not by what follows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bus_schema.can.cansimple_codec import CanSimpleCodec
+from bus_schema.can.cansimple_master import CanSimpleMaster
+from bus_schema.can.cia402_codec import Cia402Codec, DriveUnits, rated_torque_nm
+from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.frame import BUS_OFF, CanFrame
+from bus_schema.can.master import CanMaster, DriveError, PendingReplies
+from bus_schema.errors import BusError
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import load_robot
+from deploy.scenario.referenced_files import find_urdf
+
+CAN = CanConfiguration(answer_timeout_s=0.05)
+NODES = (1, 2, 3)
+ROBOT = load_robot(find_urdf("paper_arm", Path()))
+
+
+class FrameBus:
+    """Gives its frames, then fails if there is an error to fail with."""
+
+    def __init__(self, *frames: CanFrame, error: BusError | None = None) -> None:
+        self._frames, self._error = list(frames), error
+        self.sent: list[CanFrame] = []
+
+    def send(self, frame: CanFrame) -> None:
+        self.sent.append(frame)
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        if self._frames:
+            return self._frames.pop(0)
+        if self._error is not None:
+            raise self._error
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+def cia402(bus: FrameBus) -> CanMaster:
+    units = DriveUnits(CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
+    return Cia402Master(bus, CAN, NODES, Cia402Codec(NODES, units))
+
+
+def cansimple(bus: FrameBus) -> CanMaster:
+    return CanSimpleMaster(bus, CAN, NODES, CanSimpleCodec(NODES))
+
+
+@pytest.mark.parametrize("build", [cia402, cansimple])
+def test_lost_bus_is_what_ends_enabling(build) -> None:
+    booted = [CanFrame(0x700 + node, b"\0") for node in NODES]
+    master = build(FrameBus(*booted, error=BusError("Network is down")))
+    with pytest.raises(BusError, match="Network is down") as ended:
+        master.enable(60.0, lambda: False)
+    assert not isinstance(ended.value, DriveError)
+
+
+@pytest.mark.parametrize("build", [cia402, cansimple])
+def test_bus_off_is_told_when_it_is_read_and_expected_while_stopping(build) -> None:
+    bus_off = CanFrame(BUS_OFF, is_error=True)
+    master = build(FrameBus(bus_off))
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(0)
+    with pytest.raises(DriveError, match="the CAN controller is bus-off"):
+        master.read(0.0, position, velocity)
+    stopping = build(FrameBus(bus_off))
+    stopping.sample(0)
+    stopping.begin_stop()
+    assert stopping.read(0.0, position, velocity)  # nobody is waited for any longer
+
+
+def test_replies_are_awaited_of_all_but_those_given_up() -> None:
+    replies = PendingReplies((4, 5, 6))
+    assert replies.is_complete
+    replies.expect_all()
+    replies.received(1)
+    assert replies.missing == "4, 6"
+    replies.give_up()
+    assert replies.is_complete
+    replies.expect_all()
+    assert replies.missing == "5"
+    replies.lost(1)
+    replies.expect_all()
+    assert replies.is_complete
