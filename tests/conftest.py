@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +14,15 @@ import pytest
 # A build is to judge the change, not the luck of the draw; and its machine may be slow.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")
+
+# The libraries are a million objects that live to the end: nobody need look through them.
+gc.set_threshold(20_000)
+atexit.register(gc.freeze)
+
+
+def pytest_collection_finish() -> None:
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

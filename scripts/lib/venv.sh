@@ -30,6 +30,26 @@ print(sys.version, hashlib.sha256(pathlib.Path("pyproject.toml").read_bytes()).h
 PYTHON
 }
 
+# remove_leftovers: removes what installing, uninstalling and moving files leaves behind: folders
+# of this project that hold nothing but Python's caches. One in site-packages hides the sources.
+remove_leftovers() {
+  local installed caches parent
+  for installed in .venv/lib/python*/site-packages/{bus_schema,controller,deploy,plant_emulator}; do
+    if [[ -d $installed && -z $(find "$installed" -name '*.py' -print -quit) ]]; then
+      echo "Removing $installed: it holds no sources, and hides those here"
+      rm -r "$installed"
+    fi
+  done
+  find bus_schema controller deploy plant_emulator tests -depth -name __pycache__ |
+    while read -r caches; do
+      parent=${caches%/*}
+      if [[ $(ls -A "$parent") == __pycache__ ]]; then
+        rm -r "$caches"
+        rmdir --parents --ignore-fail-on-non-empty "$parent"
+      fi
+    done
+}
+
 # ensure_venv EXTRAS: provides .venv with this project and EXTRAS ("" or "dev") installed in it.
 # Stamps in .venv tell what it holds; as long as they are up to date, nothing is done.
 ensure_venv() {
@@ -42,6 +62,7 @@ ensure_venv() {
     echo "$PWD" >.venv/root
     state=$(venv_state)
   fi
+  remove_leftovers
   local stamp=".venv/installed${extras:+-$extras}"
   if [[ $(cat "$stamp" 2>/dev/null) == "$state" ]]; then
     return
@@ -50,5 +71,6 @@ ensure_venv() {
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
     --editable ".${extras:+[$extras]}"
   echo "$state" >"$stamp"
+  remove_leftovers # of the installation that this one replaced
   echo "$state" >.venv/installed # whatever the extras, the project itself is there
 }

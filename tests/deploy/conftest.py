@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import io
+import os
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from unittest import mock
 
 import pytest
 
@@ -10,16 +14,20 @@ from deploy.cli import run as cli_run
 from deploy.cli import simulate as cli_simulate
 
 
-@pytest.fixture
-def funnel_hil(monkeypatch, capsys):
+@pytest.fixture(scope="session")
+def funnel_hil():
     def run(*words):
         """Exit code and output of a command."""
-        monkeypatch.setattr(sys, "argv", ["funnel-hil", *map(str, words)])
-        monkeypatch.setenv("COLUMNS", "200")
-        with pytest.raises(SystemExit) as ended:
+        out, err = io.StringIO(), io.StringIO()
+        with (
+            mock.patch.object(sys, "argv", ["funnel-hil", *map(str, words)]),
+            mock.patch.dict(os.environ, COLUMNS="200"),
+            redirect_stdout(out),
+            redirect_stderr(err),
+            pytest.raises(SystemExit) as ended,
+        ):
             cli.main()
-        said = capsys.readouterr()
-        return ended.value.code or 0, said.out + said.err
+        return ended.value.code or 0, out.getvalue() + err.getvalue()
 
     return run
 

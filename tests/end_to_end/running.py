@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -10,11 +11,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
+from unittest import mock
 
 import numpy as np
 import yaml
@@ -24,6 +26,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.zenoh.session import Delivery, ZenohSession
+from deploy import cli
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 
@@ -81,12 +84,51 @@ def settings(**values: Any) -> list[str]:
 
 
 def funnel_hil(*words: str, out: Path | None) -> Finished:
-    """Run a command to its end."""
+    """Run a command to its end, in a process of its own."""
     ended = subprocess.run(
         _command(*words, out=out),
         cwd=ROOT, env=_ENVIRONMENT, capture_output=True, text=True, timeout=HANG_S, check=False,
     )  # fmt: skip
     return Finished(out or Path(), ended.returncode, ended.stdout + ended.stderr)
+
+
+def funnel_hil_here(*words: str, out: Path | None) -> Finished:
+    """Run a command to its end in this process, which has its libraries already.
+
+    Plant, controller and recorder of a run are processes of their own all the same.
+    """
+
+    def hangs(*_: object) -> NoReturn:
+        raise TimeoutError(f"{words} takes longer than {HANG_S} s")
+
+    said = io.StringIO()
+    with (
+        mock.patch.object(sys, "argv", _command(*words, out=out)[2:]),
+        mock.patch.dict(os.environ, _ENVIRONMENT),
+        _signal_handlers_restored(),
+        redirect_stdout(said),
+        redirect_stderr(said),
+    ):
+        signal.signal(signal.SIGALRM, hangs)
+        signal.alarm(round(HANG_S))
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+    return Finished(out or Path(), code, said.getvalue())
+
+
+@contextmanager
+def _signal_handlers_restored() -> Iterator[None]:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    handlers = {number: signal.getsignal(number) for number in numbers}
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 class Running:

@@ -7,7 +7,7 @@ import socket
 from pathlib import Path
 
 import numpy as np
-from running import Watcher, funnel_hil, processes_of, settings, started
+from running import Watcher, funnel_hil, funnel_hil_here, processes_of, settings, started
 
 from bus_schema.messages.topics import PLANT_TRUTH
 from deploy.runs.simulate import simulate
@@ -35,7 +35,7 @@ def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> 
     virtual = load_setup("paper_arm_can", ["duration_s=1", "link.can.interface=virtual"])
     assert run.digest == simulate(virtual).data().digest
     assert run.summary["transport"]["can"]["frames_by_identifier"]["080"] == 500
-    assert "identical" in funnel_hil("replay", str(run.folder), out=None).output
+    assert "identical" in funnel_hil_here("replay", str(run.folder), out=None).output
 
 
 def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from running import (
     await_true,
     free_endpoint,
     funnel_hil,
+    funnel_hil_here,
     processes_of,
     settings,
     started,
@@ -140,14 +141,14 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
     assert not (disrupted.run.folder / "run.mcap").exists()  # there is no whole recording
     assert disrupted.run.summary["recorder"]["lost"] is None  # nobody counted to the end
     for command in ("report", "replay") if clock == "lockstep" else ():
-        looked_at = funnel_hil(command, str(disrupted.run.folder), out=None)
+        looked_at = funnel_hil_here(command, str(disrupted.run.folder), out=None)
         assert looked_at.code == 0, looked_at.output
         assert "The recording is partial" in looked_at.output
 
 
 def test_full_disk_ends_the_recording_and_not_the_run(small_disk: Path) -> None:
     words = ["run", "paper_arm", *settings(clock="lockstep", duration_s=2)]
-    run = funnel_hil(*words, out=small_disk / "run")
+    run = funnel_hil_here(*words, out=small_disk / "run")
     assert run.code == 1
     assert "the recording is partial: No space left on device" in run.output
     assert run.output.count("Traceback") == 0

@@ -23,8 +23,8 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.plant_loop import PlantLoop
 
 JOINTS = ("base_yaw", "shoulder", "elbow")
-DURATION_S, SHOTS_FROM_S = 12, 0.2
-ROUNDS = 20
+DURATION_S, SHOTS_FROM_S = 5, 0.2
+ROUNDS = 5
 HUGE_NM = 1e5
 
 

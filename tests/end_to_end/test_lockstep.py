@@ -9,7 +9,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from running import Finished, bits, funnel_hil, settings
+from running import Finished, bits, funnel_hil, funnel_hil_here, settings
 
 from deploy.cli import main
 from deploy.runs.metrics import summarise
@@ -33,13 +33,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     out = tmp_path_factory.mktemp("lockstep") / "simulation"
-    return funnel_hil("simulate", "paper_arm", *SHORT, out=out)
+    return funnel_hil_here("simulate", "paper_arm", *SHORT, out=out)
 
 
 @pytest.fixture(scope="module")
 def delayed_run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     out = tmp_path_factory.mktemp("lockstep") / "delayed"
-    return funnel_hil("run", "paper_arm", *LOCKSTEP, *DELAYS, out=out)
+    return funnel_hil_here("run", "paper_arm", *LOCKSTEP, *DELAYS, out=out)
 
 
 def test_run_finishes_and_is_complete(run: Finished) -> None:
@@ -59,7 +59,7 @@ def test_run_equals_simulation_bit_for_bit(run: Finished, simulation: Finished) 
 
 
 def test_run_equals_itself_a_second_time(run: Finished, tmp_path: Path) -> None:
-    again = funnel_hil("run", "paper_arm", *LOCKSTEP, out=tmp_path / "again")
+    again = funnel_hil_here("run", "paper_arm", *LOCKSTEP, out=tmp_path / "again")
     assert again.digest == run.digest
 
 
@@ -95,13 +95,14 @@ def test_replay_finds_a_torque_that_another_law_would_not_give(
     assert "different from command" in " ".join(capsys.readouterr().out.split())
 
 
-def test_seed_decides_the_noise(tmp_path: Path) -> None:
-    words = settings(
-        duration_s=0.5, clock="lockstep", seed=5, plant__encoder__velocity_noise_rad_s=0.001
+def test_seed_decides_the_noise() -> None:
+    noise = ["duration_s=0.1", "plant.encoder.velocity_noise_rad_s=0.001"]
+    first, again, other = (
+        simulate(load_setup("paper_arm", [*noise, f"seed={seed}"])).data().digest
+        for seed in (5, 5, 6)
     )
-    run = funnel_hil("run", "paper_arm", *words, out=tmp_path / "run")
-    assert run.digest == simulated(run.folder).digest
-    assert run.digest != simulated(run.folder, "seed=6").digest
+    assert first == again
+    assert first != other
 
 
 def test_constant_delays_are_exact_to_the_microsecond(delayed_run: Finished) -> None:
@@ -126,13 +127,14 @@ def test_delayed_states_and_commands_are_accounted_for(delayed_run: Finished) ->
 
 def test_impaired_run_equals_simulation_and_replay_bit_for_bit(tmp_path: Path) -> None:
     impaired = settings(
-        duration_s=0.6, clock="lockstep", link__playout_ms=6,
+        duration_s=0.6, clock="lockstep", seed=5, link__playout_ms=6,
+        plant__encoder__velocity_noise_rad_s=0.001,
         link__uplink={"delay_ms": 2, "jitter_ms": 2, "distribution": "pareto", "reorder": True,
                       "duplicate": 0.1, "burst_loss": {"p": 0.05, "r": 0.4}},
         link__downlink={"delay_ms": 1, "jitter_ms": 2, "distribution": "normal", "reorder": True,
                         "correlation": 0.5, "duplicate": 0.1, "loss": 0.05},
     )  # fmt: skip
-    run = funnel_hil("run", "paper_arm", *impaired, out=tmp_path / "run")
+    run = funnel_hil_here("run", "paper_arm", *impaired, out=tmp_path / "run")
     assert run.code == 0, run.output
     for way in ("uplink", "downlink"):
         counts = run.summary["transport"][way]
@@ -214,7 +216,7 @@ def test_report_is_one_file_that_fetches_nothing(run: Finished) -> None:
 
 
 def test_paper_arm_keeps_its_promise(tmp_path: Path) -> None:
-    run = funnel_hil("simulate", "paper_arm", "--require-bounds", out=tmp_path / "paper_arm")
+    run = funnel_hil_here("simulate", "paper_arm", "--require-bounds", out=tmp_path / "paper_arm")
     assert run.code == 0, run.output
     assert run.summary["bounds"]["kept"]
     assert run.summary["duration_s"] == pytest.approx(20.0)
@@ -225,14 +227,14 @@ def test_paper_arm_keeps_its_promise(tmp_path: Path) -> None:
 
 def test_pid_leaves_the_funnel_and_the_exit_code_says_so(tmp_path: Path) -> None:
     words = ["simulate", "paper_arm", *settings(duration_s=1, controller__law="pid")]
-    run = funnel_hil(*words, "--require-bounds", out=tmp_path / "a")
+    run = funnel_hil_here(*words, "--require-bounds", out=tmp_path / "a")
     assert run.code == 3
     assert run.summary["completed"]
     assert not run.summary["bounds"]["kept"]
     assert run.summary["bounds"]["violation_fraction"] > 0
     assert run.summary["bounds"]["margin_min"] < 0
     assert "bounds not kept" in run.output
-    assert funnel_hil(*words, out=tmp_path / "b").code == 0  # nobody asked for bounds
+    assert funnel_hil_here(*words, out=tmp_path / "b").code == 0  # nobody asked for bounds
 
 
 def test_iiwa_keeps_its_promise() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import Finished, funnel_hil, processes_of, settings
+from running import Finished, funnel_hil_here, processes_of, settings
 
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import PLANT_TRUTH
@@ -19,7 +19,7 @@ from deploy.scenario.scenario import load_setup
 
 def run(tmp_path: Path, name: str, **values: object) -> Finished:
     """Run a shipped fault; nobody is left over, and the recording tells when the fault began."""
-    ended = funnel_hil("run", f"faults/{name}", *settings(**values), out=tmp_path / "run")
+    ended = funnel_hil_here("run", f"faults/{name}", *settings(**values), out=tmp_path / "run")
     assert processes_of(ended.folder) == {}
     assert "Traceback" not in ended.output
     told = [event.stamp_ns for event in ended.data.events if event.kind == EventKind.INJECTED]

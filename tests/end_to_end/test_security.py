@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from running import Finished, await_true, funnel_hil, settings, started
+from running import Finished, await_true, funnel_hil_here, settings, started
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages import topics
@@ -85,7 +85,7 @@ def test_run_under_tls_is_the_same_run(
     assert run.code == 0, run.output
     assert run.summary["completed"]
     assert run.summary["recorder"]["lost"] == 0
-    simulation = funnel_hil("simulate", *WORDS, out=tmp_path / "simulation")
+    simulation = funnel_hil_here("simulate", *WORDS, out=tmp_path / "simulation")
     assert run.digest == simulation.digest
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from running import HANG_S, ROOT, Finished, funnel_hil, settings
+from running import HANG_S, ROOT, Finished, funnel_hil_here, settings
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
@@ -95,5 +95,5 @@ def test_plant_and_controller_on_two_hosts_under_tls(hosts: dict[str, str], tmp_
     run = Finished(out, 0, outputs[0])
     assert run.summary["completed"]
     assert run.summary["recorder"]["lost"] == 0
-    simulation = funnel_hil("simulate", *RUN, out=tmp_path / "simulation")
+    simulation = funnel_hil_here("simulate", *RUN, out=tmp_path / "simulation")
     assert run.digest == simulation.digest

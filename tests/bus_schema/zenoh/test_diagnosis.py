@@ -65,7 +65,7 @@ def test_plaintext_where_tls_is_spoken(folders: tuple[Path, Path, Path]) -> None
 def test_tls_where_plaintext_is_spoken(
     folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(silence, "_KNOCK_S", 0.2)
+    monkeypatch.setattr(silence, "_PROBE_S", 0.2)
     port = free_port()
     with plant_at(make_link(port)):
         said = explain_silence(make_link(port, folders[0]), Role.CONTROLLER, Role.PLANT)

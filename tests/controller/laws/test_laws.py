@@ -1,5 +1,6 @@
 """What all control laws share."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -45,10 +46,15 @@ class DecoupledModel:
         return self.inertia * acceleration
 
 
+@cache
+def gains_of(name):
+    """Gains derived for the paper's arm, which takes longer than all else that a test does."""
+    return ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
+
+
 def law_of(name, order=(0, 1, 2), model=None):
     """A fresh law with the gains of the paper's arm, joints in this order."""
-    configuration = ControllerConfiguration(law=name)
-    gains = configuration.build_gains(ROBOT, np.zeros((1, JOINTS)))
+    gains = gains_of(name)
     vectors = {
         key: value[list(order)]
         for key, value in gains._asdict().items()

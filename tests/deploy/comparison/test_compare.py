@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -19,13 +20,21 @@ from deploy.scenario.yaml_files import ScenarioError
 SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
 
 
-@pytest.fixture
-def compared(funnel_hil, tmp_path):
+@pytest.fixture(scope="module")
+def comparison(funnel_hil, tmp_path_factory):
     """A comparison of two laws: exit code, output and folder."""
+    folder = tmp_path_factory.mktemp("comparison")
     code, output = funnel_hil(
-        "compare", "--laws", "pid, fixed_time_neural", *SHORT, "--out", tmp_path
+        "compare", "--laws", "pid, fixed_time_neural", *SHORT, "--out", folder
     )
-    return code, output, tmp_path
+    return code, output, folder
+
+
+@pytest.fixture
+def compared(comparison, tmp_path):
+    """The same with a copy of the folder, to do with as a test likes."""
+    code, output, folder = comparison
+    return code, output, shutil.copytree(folder, tmp_path / "copy")
 
 
 def test_all_registered_laws_are_compared_by_default():

@@ -124,7 +124,7 @@ def test_a_sweep_on_a_cluster_gives_the_rows_of_one_process(
     address, _ = cluster
     out = tmp_path / "out"
     code, output = funnel_hil("sweep", definition, "--scheduler", address, "--out", out)
-    assert code == 0
+    assert code == 0, output
     assert "12 of 12 runs" in output
     assert (out / "sweep.parquet").read_bytes() == done_here(definition, tmp_path / "here")
 

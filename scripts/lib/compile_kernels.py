@@ -1,0 +1,32 @@
+"""Has the numerical kernels compiled into their cache, unless these sources have one already."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from bus_schema.runtime import compiled  # noqa: F401 (says where the cache is)
+from controller.laws import LAWS
+
+SHORT = "duration_s=0.01"
+OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500"]
+
+
+def main() -> None:
+    """Simulate a few ticks with every law, with delay compensation, and over CAN."""
+    if Path(os.environ["NUMBA_CACHE_DIR"]).exists():
+        return
+    from deploy.runs.simulate import simulate
+    from deploy.scenario.scenario import load_setup
+
+    for law in LAWS:
+        simulate(load_setup("paper_arm", [SHORT, f"controller.law={law}"]))
+    for overrides in (["controller.delay_compensation.enabled=true"], OVER_CAN):
+        simulate(load_setup("paper_arm", [SHORT, *overrides]))
+
+
+if __name__ == "__main__":
+    main()
