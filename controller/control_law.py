@@ -21,6 +21,12 @@ class Tracking:
     Arrays have shape (joints,), are reused every cycle and never replaced: compiled code keeps hold
     of them. `position` and `velocity` are written before `update`, all else by it.
 
+    Args:
+        joints: number of joints.
+        motion: where positions and velocities are found, shape (2, joints).
+        published: where to write what goes into a control status, rows named by `PUBLISHED`.
+            Both may lie in messages, which spares the control loop two copies in every cycle.
+
     Attributes:
         time_s: time of measurement since the start of the run.
         step_s: time since the previous measurement; 0 at the first.
@@ -31,7 +37,6 @@ class Tracking:
         bounds: shape (6, joints): the funnel −lower < error < upper with first and second
             derivatives, rows `UPPER` to `DD_LOWER`.
         upper_bound: rad; lower_bound: rad; the ends of the funnel, the lower one negative.
-        published: what goes into a control status, rows named by `PUBLISHED`.
     """
 
     PUBLISHED = (
@@ -39,21 +44,24 @@ class Tracking:
         "upper_bound", "lower_bound",
     )  # fmt: skip
 
-    def __init__(self, joints: int) -> None:
+    def __init__(
+        self, joints: int, motion: Matrix | None = None, published: Matrix | None = None
+    ) -> None:
         self.time_s = 0.0
         self.step_s = 0.0
-        self.motion: Matrix = np.zeros((2, joints))
+        self.motion: Matrix = np.zeros((2, joints)) if motion is None else motion
         self.position: Vector
         self.velocity: Vector
         self.position, self.velocity = self.motion
-        self.published: Matrix = np.zeros((len(self.PUBLISHED), joints))
-        self.reference_position: Vector = self.published[_POSITION]
-        self.reference_velocity: Vector = self.published[_VELOCITY]
+        rows = np.zeros((len(self.PUBLISHED), joints)) if published is None else published
+        self._published: Matrix = rows
+        self.reference_position: Vector = rows[_POSITION]
+        self.reference_velocity: Vector = rows[_VELOCITY]
         self.reference_acceleration: Vector = np.zeros(joints)
-        self.error: Vector = self.published[_ERROR]
-        self.error_rate: Vector = self.published[_ERROR_RATE]
-        self.upper_bound: Vector = self.published[_UPPER]
-        self.lower_bound: Vector = self.published[_LOWER]
+        self.error: Vector = rows[_ERROR]
+        self.error_rate: Vector = rows[_ERROR_RATE]
+        self.upper_bound: Vector = rows[_UPPER]
+        self.lower_bound: Vector = rows[_LOWER]
         self.bounds: Matrix = np.zeros((6, joints))
         self._reference: Reference | None = None
         self._funnel: Funnel | None = None
@@ -73,13 +81,13 @@ class Tracking:
         )
         ends = np.array([funnel.initial_upper_rad, funnel.initial_lower_rad, funnel.final_rad])
         self._compare = bind(
-            _errors_and_bounds, self.motion, self.published, self.bounds, ends,
+            _errors_and_bounds, self.motion, self._published, self.bounds, ends,
             float(funnel.rate_per_s), free=["float64"],
         )  # fmt: skip
 
 
 _POSITION, _VELOCITY, _ERROR, _ERROR_RATE, _UPPER, _LOWER = range(6)
-"""Rows of `Tracking.published`."""
+"""Rows of what a `Tracking` publishes, in the order of its `PUBLISHED`."""
 
 
 @compiled

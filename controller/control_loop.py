@@ -76,12 +76,13 @@ class ControlLoop:
         self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
         self._plant_status = Record(self._plant_status_layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
-        self.tracking = Tracking(task.robot.joints)
-        self._take_motion = copying(self._state.rows("position", "velocity"), self.tracking.motion)
+        self._status = ControlStatus(names, task.law, task.compensation)
+        self.tracking = Tracking(
+            task.robot.joints, self._state.rows("position", "velocity"), self._status.tracking_rows
+        )
         self._is_finite = bind(all_finite, self.tracking.motion)
         self._guard = TorqueGuard(task.law_name, task.limits, self.tracking.motion)
         self._take_torque = copying(self._guard.torque_nm, self._command.fields["effort"])
-        self._status = ControlStatus(names, self.tracking, task.law, task.compensation)
         self._start_ns: int | None = None
         self._feedback: CommandFeedback | None = None
         self.stamp_ns = -1
@@ -118,7 +119,7 @@ class ControlLoop:
         try:
             if self._read(state, plant_status):
                 self._update()
-                sequence = self._write()
+                sequence = self._write(self.stamp_ns)
                 self._report(sequence, started_ns)
         except Exception as error:
             self.stop(reason_of(error))
@@ -154,7 +155,6 @@ class ControlLoop:
         """Take in a state; whether it calls for a new torque."""
         try:
             stamp_ns = self._state_layout.decode(state, self._state)
-            self._take_motion()
             if not self._is_finite():
                 raise InvalidMessageError("not_finite", "a position or velocity is not finite")
         except InvalidMessageError as error:
@@ -165,7 +165,7 @@ class ControlLoop:
             self._start_ns = start_ns if self._start_ns is None else self._start_ns
         if stamp_ns <= self.stamp_ns:
             self.late += 1
-            self._send(stamp_ns)
+            self._write(stamp_ns)
             return False
         step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
         self.stamp_ns = stamp_ns
@@ -201,13 +201,9 @@ class ControlLoop:
             )
         torque_nm = self._task.law.torque(situation)
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
-
-    def _write(self) -> int:
-        """Send the torque; its number."""
         self._take_torque()
-        return self._send(self.stamp_ns)
 
-    def _send(self, stamp_ns: int) -> int:
+    def _write(self, stamp_ns: int) -> int:
         """Send the torque in force in answer to a state; its number."""
         self._command.stamp_ns = stamp_ns
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())

@@ -10,6 +10,7 @@ from bus_schema.runtime.compiled import bind, compiled
 from bus_schema.runtime.finite import all_finite
 
 _NOT_FINITE = -1
+_FLOAT64 = np.dtype(np.float64)
 
 
 class ControllerError(Exception):
@@ -73,7 +74,7 @@ class TorqueGuard:
         Raises:
             InvalidTorqueError: the shape is wrong or an entry is not finite.
         """
-        if getattr(torque, "shape", None) != self._shape or torque.dtype != np.float64:
+        if getattr(torque, "shape", None) != self._shape or torque.dtype is not _FLOAT64:
             raise InvalidTorqueError(self._law, tick, self._mismatch(torque))
         self._wanted[:] = torque
         hits = self._limit(step_s)

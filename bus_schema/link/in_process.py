@@ -20,58 +20,42 @@ _POLL_S = 0.05
 class InProcessBus:
     """A bus with one plant and one controller, which remembers everything.
 
+    It holds what both sides share; `InProcessPlantLink` and `InProcessControllerLink` use it.
+
     Attributes:
+        clock: the plant's clock, which stamps commands as they arrive.
         topics: topic of each message that was on the bus, in order.
         payloads: its payload. Two flat lists: with no container per message, Python's garbage
             collector finds nothing to do while a loop runs.
+        commands: commands that the plant has not taken yet.
+        commands_sent: number of the newest command.
         on_state: the controller; None before it came and after it left or failed.
         failure: the exception that ended the controller's service of states, if any.
-        commands_sent: number of the newest command.
-        commands: commands that the plant has not taken yet.
         has_left: by role, set once that side has left.
     """
 
     def __init__(self, plant_clock: Clock) -> None:
-        self._clock = plant_clock
-        self.commands_sent = 0
+        self.clock = plant_clock
         self.topics: list[Topic] = []
         self.payloads: list[bytes] = []
+        self.commands: list[CommandArrival] = []
+        self.commands_sent = 0
         self.on_state: StateHandler | None = None
         self.failure: Exception | None = None
-        self.commands: list[CommandArrival] = []
         self.has_left = {role: threading.Event() for role in Role}
-
-    def publish(self, topic: Topic, payload: bytes) -> int:
-        """Put a message on the bus; its number if it is a command, which alone are counted here."""
-        self.topics.append(topic)
-        self.payloads.append(payload)
-        if topic is not JOINT_COMMANDS:
-            return 0
-        self.commands_sent = sequence = self.commands_sent + 1
-        self.commands.append(CommandArrival(payload, sequence, b"", self._clock.now_ns()))
-        return sequence
-
-    def send_state(self, state: bytes, status: bytes) -> None:
-        """Put a state and its status on the bus, and have the controller answer."""
-        self.topics += PLANT_STATUS, JOINT_STATES
-        self.payloads += status, state
-        if self.on_state is None:
-            return
-        try:
-            self.on_state(state, status)
-        except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
-            self.on_state, self.failure = None, error
-
-    def take_commands(self) -> list[CommandArrival]:
-        """All commands that the plant has not taken yet."""
-        taken = self.commands
-        if taken:
-            self.commands = []
-        return taken
 
     def connect(self, on_state: StateHandler) -> None:
         """Have the controller answer states from now on."""
         self.on_state = on_state
+
+    def next_command(self) -> int:
+        """Number for a new command, from 1."""
+        self.commands_sent += 1
+        return self.commands_sent
+
+    def fail(self, error: Exception) -> None:
+        """The controller failed: it answers no more states."""
+        self.on_state, self.failure = None, error
 
     def leave(self, role: Role) -> None:
         """One side leaves; without its controller, states are not answered any longer."""
@@ -87,7 +71,15 @@ class InProcessNode:
         self._bus, self._role = bus, role
 
     def publish(self, topic: Topic, payload: bytes) -> int:
-        return self._bus.publish(topic, payload)
+        """Put a message on the bus; its number if it is a command, which alone are counted here."""
+        bus = self._bus
+        bus.topics.append(topic)
+        bus.payloads.append(payload)
+        if topic is not JOINT_COMMANDS:
+            return 0
+        sequence = bus.next_command()
+        bus.commands.append(CommandArrival(payload, sequence, b"", bus.clock.now_ns()))
+        return sequence
 
     def sees(self, role: Role) -> bool:
         return not self._bus.has_left[role].is_set()
@@ -119,13 +111,23 @@ class InProcessPlantLink(InProcessNode, PlantLink):
             raise PeerSilentError("controller", timeout_s, "handler of joint states")
 
     def send_state(self, state: bytes, status: bytes) -> None:
-        self._bus.send_state(state, status)
+        bus = self._bus
+        bus.topics.extend((PLANT_STATUS, JOINT_STATES))
+        bus.payloads.extend((status, state))
+        if bus.on_state is None:
+            return
+        try:
+            bus.on_state(state, status)
+        except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
+            bus.fail(error)
 
     def await_command(self, timeout_s: float) -> bool:  # noqa: ARG002 (the interface)
         return bool(self._bus.commands)
 
     def take_commands(self) -> list[CommandArrival]:
-        return self._bus.take_commands()
+        taken = self._bus.commands[:]
+        self._bus.commands.clear()
+        return taken
 
     def controller_has_left(self) -> bool:
         # A controller that has not answered by now never will: states are answered at once.
