@@ -181,7 +181,7 @@ def limit_torques(
     """Write torques within the limits; which limits were hit.
 
     A torque that pushes out of a joint's range, or accelerates beyond its largest speed, becomes
-    zero at once, whatever the largest rate of change: that is a limit of comfort, these are not.
+    zero at once, whatever the largest rate of change: that is a soft limit, these are not.
 
     Args:
         wanted: torques asked for, N m, shape (joints,).

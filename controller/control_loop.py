@@ -58,10 +58,13 @@ class ControlTask:
 class ControlLoop:
     """One cycle per joint state: read, update, write.
 
+    There is no loop in here: the link calls `cycle` for each state that arrives, over Zenoh on the
+    network's thread. `stop` and `end` come after the link's `spin` has returned.
+
     Attributes:
         mode: what the controller does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
         cycles: states answered with a torque of their own.
-        late: states older than the newest seen, answered with the torque in force.
+        late: states no newer than the newest seen, answered with the torque in force.
         rejections: unusable states, which are not answered.
         tracking: the situation at the newest state.
         stamp_ns: stamp of the newest state; -1 before the first.
@@ -233,7 +236,7 @@ class ControlLoop:
         self._events.append((EventKind.MODE, mode_event(self.mode, why)))
 
     def _publish_events(self) -> None:
-        """Publish what has happened; the torque is already on its way."""
+        """Publish what has happened; within a cycle, the torque is already on its way."""
         events, self._events = self._events, []
         for kind, detail in events:
             event = RunEvent(max(self.stamp_ns, 0), Role.CONTROLLER, kind, detail)
@@ -241,5 +244,5 @@ class ControlLoop:
 
 
 def reason_of(error: Exception) -> str:
-    """What stopped a controller, in one sentence; a stranger's exception is told by its name."""
+    """What stopped a controller, in one sentence; another exception is told by its name."""
     return str(error) if isinstance(error, ControllerError) else f"{type(error).__name__}: {error}"

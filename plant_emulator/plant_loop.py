@@ -25,15 +25,16 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_path import CommandPath
+from plant_emulator.command_path import CommandPath, Watchdog
 from plant_emulator.faults.channel_faults import channel_faults
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
 from plant_emulator.telemetry import PlantTelemetry
-from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)
+
+_POLL_S = 0.1
 
 
 class PlantLoop:
@@ -103,7 +104,7 @@ class PlantLoop:
             self._run_ticks()
         except Exception as error:  # noqa: BLE001 (whatever happens, the arm is stopped)
             self._stop_after_error(error)
-        self._arm.brake()
+        self._arm.end()
         self._announce_mode("brakes engaged")
         self._outcome.ticks = self.tick
         self._outcome.completed = self.tick >= self._task.ticks and not self._outcome.faults
@@ -196,7 +197,7 @@ class PlantLoop:
         timeout_s = self._task.link.reply_timeout_s
         give_up_s = time.monotonic() + timeout_s
         while self._gate.is_waiting and not self._stop_requested:
-            if self._link.await_command(_PATIENCE_S):
+            if self._link.await_command(_POLL_S):
                 self._collect_commands()
             elif self._link.controller_has_left():
                 if self._link.await_command(0.0):
@@ -240,9 +241,10 @@ class PlantLoop:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._stop_safely(f"no valid command for {timeout_ms:g} ms")
             stays_so = downlink.next_due_ns > last_ns and watchdog.expires_ns >= last_ns
-            then = end if stays_so else first + 1
-            self._arm.advance(first, then)
-            first = then
+            # Where nothing can change in between, all substeps are one call.
+            following = end if stays_so else first + 1
+            self._arm.advance(first, following)
+            first = following
         self._telemetry.note_physics(time.perf_counter_ns() - started_ns)
 
     def _complete_tick(self, *, was_skipped: bool) -> None:
@@ -313,6 +315,3 @@ class PlantLoop:
         ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
         self._announce(EventKind.ENDED, json.dumps(ended))
         self._telemetry.send(self._link)
-
-
-_PATIENCE_S = 0.1

@@ -68,7 +68,7 @@ class Telemetry(Link, Protocol):
 
 
 class PlantLink(Link, Protocol):
-    """The plant's side. What a class derived from it does not say, it has nothing to say about."""
+    """The plant's side. `overflow`, `fault` and `report` have defaults, for links without them."""
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never

@@ -101,7 +101,7 @@ def request_fifo(priority: int) -> RealtimeSetting:
     return _attempt(SCHEDULER, lambda: _schedule(priority))
 
 
-def request_precedence(nice: int = -10) -> RealtimeSetting:
+def raise_priority(nice: int = -10) -> RealtimeSetting:
     """Let the calling process go before ordinary ones, and the threads it starts from now on.
 
     For a recorder: it must not fall behind the loops because of what else is running, nor be in
@@ -110,7 +110,7 @@ def request_precedence(nice: int = -10) -> RealtimeSetting:
     return _attempt(PRECEDENCE, lambda: _precede(nice))
 
 
-def forgo_preemption() -> None:
+def use_batch_scheduling() -> None:
     """Let others finish what they are doing when something arrives for the calling process.
 
     For lockstep, where one side waits for the other: a sender that is put aside in the middle of
@@ -288,4 +288,4 @@ def _kib(text: str, key: str) -> int:
 
 
 if __name__ == "__main__":
-    print(json.dumps([asdict(setting) for setting in (*go_realtime(), request_precedence())]))
+    print(json.dumps([asdict(setting) for setting in (*go_realtime(), raise_priority())]))

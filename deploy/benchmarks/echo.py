@@ -22,7 +22,7 @@ import numpy as np
 
 from bus_schema.messages import topics
 from bus_schema.runtime.clock import MonotonicClock
-from bus_schema.runtime.realtime import forgo_preemption, go_realtime
+from bus_schema.runtime.realtime import go_realtime, use_batch_scheduling
 
 TIMEOUT_S = 10.0
 """For anything that should come at once."""
@@ -187,7 +187,7 @@ def main() -> None:
     if scheduling == "realtime":
         go_realtime()
     else:
-        forgo_preemption()
+        use_batch_scheduling()
     transport = importlib.import_module(f"deploy.benchmarks.transports.{name}")
     if role == "near":
         _ask(transport, sys.argv[2:], joint_messages(tuple(rest)))

@@ -12,7 +12,7 @@ from unittest import mock
 
 from bus_schema.recording import mcap_log
 from bus_schema.recording.atomic_files import RecordFile
-from bus_schema.runtime.realtime import request_precedence
+from bus_schema.runtime.realtime import raise_priority
 from deploy.processes.recorder import Recorder
 from deploy.scenario.scenario import load_setup
 
@@ -45,7 +45,7 @@ def main() -> None:
     """Record a run in real time; exit code 1 if the recording is not whole."""
     scenario, file, *overrides = sys.argv[1:]
     setup = load_setup(scenario, overrides)
-    request_precedence()
+    raise_priority()
     with mock.patch.object(mcap_log, "RecordFile", SlowFile):
         recorder = Recorder(setup, Path(file))
     recorder.run(lambda: False)

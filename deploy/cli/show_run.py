@@ -13,7 +13,7 @@ from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table
 from deploy.reports.tables import percent
 from deploy.reports.terminal import print_table
-from deploy.reports.verdict import judge
+from deploy.reports.verdict import verdict_on_run
 from deploy.runs.run_data import RunData
 
 _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
@@ -37,7 +37,7 @@ def status_handler(progress: CommandProgress) -> Callable[[StatusMessage], None]
 
 def show_summary(console: Console, run: RunData, summary: dict[str, Any]) -> None:
     """The result of a run as two small tables and a verdict."""
-    verdict = judge(run, summary)
+    verdict = verdict_on_run(run, summary)
     console.print(
         f"{summary['scenario']} · {summary['law']} · {summary['clock']}", markup=False, style="bold"
     )

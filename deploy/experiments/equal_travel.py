@@ -42,10 +42,10 @@ from controller.laws import LAWS
 from deploy.experiments.ranking import (
     PROPOSED,
     RIVALS,
-    Judged,
+    Evaluation,
     draws_table,
+    evaluate,
     gains_as_overrides,
-    judge,
 )
 from deploy.experiments.tuning import tune, tuning_setup, with_gains
 from deploy.scenario.scenario import Setup, load_setup
@@ -101,7 +101,7 @@ def table(found: Found, setup_of: Callable[[str, Sequence[str]], Setup]) -> Iter
     yield "| law | " + " | ".join(f"{limit} /s" for limit in found) + " |"
     yield "|---" * (len(found) + 1) + "|"
     judged = {
-        law: [judge(setup_of(law, gains_as_overrides(gains))) for gains in found.values()]
+        law: [evaluate(setup_of(law, gains_as_overrides(gains))) for gains in found.values()]
         for law in LAWS
     }
     for law, runs in judged.items():
@@ -112,7 +112,7 @@ def table(found: Found, setup_of: Callable[[str, Sequence[str]], Setup]) -> Iter
     yield "| best rival / neural law | " + " | ".join(cells) + " |"
 
 
-def _cell(run: Judged) -> str:
+def _cell(run: Evaluation) -> str:
     return ", ".join(f"{rms:.3g}" for rms in run.rms_mrad) + ("" if run.kept else " **lost**")
 
 

@@ -35,7 +35,7 @@ DRAWN_S = 8.0
 
 
 @dataclass(frozen=True)
-class Judged:
+class Evaluation:
     """What became of one run.
 
     Attributes:
@@ -51,11 +51,11 @@ class Judged:
     settling_bound_s: float | None
 
 
-def judge(setup: Setup) -> Judged:
+def evaluate(setup: Setup) -> Evaluation:
     """Run a scenario and judge it."""
     summary = summarise(simulate(setup).data())
     tracking = summary["tracking"]
-    return Judged(
+    return Evaluation(
         rms_mrad=1e3 * np.array(tracking["rms_rad"]),
         variation_nm_per_s=np.array(summary["torque"]["total_variation_nm_per_s"]),
         kept=bool(summary["bounds"]["kept"] and summary["completed"]),
@@ -88,9 +88,9 @@ def verdict_table(scenario: str, overrides: Sequence[str]) -> Iterator[str]:
     )
     yield "|---|---|---|---|---|---|---|---|---|"
     for law in LAWS:
-        clean = judge(load_setup(scenario, [*overrides, f"controller.law={law}"]))
+        clean = evaluate(load_setup(scenario, [*overrides, f"controller.law={law}"]))
         harder_setup = tuning_setup(scenario, law, overrides)
-        harder = judge(harder_setup)
+        harder = evaluate(harder_setup)
         bound = clean.settling_bound_s
         cells = [
             f"`{law}`",
@@ -110,7 +110,7 @@ def draws_table(scenario: str, overrides: Sequence[str], draws: int) -> Iterator
     fixed = [*overrides, f"duration_s={DRAWN_S}"]
     laws = (PROPOSED, *RIVALS)
     setups = {law: load_setup(scenario, [*fixed, f"controller.law={law}"]) for law in laws}
-    as_is = {law: judge(setup).rms_mrad for law, setup in setups.items()}
+    as_is = {law: evaluate(setup).rms_mrad for law, setup in setups.items()}
     best_rival = np.min([as_is[rival] for rival in RIVALS], axis=0)
     yield (
         "| gains changed | neural law better on all joints | on none "
@@ -118,7 +118,7 @@ def draws_table(scenario: str, overrides: Sequence[str], draws: int) -> Iterator
     )
     yield "|---|---|---|---|---|---|"
     for law, setup in setups.items():
-        runs = [judge(drawn(setup, seed)) for seed in range(draws)]
+        runs = [evaluate(drawn(setup, seed)) for seed in range(draws)]
         rms = np.array([run.rms_mrad for run in runs])
         ratios = best_rival / rms if law == PROPOSED else rms / as_is[PROPOSED]
         cells = [
@@ -138,7 +138,7 @@ def _ranges(values: Matrix, digits: str) -> str:
     return ", ".join(f"{low:{digits}}–{high:{digits}}" for low, high in ends)
 
 
-def _cells(run: Judged) -> tuple[str, str, str]:
+def _cells(run: Evaluation) -> tuple[str, str, str]:
     return (
         ", ".join(f"{value:.3f}" for value in run.rms_mrad),
         ", ".join(f"{value:.0f}" for value in run.variation_nm_per_s),

@@ -1,4 +1,7 @@
-"""`run`: recorder, plant and controller as child processes, watched until none is left."""
+"""`run`: recorder, plant and controller as child processes, watched until none is left.
+
+Each child is `funnel-hil record`, `plant` or `controller`; what it does is in `processes.py`.
+"""
 
 from __future__ import annotations
 
@@ -123,7 +126,9 @@ class Launcher:
         """The plant has its command timeout and its stop to get through, in wall time."""
         if self._outcome.interrupted:
             return _STOP_TIMEOUT_S
-        return _KILL_AFTER_S + self._setup.scenario.link.reply_timeout_s
+        plant = self._setup.scenario.plant
+        stopping_s = 1e-3 * plant.command_timeout_ms + plant.stop_duration_s
+        return _KILL_AFTER_S + self._setup.scenario.link.reply_timeout_s + stopping_s
 
     def _has_gone(self, role: Role) -> bool:
         return not self._children[role].is_running() and role not in self._injector.removed

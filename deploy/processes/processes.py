@@ -20,9 +20,9 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
 from bus_schema.runtime.realtime import (
     RealtimeSetting,
-    forgo_preemption,
     go_realtime,
-    request_precedence,
+    raise_priority,
+    use_batch_scheduling,
 )
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
@@ -149,9 +149,9 @@ def _control(
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
     """Be the recorder for one run; the exit code."""
     if setup.scenario.clock == "realtime":
-        _report_settings([request_precedence()], reporter)
+        _report_settings([raise_priority()], reporter)
     else:
-        forgo_preemption()
+        use_batch_scheduling()
     try:
         recorder = Recorder(setup, path)
     except (BusError, OSError) as error:
@@ -184,7 +184,7 @@ def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> No
     if setup.scenario.clock == "realtime":
         _report_settings(go_realtime(cpu=_own_cpu(setup, role)), reporter)
     else:
-        forgo_preemption()
+        use_batch_scheduling()
 
 
 def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from deploy.comparison.comparison import Comparison
 from deploy.reports import quantities
-from deploy.reports.compare_tables import joint_table, judge, verdict_table
+from deploy.reports.compare_tables import joint_table, verdict_on_laws, verdict_table
 from deploy.reports.figures.end_effector import tip_error_envelopes, tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
@@ -92,7 +92,7 @@ PANELS: list[Panel[Comparison]] = [
 
 def write_comparison_report(comparison: Comparison, path: Path) -> None:
     """Write the report of a comparison with at least one run to an HTML file."""
-    verdict = judge(comparison)
+    verdict = verdict_on_laws(comparison)
     write_page(
         path,
         "comparison.html",

@@ -32,7 +32,7 @@ _NUMBERS = [
 """Columns of the verdict, what stands in them, and whether the smallest is the best."""
 
 
-def judge(comparison: Comparison) -> Verdict:
+def verdict_on_laws(comparison: Comparison) -> Verdict:
     """The verdict on a comparison."""
     runs = comparison.runs
     kept, faulted = ([r for r in runs if r.kept_bounds], [r for r in runs if not r.is_whole])

@@ -23,7 +23,7 @@ from deploy.reports.run_tables import (
     transport_table,
 )
 from deploy.reports.tables import number, percent
-from deploy.reports.verdict import judge
+from deploy.reports.verdict import verdict_on_run
 from deploy.runs.run_data import RunData
 
 PANELS: list[Panel[RunData]] = [
@@ -99,7 +99,7 @@ def write_report(run: RunData, summary: dict[str, Any], path: Path) -> None:
         summary: what `metrics.summarise` says of it.
         path: the HTML file to write.
     """
-    verdict, from_s = judge(run, summary), run.setup.scenario.metrics.from_s
+    verdict, from_s = verdict_on_run(run, summary), run.setup.scenario.metrics.from_s
     rms_errors = zip(summary["tracking"]["joint_names"], RMS_ERROR.of_joints(summary), strict=True)
     write_page(
         path,

@@ -1,4 +1,4 @@
-"""The verdict on a run in words: how it ended, whether the bounds were kept, and why."""
+"""The verdict on a run, put into words; `deploy.runs.metrics` is what judges."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Verdict:
     faults: Sequence[str] = ()
 
 
-def judge(run: RunData, summary: dict[str, Any]) -> Verdict:
+def verdict_on_run(run: RunData, summary: dict[str, Any]) -> Verdict:
     """The verdict on a run."""
     bounds, faults = summary["bounds"], summary["faults"]
     is_judged = bounds["violation_fraction"] is not None

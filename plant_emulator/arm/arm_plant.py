@@ -132,8 +132,8 @@ class ArmPlant:
         if self._safe_stop == "brake":
             self._set_brakes(engaged=True)
 
-    def brake(self) -> None:
-        """Engage the brakes for good: the run is over."""
+    def end(self) -> None:
+        """The run is over: engage the brakes for good."""
         self.mode = follow(
             self.mode, Trigger.STOPPED if self.mode is Mode.STOPPING else Trigger.END
         )
@@ -171,7 +171,7 @@ class ArmPlant:
     def _go(self, first: int, end: int) -> None:
         if self._is_braked:
             self.torques.rest()
-            self._arm.coast(end - first)
+            self._arm.advance_braked(end - first)
         else:
             self._arm.advance(first, end)
 

@@ -93,7 +93,7 @@ class BulletArm:
         handles = Handles(server.handle, server.body, gui, indices, np.zeros(2, np.uintp))
         arm = (handles, self.motion)
         self._read = bind(_read, *arm)
-        self._coast = bind(_coast, *arm, free=["int64"])
+        self._advance_braked = bind(_advance_braked, *arm, free=["int64"])
         self._advance = bind(
             _advance, *arm, grid.period_ns, grid.substeps, torques.tables, free=["int64", "int64"]
         )
@@ -133,13 +133,13 @@ class BulletArm:
         if not is_done:
             raise _no_answer()
 
-    def coast(self, substeps: int) -> None:
-        """Go through substeps under no torque but that of the brakes which are engaged.
+    def advance_braked(self, substeps: int) -> None:
+        """Go through substeps with the brakes engaged and no other torque.
 
         Raises:
             ConnectionError: Bullet's physics server is gone.
         """
-        if not self._coast(substeps):
+        if not self._advance_braked(substeps):
             raise _no_answer()
 
     def drop_payload(self) -> None:
@@ -179,7 +179,7 @@ def _advance(
 
 
 @compiled
-def _coast(handles: Handles, motion: Matrix, substeps: int) -> bool:
+def _advance_braked(handles: Handles, motion: Matrix, substeps: int) -> bool:
     for _ in range(substeps):
         if not can_submit(handles.server):
             return False

@@ -83,7 +83,7 @@ class DriveRig:
             self._report_statuses()
             self._catch_up(max(self._grid.tick_at_or_before(now_ns), self.counts.ticks + 1))
             self._measure()
-        self._arm.brake()
+        self._arm.end()
 
     def _receive_until(self, instant_ns: int) -> None:
         """Hand frames to the drives until it is time for the physics, however many they are."""

@@ -101,7 +101,7 @@ def test_a_thread_started_later_runs_under_the_same_scheduler() -> None:
 
 def test_who_forgoes_preemption_does_so_in_all_threads_to_come() -> None:
     result = in_child("""
-        realtime.forgo_preemption()
+        realtime.use_batch_scheduling()
         seen = []
         thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
         thread.start()
@@ -133,14 +133,14 @@ def test_an_unprivileged_process_is_told_what_was_refused_and_why(memlock_bytes:
 
 def test_precedence_is_granted_or_refused_with_what_would_change_that() -> None:
     result = in_child("""
-        report([realtime.request_precedence(-3)], nice=os.getpriority(os.PRIO_PROCESS, 0))
+        report([realtime.raise_priority(-3)], nice=os.getpriority(os.PRIO_PROCESS, 0))
     """)
     granted, detail = result["grants"][realtime.PRECEDENCE]
     assert granted == (result["nice"] == -3)
     assert "nice -3" in detail
     refused = in_child("""
         become_nobody(1 << 30)
-        report([realtime.request_precedence()], nice=os.getpriority(os.PRIO_PROCESS, 0))
+        report([realtime.raise_priority()], nice=os.getpriority(os.PRIO_PROCESS, 0))
     """)
     granted, detail = refused["grants"][realtime.PRECEDENCE]
     assert not granted
@@ -243,7 +243,7 @@ def test_probe_leaves_the_caller_as_it_is() -> None:
 def test_probe_foretells_what_go_realtime_is_granted() -> None:
     result = in_child("""
         foretold = {grant.name: grant.granted for grant in realtime.probe()}
-        report([*realtime.go_realtime(), realtime.request_precedence()], foretold=foretold)
+        report([*realtime.go_realtime(), realtime.raise_priority()], foretold=foretold)
     """)
     granted = {name: value for name, (value, _) in result["grants"].items()}
     assert result["foretold"] == granted

@@ -11,7 +11,7 @@ import pytest
 from controller.laws import LAWS
 from deploy.comparison.settling import settling_test
 from deploy.experiments.equal_travel import AS_SHIPPED_PER_S, AT_EQUAL_TRAVEL, rivals_as_smooth
-from deploy.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, judge, load_gains
+from deploy.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, evaluate, load_gains
 from deploy.experiments.tuning import tuning_setup
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
@@ -30,19 +30,21 @@ def setup_of(law, duration_s, overrides=()):
 @pytest.fixture(scope="module")
 def shipped():
     """Every law with the gains of the scenario, over all of it."""
-    return {law: judge(setup_of(law, 20)) for law in LAWS}
+    return {law: evaluate(setup_of(law, 20)) for law in LAWS}
 
 
 @pytest.fixture(scope="module")
 def brief():
     """The neural law and its rivals with the gains of the scenario, over 5 s."""
-    return {law: judge(setup_of(law, 5)) for law in (PROPOSED, *RIVALS)}
+    return {law: evaluate(setup_of(law, 5)) for law in (PROPOSED, *RIVALS)}
 
 
 @pytest.fixture(scope="module")
 def tuned():
     """Every law with the gains that the one procedure found for it, over as long as it looked."""
-    return {law: judge(setup_of(law, 8, load_gains(EQUALLY_TUNED))) for law in (PROPOSED, *RIVALS)}
+    return {
+        law: evaluate(setup_of(law, 8, load_gains(EQUALLY_TUNED))) for law in (PROPOSED, *RIVALS)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +68,14 @@ def test_neural_law_has_at_most_half_the_error_of_each_rival_as_shipped(shipped,
 
 @pytest.mark.parametrize("rival", SWITCHING)
 def test_and_of_each_rival_tuned_for_the_least_error_that_is_as_smooth(brief, rivals_gains, rival):
-    as_smooth = judge(setup_of(rival, 5, rivals_gains))
+    as_smooth = evaluate(setup_of(rival, 5, rivals_gains))
     assert (brief[PROPOSED].rms_mrad <= 0.5 * as_smooth.rms_mrad).all()
 
 
 @pytest.mark.parametrize("law", [PROPOSED, *SWITCHING])
 def test_all_of_them_keep_the_limit_on_travel(rivals_gains, law):
     setup = tuning_setup("paper_arm", law, rivals_gains)
-    travel_per_s = judge(setup).variation_nm_per_s / setup.robot.effort_limits_nm
+    travel_per_s = evaluate(setup).variation_nm_per_s / setup.robot.effort_limits_nm
     # The law as shipped, which nobody tuned to it, exceeds it by 0.7 % on the shoulder.
     assert travel_per_s.max() <= AS_SHIPPED_PER_S * (1.01 if law == PROPOSED else 1.0)
 
@@ -99,13 +101,13 @@ def test_no_equally_tuned_switching_law_is_nearly_as_smooth(tuned, rival):
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("rival", RIVALS)
 def test_moderate_changes_of_a_rivals_shipped_gains_do_not_reverse_the_result(brief, rival, seed):
-    changed = judge(drawn(setup_of(rival, 5), seed))
+    changed = evaluate(drawn(setup_of(rival, 5), seed))
     assert (brief[PROPOSED].rms_mrad < changed.rms_mrad).all()
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_nor_do_moderate_changes_of_the_neural_laws_gains(brief, seed):
-    changed = judge(drawn(setup_of(PROPOSED, 5), seed))
+    changed = evaluate(drawn(setup_of(PROPOSED, 5), seed))
     assert changed.kept
     assert (changed.rms_mrad < np.min([brief[rival].rms_mrad for rival in RIVALS], axis=0)).all()
 

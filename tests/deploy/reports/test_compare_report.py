@@ -12,7 +12,7 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingRow, SettlingTest
 from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import judge
+from deploy.reports.compare_tables import verdict_on_laws
 from deploy.reports.figures.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
@@ -113,14 +113,14 @@ def test_every_law_is_in_every_figure_in_its_own_colour(comparison):
 )
 def test_the_headline_counts_who_kept_the_bounds(comparison, kept, level, headline):
     runs = [with_bounds(run, kept=k) for run, k in zip(comparison.runs, kept, strict=True)]
-    verdict = judge(Comparison(runs))
+    verdict = verdict_on_laws(Comparison(runs))
     assert (verdict.level, verdict.headline) == (level, headline)
 
 
 def test_a_law_that_faulted_is_neither_kept_nor_best(comparison, page_of):
     first, second = (with_bounds(run, kept=True) for run in comparison.runs)
     broken = Comparison([faulted(first), second])
-    verdict = judge(broken)
+    verdict = verdict_on_laws(broken)
     assert verdict.level == "broken"
     assert verdict.headline == "1 of 2 laws kept their bounds, 1 did not finish"
     assert "fixed_time_neural: it broke" in verdict.reasons
@@ -132,7 +132,7 @@ def test_the_most_precise_law_is_named_joint_by_joint(comparison):
     for run, rms in zip(comparison.runs, ([1e-3, 4e-3, 1e-3], [2e-3, 2e-3, 4e-3]), strict=True):
         tracking = {**run.summary["tracking"], "rms_rad": rms}
         runs.append(replace(run, summary={**run.summary, "tracking": tracking}))
-    sentences = [reason for reason in judge(Comparison(runs)).reasons if "RMS" in reason]
+    sentences = [reason for reason in verdict_on_laws(Comparison(runs)).reasons if "RMS" in reason]
     assert sentences == [
         "Smallest RMS error: fixed_time_neural on base_yaw and elbow, at most 0.5 × the next best;"
         " pid on shoulder, at most 0.5 × the next best."

@@ -195,7 +195,7 @@ def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, monkeypatc
 
     mine = Panel("Motion", "mine", "Speed of <the> first joint", speed, "It stops at the end.")
     monkeypatch.setattr(run_report, "PANELS", [*run_report.PANELS, mine])
-    page = page_of(run)
+    page = page_of(run, summarise(run))  # written anew
     assert '<figure class="card" id="mine"><h3>Speed of &lt;the&gt; first joint</h3>' in page
     assert "<figcaption>It stops at the end.</figcaption>" in page
     shown = re.search(r'data-plot="mine-plot">(.*?)</script>', page)

@@ -52,7 +52,7 @@ class PinocchioArm:
         state += step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
         self.position[:], self.velocity[:] = state
 
-    def coast(self, substeps):
+    def advance_braked(self, substeps):
         self.velocity[:] = 0.0
 
     def close(self):

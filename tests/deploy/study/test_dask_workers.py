@@ -78,7 +78,11 @@ def cluster(tmp_path_factory):
     for process in reversed(processes):
         process.terminate()
     for process in processes:
-        process.wait()
+        try:
+            process.wait(20.0)
+        except subprocess.TimeoutExpired:  # a nanny that asks in vain whether its worker is there
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture

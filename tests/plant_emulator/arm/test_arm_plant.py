@@ -185,7 +185,7 @@ def test_brake_ends_everything(bench, kind):
     stopped, _ = moving_arm(bench, safe_stop=kind)
     stopped.arm.stop()
     stopped.run(0.01)
-    stopped.arm.brake()
+    stopped.arm.end()
     assert stopped.arm.mode is Mode.FAULT
     stopped.arm.command(PUSH)
     assert stopped.arm.mode is Mode.FAULT
