@@ -114,7 +114,7 @@ class CanControllerLink(ControllerLink):
                 self._cycle(tick, is_stop_requested)
                 tick = self._next(tick)
         finally:
-            self._bring_to_rest(tick)
+            self._bring_to_rest(tick, is_stop_requested)
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -145,11 +145,7 @@ class CanControllerLink(ControllerLink):
         """Read what all drives answer; false if this tick has to do without."""
         position, velocity = self._state.fields["position"], self._state.fields["velocity"]
         if not self._run.lockstep:
-            due_ns = self._run.grid.tick_ns(tick) + int(
-                _REALTIME_PATIENCE * self._run.grid.period_ns
-            )
-            patience_s = max(0.0, (due_ns - self._clock.now_ns()) * 1e-9)
-            is_complete = self._master.read(patience_s, position, velocity)
+            is_complete = self._master.read(self._patience_s(tick), position, velocity)
             self.incomplete += not is_complete
             return is_complete
         waited_s = 0.0
@@ -159,8 +155,15 @@ class CanControllerLink(ControllerLink):
                 return False
             if waited_s >= self._run.link.can.answer_timeout_s:
                 nodes = self._master.missing()
+                self._master.give_up()
                 raise DriveError(f"no answer from drive {nodes} within {waited_s:g} s")
         return True
+
+    def _patience_s(self, tick: int) -> float:
+        """How long states may still take at this tick, in real time."""
+        grid = self._run.grid
+        due_ns = grid.tick_ns(tick) + int(_REALTIME_PATIENCE * grid.period_ns)
+        return max(0.0, (due_ns - self._clock.now_ns()) * 1e-9)
 
     def _next(self, tick: int) -> int:
         following = tick + 1
@@ -174,21 +177,36 @@ class CanControllerLink(ControllerLink):
         self._clock.wait_until(self._run.grid.tick_ns(following))
         return following
 
-    def _bring_to_rest(self, tick: int) -> None:
+    def _bring_to_rest(self, tick: int, is_stop_requested: Callable[[], bool]) -> None:
         """Keep the cycle going until the drives have stopped: in lockstep it is what time is."""
         try:
             self._master.begin_stop()
             self._torque[:] = 0.0
             last = tick + max(1, int(_LONGEST_STOP_S * 1e9 / self._run.grid.period_ns))
+            self._read_while_stopping(tick, is_stop_requested)  # what the last tick still owes
             while not self._master.is_stopped() and tick < last:
                 self._master.command(self._torque)
                 tick = self._next(tick)
                 self._master.sample(self._run.grid.tick_ns(tick))
-                self._read_while_stopping()
+                self._read_while_stopping(tick, is_stop_requested)
             self._master.leave()
         except Exception as error:  # noqa: BLE001 (what led here matters more)
             logger.error("the drives may not have been commanded to stop: %s", error)
 
-    def _read_while_stopping(self) -> None:
-        fields = self._state.fields
-        self._master.read(_POLL_S, fields["position"], fields["velocity"])
+    def _read_while_stopping(self, tick: int, is_stop_requested: Callable[[], bool]) -> None:
+        """Read what the drives answer; in lockstep, those that do not in time are given up.
+
+        One that only takes longer than a poll is waited for, else it would be left while it moves.
+        In real time nobody is waited for beyond the tick: the others need their torques.
+        """
+        position, velocity = self._state.fields["position"], self._state.fields["velocity"]
+        if not self._run.lockstep:
+            self._master.read(self._patience_s(tick), position, velocity)
+            return
+        waited_s, answer_timeout_s = 0.0, self._run.link.can.answer_timeout_s
+        while not self._master.read(_POLL_S, position, velocity) and not self._master.is_stopped():
+            waited_s += _POLL_S
+            # Where a stop was requested, there may be nobody left to answer.
+            longest_s = _LONGEST_STOP_S if is_stop_requested() else answer_timeout_s
+            if waited_s >= min(longest_s, answer_timeout_s):
+                self._master.give_up()

@@ -141,6 +141,9 @@ class CanMaster(ABC):
     def begin_stop(self) -> None:
         """From now on drives are to come to rest, whatever torques say; faults are expected."""
         self._is_stopping = True
+
+    def give_up(self) -> None:
+        """Those that have not answered yet are not waited for any longer, and count as silent."""
         self._replies.give_up()
 
     def is_stopped(self) -> bool:

@@ -72,7 +72,27 @@ def test_bus_off_is_told_when_it_is_read_and_expected_while_stopping(build) -> N
     stopping = build(FrameBus(bus_off))
     stopping.sample(0)
     stopping.begin_stop()
-    assert stopping.read(0.0, position, velocity)  # nobody is waited for any longer
+    assert not stopping.read(0.0, position, velocity)
+
+
+@pytest.mark.parametrize(
+    ("build", "powered"),
+    [
+        (cia402, CanFrame(0x282, b"\x37\x02\x0a\x00\x00")),  # operation enabled
+        (cansimple, CanFrame(0x041, b"\0\0\0\0\x08\0\0\0")),  # closed-loop control
+    ],
+)
+def test_drive_that_has_yet_to_answer_is_waited_for_until_it_is_given_up(build, powered) -> None:
+    master = build(FrameBus(powered))
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(0)
+    assert not master.read(0.0, position, velocity)
+    master.begin_stop()
+    assert not master.is_stopped()
+    assert not master.read(0.0, position, velocity)
+    master.give_up()
+    assert master.is_stopped()
+    assert master.read(0.0, position, velocity)
 
 
 def test_replies_are_awaited_of_all_but_those_given_up() -> None:

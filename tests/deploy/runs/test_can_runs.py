@@ -15,6 +15,7 @@ from bus_schema.arrays import Vector
 from bus_schema.can.cia402_codec import rated_torque_nm
 from bus_schema.can.cia402_master import MASTER_NODE
 from bus_schema.can.frame import CanFrame
+from bus_schema.can.master import CanMaster
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
@@ -23,11 +24,13 @@ from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from plant_emulator.arm.arm_plant import Mode
+from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from tests.eds_decoding import EdsDecoder
 
 VIRTUAL = ["link.can.interface=virtual", "link.can.answer_timeout_s=20"]
 STRUCK_S = 0.5
 TICK_S = 0.002
+HANG_S = 20.0
 SLOW_DOWN_S = 0.3
 """Object 0x2000: the longest a CiA 402 drive takes to slow down before it brakes."""
 
@@ -166,6 +169,38 @@ def test_all_axes_come_to_rest_when_one_drive_fails(
     truth = run.data.tables[PLANT_TRUTH.name]
     assert truth["mode"][-1] == Mode.STOPPING
     assert not truth["torque"][-1].any()
+
+
+@pytest.mark.parametrize("answers", [0, 1])
+def test_drives_that_answer_late_are_not_left_while_they_move(
+    answers: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The master hears of the fault, then the plant is held up until the master begins to stop.
+
+    At that tick only `answers` drives have answered.
+    """
+    stopping, answered = threading.Event(), []
+    begin_stop, send = CanMaster.begin_stop, DrivesOnBus._send
+
+    def tell_and_begin_stop(master: CanMaster) -> None:
+        begin_stop(master)
+        stopping.set()
+
+    def hold_and_send(drives: DrivesOnBus, frame: CanFrame) -> None:
+        if 0x181 <= frame.identifier <= 0x183 and drives.bank.faults and not stopping.is_set():
+            if len(answered) == answers:
+                stopping.wait(HANG_S)
+            answered.append(frame)
+        send(drives, frame)
+
+    monkeypatch.setattr(CanMaster, "begin_stop", tell_and_begin_stop)
+    monkeypatch.setattr(DrivesOnBus, "_send", hold_and_send)
+    run = run_over_can(
+        tmp_path, "duration_s=2", "link.can.faults.drives=['over-temperature:3@500ms']"
+    )
+    assert stopping.is_set()
+    assert "node 3: over-temperature" in run.faults
+    assert run.at_rest_from_s() <= STRUCK_S + SLOW_DOWN_S + 4 * TICK_S
 
 
 def test_bus_off_stops_all_axes(tmp_path: Path) -> None:
