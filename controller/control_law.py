@@ -138,7 +138,15 @@ class Diagnostics:
 
     def __init__(self, joints: int) -> None:
         self.published: Matrix = np.full((len(self.PUBLISHED), joints), np.nan)
-        self.network_norm: Vector = np.full(1, np.nan)
+        self._network_norm: Vector = np.full(1, np.nan)
+
+    @property
+    def network_norm(self) -> Vector:
+        return self._network_norm
+
+    @network_norm.setter
+    def network_norm(self, value: Vector | float) -> None:
+        self._network_norm[:] = value
 
 
 class Dynamics(Protocol):

@@ -32,12 +32,9 @@ class ControlStatus:
         compensation: DelayCompensation | None,
     ) -> None:
         self._record = Record(topics.layout(topics.CONTROL_STATUS, joint_names))
-        self._diagnostics, self._compensation = law.diagnostics, compensation
+        self._law, self._compensation = law, compensation
         self.tracking_rows = self._record.rows(*Tracking.PUBLISHED)
-        # One bound copy of a table: a quarter of what a copy per array takes, in every cycle.
-        self._take_diagnostics = copying(
-            self._diagnostics.published, self._record.rows(*Diagnostics.PUBLISHED)
-        )
+        self._bind(law.diagnostics)
         for name in ("foreseen_error", "learned_disturbance", "learned_friction"):
             self._record.fields[name][:] = np.nan
         self._cycle_started_ns = 0
@@ -56,6 +53,8 @@ class ControlStatus:
         scalars.timing_cycle = cycle
         scalars.timing_period_ns = started_ns - self._cycle_started_ns if cycle else 0
         scalars.sequence = sequence
+        if self._law.diagnostics is not self._diagnostics:
+            self._bind(self._law.diagnostics)
         self._take_diagnostics()
         scalars.network_norm = self._diagnostics.network_norm[0]
         if self._compensation is not None:
@@ -63,6 +62,14 @@ class ControlStatus:
         self._cycle_started_ns = started_ns
         scalars.timing_step_ns = time.perf_counter_ns() - started_ns
         return self._record.payload()
+
+    def _bind(self, diagnostics: Diagnostics) -> None:
+        """Publish these from now on; a law may have new ones after a reset."""
+        self._diagnostics = diagnostics
+        # One bound copy of a table: a quarter of what a copy per array takes, in every cycle.
+        self._take_diagnostics = copying(
+            diagnostics.published, self._record.rows(*Diagnostics.PUBLISHED)
+        )
 
     def _take_prediction(self, compensation: DelayCompensation) -> None:
         fields = self._record.fields

@@ -74,7 +74,10 @@ class TorqueGuard:
         Raises:
             InvalidTorqueError: the shape is wrong or an entry is not finite.
         """
-        if getattr(torque, "shape", None) != self._shape or torque.dtype is not _FLOAT64:
+        kind = getattr(torque, "dtype", None)
+        # An unpickled array has an equal type, but another object for it.
+        is_float64 = kind is _FLOAT64 or (isinstance(kind, np.dtype) and kind == _FLOAT64)
+        if not is_float64 or torque.shape != self._shape:
             raise InvalidTorqueError(self._law, tick, self._mismatch(torque))
         self._wanted[:] = torque
         hits = self._limit(step_s)

@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import (
     ConfigurationError,
@@ -79,7 +79,7 @@ class CanConfiguration(StrictModel):
     bitrate: Literal[125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
     fd: bool = False
     data_bitrate: Annotated[int, Field(ge=125_000, le=8_000_000)] | None = None
-    protocol: str = "cia402"
+    protocol: Annotated[str, BeforeValidator(str)] = "cia402"
     node_ids: (
         Annotated[tuple[Annotated[int, Field(ge=1, le=127)], ...], AfterValidator(_check_node_ids)]
         | None

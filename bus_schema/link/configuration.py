@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
 from bus_schema.configuration import NonNegative, Positive, StrictModel
 from bus_schema.link.can_configuration import CanConfiguration
@@ -68,7 +68,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
         can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 
-    kind: str = "zenoh"
+    kind: Annotated[str, BeforeValidator(str)] = "zenoh"  # the table of kinds says which there are
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"

@@ -53,6 +53,11 @@ class InProcessBus:
         self.commands_sent += 1
         return self.commands_sent
 
+    def take_commands(self) -> list[CommandArrival]:
+        """All commands that the plant has not taken yet; one that comes meanwhile is not lost."""
+        taken, self.commands = self.commands, []
+        return taken
+
     def fail(self, error: Exception) -> None:
         """The controller failed: it answers no more states."""
         self.on_state, self.failure = None, error
@@ -125,9 +130,7 @@ class InProcessPlantLink(InProcessNode, PlantLink):
         return bool(self._bus.commands)
 
     def take_commands(self) -> list[CommandArrival]:
-        taken = self._bus.commands[:]
-        self._bus.commands.clear()
-        return taken
+        return self._bus.take_commands()
 
     def controller_has_left(self) -> bool:
         # A controller that has not answered by now never will: states are answered at once.
@@ -152,7 +155,8 @@ class InProcessControllerLink(InProcessNode, ControllerLink):
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
         """Wait until the plant has left; its own thread has the states answered."""
         plant_has_left = self._bus.has_left[Role.PLANT]
-        while not plant_has_left.wait(_POLL_S) and not is_stop_requested():
-            pass
+        while self._bus.failure is None and not plant_has_left.wait(_POLL_S):
+            if is_stop_requested():
+                break
         if self._bus.failure is not None:
             raise self._bus.failure

@@ -1,1 +1,1 @@
-"""What is said on the bus: topics, message types, and their bytes."""
+"""What is sent on the bus: topics, message types, and their bytes."""

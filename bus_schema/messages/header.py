@@ -14,8 +14,8 @@ NANOSECONDS = 1_000_000_000
 SEC, NANOSEC = "header.stamp.sec", "header.stamp.nanosec"
 """Names of both parts in a message's layout."""
 ENCAPSULATION_BYTES = 4
-STAMP = struct.Struct("<iI")
-_END = ENCAPSULATION_BYTES + STAMP.size
+_STAMP = struct.Struct("<iI")
+_END = ENCAPSULATION_BYTES + _STAMP.size
 
 
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
@@ -32,13 +32,13 @@ def stamp_of(payload: bytes) -> int | None:
     """Stamp of an encoded message, ns; None where the bytes hold none, or one before the start."""
     if len(payload) < _END:
         return None
-    stamp_ns = join_stamp(*STAMP.unpack_from(payload, ENCAPSULATION_BYTES))
+    stamp_ns = join_stamp(*_STAMP.unpack_from(payload, ENCAPSULATION_BYTES))
     return stamp_ns if stamp_ns >= 0 else None
 
 
 def with_stamp(payload: bytes, stamp_ns: int) -> bytes:
     """An encoded message with another stamp."""
-    return payload[:ENCAPSULATION_BYTES] + STAMP.pack(*split_stamp(stamp_ns)) + payload[_END:]
+    return payload[:ENCAPSULATION_BYTES] + _STAMP.pack(*split_stamp(stamp_ns)) + payload[_END:]
 
 
 def stamps_ns(table: NDArray[np.void]) -> NDArray[np.int64]:

@@ -47,7 +47,8 @@ class Record:
 
     Attributes:
         scalars: all single values, as attributes named as in the ``.msg`` file, with ``_`` for the
-            dots of nested types: ``record.scalars.timing_cycle = 3``. Another name is refused.
+            dots of nested types: ``record.scalars.timing_cycle = 3``. Another name is refused;
+            a number out of range wraps around.
         fields: one writable view per numeric field, by dotted name; single values as shape (1,).
         payload: gives the message as wire bytes.
     """

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from bus_schema.messages.header import join_stamp, split_stamp
 from bus_schema.messages.layout import parse
 from bus_schema.messages.types import RUN_EVENT, TYPESTORE
-
-_NANOSECONDS = 1_000_000_000
 
 
 class EventKind(StrEnum):
@@ -50,7 +49,7 @@ class RunEvent:
     def encode(self) -> bytes:
         """CDR bytes."""
         types = TYPESTORE.types
-        sec, nanosec = divmod(self.stamp_ns, _NANOSECONDS)
+        sec, nanosec = split_stamp(self.stamp_ns)
         header = types["std_msgs/msg/Header"](
             types["builtin_interfaces/msg/Time"](sec, nanosec), ""
         )
@@ -67,13 +66,13 @@ class RunEvent:
         message = parse(payload, RUN_EVENT)
         stamp = message.header.stamp
         return RunEvent(
-            stamp.sec * _NANOSECONDS + stamp.nanosec, message.source, message.kind, message.detail
+            join_stamp(stamp.sec, stamp.nanosec), message.source, message.kind, message.detail
         )
 
     def values(self) -> dict[str, Any]:
         """The JSON object in `detail`; empty where there is none."""
         try:
             parsed = json.loads(self.detail)
-        except (json.JSONDecodeError, RecursionError):  # it may be a stranger's
+        except (json.JSONDecodeError, RecursionError):  # its sender may be anybody
             return {}
         return parsed if isinstance(parsed, dict) else {}

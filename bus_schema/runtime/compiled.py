@@ -2,7 +2,8 @@
 
 numba's own cache looks only at the file a function stands in, not at the functions it calls in
 other files. So that an edited helper can never leave a stale caller behind, kernels are cached
-under a folder named by a hash of all sources that have kernels.
+under a folder named by a hash of all sources that have kernels. So kernels take constants only from
+files that have kernels, which a test keeps.
 """
 
 from __future__ import annotations

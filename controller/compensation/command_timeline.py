@@ -129,7 +129,7 @@ class CommandTimeline:
         return self._schedule(in_force, self._newest, self.horizon_ns, now_ns - patience_ns)
 
     def assumed_in_force(self, now_ns: int) -> int:
-        """The command that should have come into force before now, for want of an feedback."""
+        """The command that should have come into force before now, for want of feedback."""
         return self._schedule(HELD, self._newest, self.horizon_ns, now_ns).upcoming - 1
 
     def _expect(self, horizon_ns: int) -> None:

@@ -20,6 +20,7 @@ from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
 from plant_emulator.drives.fault_plan import PlannedFault, parse_fault
+from plant_emulator.drives.protocol import PROTOCOLS
 
 Duration = Annotated[
     float | None,
@@ -48,7 +49,7 @@ def drives(
     setup = load_setup(scenario, overrides or [])
     can = setup.scenario.link.can
     with naming(setup.source):
-        node_ids = can.node_ids_of(setup.robot.joints)
+        node_ids = PROTOCOLS.build(can.protocol).node_ids(can, setup.robot.joints)
     try:
         plan = [parse_fault(text, node_ids) for text in faults or []]
     except ConfigurationError as error:

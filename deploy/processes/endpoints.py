@@ -29,7 +29,7 @@ def with_free_endpoints(setup: Setup) -> Setup:
         for key in given:
             try:
                 stack.enter_context(_listening(getattr(link, key)))
-            except (OSError, OverflowError) as error:
+            except (OSError, OverflowError, UnicodeError) as error:
                 raise ScenarioError(
                     f"{setup.source}: link.{key} = {getattr(link, key)!r}: must be an endpoint that"
                     f" this machine can listen at: {error}"
@@ -56,12 +56,15 @@ def _listening(endpoint: str) -> Iterator[None]:
     Raises:
         OSError: it is in use, or not of this machine.
         OverflowError: there is no such port.
+        UnicodeError: there is no such host.
     """
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol == "unixsock-stream":
         yield
         return
+    if int(port) == 0:
+        raise OSError("nobody could connect to port 0")
     is_datagram = protocol in _DATAGRAM_PROTOCOLS
     kind = socket.SOCK_DGRAM if is_datagram else socket.SOCK_STREAM
     family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), None, type=kind)[0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import re
 import sys
 import tempfile
 import time
@@ -32,6 +33,8 @@ from deploy.scenario.referenced_files import DIRECTIONS
 from deploy.scenario.scenario import Setup, effective_scenario, load_setup
 from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
+_LATER_LOG = re.compile(r"run-\d+(\.partial)?\.mcap|can-\d+\.log")
+"""What restarted processes write."""
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 
 
@@ -95,7 +98,7 @@ def new_folder(name: str, out: Path | None) -> Path:
         raise ScenarioError(f"--out {path}: is not writable")
     old = RunFolder(path)
     judged = (old.summary, old.manifest, old.report, old.fault)
-    later_logs = [*path.glob("run-*.mcap"), *path.glob("can-*.log")]  # of restarted processes
+    later_logs = [file for file in path.iterdir() if _LATER_LOG.fullmatch(file.name)]
     for file in (old.log, old.can_log, *judged, *later_logs):
         file.unlink(missing_ok=True)
         partial_path(file).unlink(missing_ok=True)

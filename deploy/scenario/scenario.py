@@ -219,9 +219,14 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
 
 
 def effective_scenario(setup: Setup) -> str:
-    """The scenario in force as YAML: every default and override written out, paths absolute."""
+    """The scenario in force as YAML: every default and override written out, paths absolute.
+
+    But for endpoints that nobody chose: who runs it again may choose others.
+    """
     values = plain(setup.scenario)
     values["robot"]["urdf"] = str(setup.robot.path)
+    for key in {"plant_endpoint", "controller_endpoint"} - setup.scenario.link.model_fields_set:
+        del values["link"][key]
     return to_yaml(values)
 
 

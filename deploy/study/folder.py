@@ -163,7 +163,7 @@ def read_study(path: Path) -> Study:
     """
     file = path / STUDY_FILE
     values = read_yaml(file)
-    kind, definition = KINDS.get(values.get("kind", "")), values.get("definition")
+    kind, definition = KINDS.get(str(values.get("kind"))), values.get("definition")
     if kind is None or not isinstance(definition, dict):
         raise RunFolderError(f"{file}: must have kind {' or '.join(KINDS)}, and definition")
     return kind(definition, file)

@@ -58,7 +58,7 @@ def parse_fault(text: str, node_ids: Sequence[int]) -> PlannedFault:
 def schedule_faults(faults: Sequence[PlannedFault], bank: DriveBank) -> FaultScheduler:
     """Have faults happen to drives at their times."""
     begins, ends = [], []
-    for fault, joint, start_ns, end_ns in faults:
+    for fault, joint, start_ns, end_ns in sorted(faults, key=lambda each: each[:2]):
         node = bank.node_ids[joint]
         begin = partial(bank.inject, joint, fault)
         begins.append(ScheduledAction(start_ns, f"{fault} injected at node {node}", begin))

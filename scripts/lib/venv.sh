@@ -40,14 +40,15 @@ remove_leftovers() {
       rm -r "$installed"
     fi
   done
-  find bus_schema controller deploy plant_emulator tests -depth -name __pycache__ |
-    while read -r caches; do
-      parent=${caches%/*}
-      if [[ $(ls -A "$parent") == __pycache__ ]]; then
-        rm -r "$caches"
-        rmdir --parents --ignore-fail-on-non-empty "$parent"
-      fi
-    done
+  local -a found
+  mapfile -t found < <(find bus_schema controller deploy plant_emulator tests -depth -name __pycache__)
+  for caches in "${found[@]}"; do
+    parent=${caches%/*}
+    if [[ $(ls -A "$parent") == __pycache__ ]]; then
+      rm -r "$caches"
+      rmdir --parents --ignore-fail-on-non-empty "$parent"
+    fi
+  done
 }
 
 # ensure_venv EXTRAS: provides .venv with this project and EXTRAS ("" or "dev") installed in it.

@@ -346,15 +346,16 @@ class KeepsItsDiagnostics:
     def torque(self, tracking):
         self._transformed_error[:] = (1.0, 2.0, 3.0)
         self.diagnostics.sliding_variable = 2.0 * tracking.error
-        self.diagnostics.network_norm[0] = 7.0
+        self.diagnostics.network_norm = 7.0
         return np.zeros(3)
 
     def reset(self):
-        pass
+        self.__init__()  # new diagnostics
 
 
 def test_diagnostics_are_published_whether_a_law_writes_into_them_or_assigns_them():
     bench = Bench(own_law=KeepsItsDiagnostics())
+    bench.loop.warm_up()
     bench.send(5 * MS)
     status = bench.last(topics.CONTROL_STATUS)
     assert status.fields["transformed_error"].tolist() == [1.0, 2.0, 3.0]

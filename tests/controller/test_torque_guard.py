@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -117,3 +119,16 @@ def test_law_whose_array_cannot_be_written_to_is_heard():
     torque.setflags(write=False)
     guard = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
     assert [guard.admit(torque, tick, 1.0).tolist() for tick in range(2)] == [[5.0] * 3] * 2
+
+
+def test_float64_is_float64_whatever_object_says_so():
+    # As of gains that a law has unpickled: NumPy's float64 is not always the same object.
+    torque = pickle.loads(pickle.dumps(np.full(3, 5.0)))
+    guard = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
+    assert guard.admit(torque, 0, 1.0).tolist() == [5.0] * 3
+
+
+@pytest.mark.parametrize("other", [memoryview(np.zeros(3)), np.zeros(3, np.float32)])
+def test_what_is_no_array_of_doubles_is_refused_by_law_and_tick(other):
+    with pytest.raises(InvalidTorqueError, match="at tick 3"):
+        guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(other, 3, 1.0)

@@ -46,7 +46,7 @@ class Bench:
         self.sent, self.tick = {}, 0
 
     def run(self, ticks, delay, *, gives_feedback=True):
-        """Ticks with a state each, which comes with or without an feedback."""
+        """Ticks with a state each, which comes with or without feedback."""
         for _ in range(ticks):
             tick, state = self.tick, self.measured
             state.update(tick * 1e-3, 1e-3 if tick else 0.0, SWING, FUNNEL)

@@ -75,7 +75,13 @@ def test_one_endpoint_for_both_is_refused() -> None:
         endpoints(*both)
 
 
-@pytest.mark.parametrize("given", ["tcp/192.0.2.1:7451", "tcp/127.0.0.1:99999", "tcp/no.such.:1"])
+@pytest.mark.parametrize(
+    "given",
+    [
+        "tcp/192.0.2.1:7451", "tcp/127.0.0.1:99999", "tcp/no.such.:1", "tcp/a..b:1",
+        "tcp/127.0.0.1:0",
+    ],
+)  # fmt: skip
 def test_endpoint_of_no_place_on_this_machine_is_refused(given: str) -> None:
     with pytest.raises(ScenarioError, match=r"link\.controller_endpoint"):
         endpoints(f"link.controller_endpoint={given}")
