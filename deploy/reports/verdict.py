@@ -1,4 +1,4 @@
-"""The verdict on a run, put into words; `deploy.runs.metrics` is what judges."""
+"""The verdict on a run, put into words; `deploy.runs.bounds` is what judges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The judge: from the data of a run to the numbers of ``summary.json``."""
+"""From the data of a run to the numbers of ``summary.json``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
+from deploy.runs.bounds import judge_bounds
 from deploy.runs.chattering import chatter_shares
 from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.settling_bound import settling_bound_s
@@ -50,29 +51,6 @@ def summarise(run: RunData) -> dict[str, Any]:
             "complete": run.complete,
         },
         "digest": run.digest,
-    }
-
-
-def bound_usage(run: RunData) -> Matrix:
-    """|e| over the bound on the error's own side, at every tick, shape (ticks, joints)."""
-    errors = run.true_errors_rad
-    upper, lower = run.setup.funnel.bounds(run.times_s(topics.PLANT_TRUTH))
-    return np.where(errors >= 0.0, errors / upper, errors / lower)
-
-
-def judge_bounds(run: RunData) -> dict[str, Any]:
-    """Whether the true error stayed inside the funnel at every tick."""
-    usage = bound_usage(run)
-    if not len(usage):
-        return {"kept": False, "violation_fraction": None, "first_violation_s": None,
-                "margin_min": None}  # fmt: skip
-    outside = (usage >= 1.0).any(axis=1)
-    first = float(run.times_s(topics.PLANT_TRUTH)[np.argmax(outside)]) if outside.any() else None
-    return {
-        "kept": not outside.any(),
-        "violation_fraction": float(outside.mean()),
-        "first_violation_s": first,
-        "margin_min": float(1.0 - usage.max()),
     }
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from bus_schema.messages import topics
 from deploy.cli.common import conclude
-from deploy.runs.metrics import bound_usage, summarise
+from deploy.runs.bounds import bound_usage
+from deploy.runs.metrics import summarise
 from deploy.runs.replay import replay
 from deploy.runs.run_folder import RunFolder, load_run, new_folder
 from deploy.runs.simulate import simulate
