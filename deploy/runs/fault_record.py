@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.messages import topics
+from bus_schema.messages.header import stamps_ns
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Topic
 from deploy.runs.run_data import RunData
@@ -47,11 +48,10 @@ def fault_record(run: RunData) -> dict[str, Any] | None:
 def _last(run: RunData, topic: Topic, until_ns: int) -> list[dict[str, Any]]:
     """The last messages that were stamped until then, in the order in which they were sent."""
     table = run.tables[topic.name]
-    stamps_ns = table["header.stamp.sec"].astype(np.int64) * 1_000_000_000
-    stamps_ns += table["header.stamp.nanosec"]
-    rows = np.flatnonzero(stamps_ns <= until_ns)[-KEPT:]
+    sent_ns = stamps_ns(table)
+    rows = np.flatnonzero(sent_ns <= until_ns)[-KEPT:]
     return [
-        {"stamp_s": float(stamps_ns[row] * 1e-9)}
+        {"stamp_s": float(sent_ns[row] * 1e-9)}
         | {name: table[name][row].tolist() for name in _FIELDS[topic]}
         for row in rows
     ]
