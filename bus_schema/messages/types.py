@@ -15,17 +15,28 @@ PLANT_TRUTH = f"{PACKAGE}/msg/PlantTruth"
 CONTROL_STATUS = f"{PACKAGE}/msg/ControlStatus"
 RUN_EVENT = f"{PACKAGE}/msg/RunEvent"
 
+# The few standard ones that we use, as ROS 2 has them: a store of a whole distribution takes
+# longer to load than Python does to start.
+_STANDARD = {
+    "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    JOINT_STATE: "std_msgs/Header header\nstring[] name\n"
+    "float64[] position\nfloat64[] velocity\nfloat64[] effort",
+}
+
 
 def _load_typestore() -> Typestore:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    own: dict[str, Any] = {}
+    store = get_typestore(Stores.EMPTY)
+    types: dict[str, Any] = {}
+    for name, text in _STANDARD.items():
+        types.update(get_types_from_msg(text, name))
     for file in sorted(
         resources.files("bus_schema.messages").joinpath("msg").iterdir(), key=lambda f: f.name
     ):
         if file.name.endswith(".msg"):
             name = f"{PACKAGE}/msg/{file.name.removesuffix('.msg')}"
-            own.update(get_types_from_msg(file.read_text(), name))
-    store.register(own)
+            types.update(get_types_from_msg(file.read_text(), name))
+    store.register(types)
     return store
 
 
