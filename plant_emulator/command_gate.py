@@ -46,6 +46,7 @@ class CommandGate:
         rejections: what was kept out.
         newest_ns: stamp answered by the newest command; none that answers an older one comes
             through. -1 before the first.
+        is_waiting: the answer asked for by `await_answer` has not come, new or as a repetition.
         commander: session of the one sender that is heard; None before the first valid command.
     """
 
@@ -60,7 +61,8 @@ class CommandGate:
         self.rejections = Rejections("command", logger)
         self.newest_ns = -1
         self._newest_sequence = 0
-        self._awaited_ns: int | None = None
+        self.is_waiting = False
+        self._awaited_ns = -1
         self.commander: bytes | None = None
 
     def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
@@ -76,18 +78,13 @@ class CommandGate:
             self.rejections.note(error)
             return None
 
-    @property
-    def is_waiting(self) -> bool:
-        """Whether the answer asked for by `await_answer` has not come, new or as a repetition."""
-        return self._awaited_ns is not None
-
     def await_answer(self, stamp_ns: int) -> None:
         """From now on, wait for the answer to the state of this stamp."""
-        self._awaited_ns = stamp_ns
+        self.is_waiting, self._awaited_ns = True, stamp_ns
 
     def stop_waiting(self) -> None:
         """No answer will come, or what came of it counts as one."""
-        self._awaited_ns = None
+        self.is_waiting = False
 
     def lacks_commander(self) -> bool:
         """Whether the commander has left the bus: the next sender of a command will be heard."""
@@ -101,7 +98,7 @@ class CommandGate:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
         self._require_commander(arrival)
         if stamp_ns == self._awaited_ns:
-            self._awaited_ns = None
+            self.is_waiting = False
         if stamp_ns <= self.newest_ns:
             raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
         self.newest_ns = stamp_ns

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from itertools import count
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
@@ -28,7 +29,7 @@ class InProcessBus:
         payloads: its payload. Two flat lists: with no container per message, Python's garbage
             collector finds nothing to do while a loop runs.
         commands: commands that the plant has not taken yet.
-        commands_sent: number of the newest command.
+        numbers: of the commands to come, from 1.
         on_state: the controller; None before it came and after it left or failed.
         failure: the exception that ended the controller's service of states, if any.
         has_left: by role, set once that side has left.
@@ -39,7 +40,7 @@ class InProcessBus:
         self.topics: list[Topic] = []
         self.payloads: list[bytes] = []
         self.commands: list[CommandArrival] = []
-        self.commands_sent = 0
+        self.numbers = count(1)
         self.on_state: StateHandler | None = None
         self.failure: Exception | None = None
         self.has_left = {role: threading.Event() for role in Role}
@@ -47,16 +48,6 @@ class InProcessBus:
     def connect(self, on_state: StateHandler) -> None:
         """Have the controller answer states from now on."""
         self.on_state = on_state
-
-    def next_command(self) -> int:
-        """Number for a new command, from 1."""
-        self.commands_sent += 1
-        return self.commands_sent
-
-    def take_commands(self) -> list[CommandArrival]:
-        """All commands that the plant has not taken yet; one that comes meanwhile is not lost."""
-        taken, self.commands = self.commands, []
-        return taken
 
     def fail(self, error: Exception) -> None:
         """The controller failed: it answers no more states."""
@@ -82,7 +73,7 @@ class InProcessNode:
         bus.payloads.append(payload)
         if topic is not JOINT_COMMANDS:
             return 0
-        sequence = bus.next_command()
+        sequence = next(bus.numbers)
         bus.commands.append(CommandArrival(payload, sequence, b"", bus.clock.now_ns()))
         return sequence
 
@@ -130,7 +121,10 @@ class InProcessPlantLink(InProcessNode, PlantLink):
         return bool(self._bus.commands)
 
     def take_commands(self) -> list[CommandArrival]:
-        return self._bus.take_commands()
+        commands = self._bus.commands
+        taken = commands.copy()
+        del commands[: len(taken)]  # one that comes meanwhile is not lost
+        return taken
 
     def controller_has_left(self) -> bool:
         # A controller that has not answered by now never will: states are answered at once.
