@@ -45,5 +45,5 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
 def _png(pixels: NDArray[np.uint8]) -> bytes:
     """A PNG file of the average of each few pixels, which smooths the renderer's edges."""
     file = io.BytesIO()
-    Image.fromarray(pixels).reduce(_OVERSAMPLING).save(file, "PNG", optimize=True)
+    Image.fromarray(pixels).reduce(_OVERSAMPLING).save(file, "PNG")
     return file.getvalue()

@@ -6,6 +6,7 @@ import html
 
 import numpy as np
 import plotly.graph_objects as go
+import plotly.io as pio
 from plotly.subplots import make_subplots
 
 from bus_schema.arrays import Matrix, Vector
@@ -20,6 +21,25 @@ _ROW_GAP_PX, _TOP_PX, _BOTTOM_PX = 34, 34, 50
 _BUTTONS_PX, _LEGEND_ROW_PX = 27, 21  # plotly's buttons stand above the legend
 MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
+
+
+def _template() -> go.layout.Template:
+    """The looks of every figure: set once, as Plotly takes a long time to apply them to one."""
+    axis = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
+    template = go.layout.Template(pio.templates["plotly_white"])
+    template.layout.update(
+        margin={"l": 62, "r": 14, "t": _TOP_PX, "b": _BOTTOM_PX},
+        font={"family": FONT, "size": 12, "color": INK},
+        hoverlabel={"font": {"family": FONT}},
+        legend={"orientation": "h", "x": 0, "y": -0.2, "yanchor": "top"},
+        xaxis={**axis, "showline": True, "ticks": "outside", "tickcolor": "#cbd2d9"},
+        yaxis={**axis, "exponentformat": "power"},
+    )
+    return template
+
+
+pio.templates["report"] = _template()
+pio.templates.default = "report"
 
 
 def palette(index: int) -> str:
@@ -96,19 +116,8 @@ def per_joint(run: RunData, topic: Topic, field: str) -> Matrix:
 
 
 def apply(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
-    """Give a figure the report's looks."""
-    figure.update_layout(
-        template="plotly_white",
-        height=round(height_px),
-        margin={"l": 62, "r": 14, "t": _TOP_PX, "b": _BOTTOM_PX},
-        font={"family": FONT, "size": 12, "color": INK},
-        hoverlabel={"font": {"family": FONT}},
-        showlegend=legend,
-        legend={"orientation": "h", "x": 0, "y": -0.2, "yanchor": "top"},
-    )
-    axis = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
-    figure.update_xaxes(**axis, showline=True, ticks="outside", tickcolor="#cbd2d9")
-    figure.update_yaxes(**axis, exponentformat="power")
+    """Give a figure its height, and a legend where that is asked for."""
+    figure.update_layout(height=round(height_px), showlegend=legend)
 
 
 def log_axis(figure: go.Figure, decades: int = 1) -> None:
@@ -128,7 +137,7 @@ def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:
     height = figure.layout.height + added_px
     figure.update_layout(
         height=height,
-        margin={"t": figure.layout.margin.t + added_px},
+        margin={"t": _TOP_PX + added_px},
         showlegend=True,
         legend={
             "x": 0, "xanchor": "left", "y": 1.0 - _BUTTONS_PX / height, "yanchor": "top",
