@@ -15,6 +15,7 @@ from deploy.cli.common import (
 )
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
+from deploy.processes.command_process import prepare
 from deploy.processes.endpoints import with_free_endpoints
 from deploy.processes.launcher import Launcher
 from deploy.processes.links import check_link, require_keys
@@ -29,6 +30,7 @@ def run(
     require_bounds: RequireBounds = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
+    prepare()
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_keys(setup, *Role)

@@ -6,13 +6,12 @@ import contextlib
 import os
 import queue
 import signal
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from bus_schema.messages.topics import Role
+from deploy.processes.command_process import start
 from deploy.processes.status import StatusMessage
 
 _LAST_LINES = 50
@@ -52,26 +51,20 @@ class Child:
         self._was_asked_to_stop = False
         self._faults: list[str] = []
         self._errors: list[str] = []
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "deploy.cli", *arguments, "--to-parent", str(os.getpid())],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        command = start(arguments)
+        self._process, self._stdin = command.process, command.stdin
         self._readers = [
             threading.Thread(target=read, args=(pipe,), daemon=True)
             for read, pipe in (
-                (self._read_messages, self._process.stdout),
-                (self._read_errors, self._process.stderr),
+                (self._read_messages, command.stdout),
+                (self._read_errors, command.stderr),
             )
         ]
         for reader in self._readers:
             reader.start()
 
     def is_running(self) -> bool:
-        return self._process.poll() is None
+        return self._process.is_alive()
 
     def is_frozen(self) -> bool:
         """Whether the process is stopped by a signal."""
@@ -89,25 +82,24 @@ class Child:
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal."""
-        if self.is_running():
-            self._process.send_signal(number)
+        if self._process.pid is not None and self.is_running():
+            os.kill(self._process.pid, number)
 
     def confirm(self) -> None:
         """Tell a child that waits for it that what it asked for is done."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.write("done\n")
-                self._process.stdin.flush()
+        with contextlib.suppress(OSError):
+            self._stdin.write("done\n")
+            self._stdin.flush()
 
     def kill(self) -> None:
         """Kill it, and wait until it is gone."""
         if self.is_running():
             self._process.kill()
-        self._process.wait()
+        self._process.join()
 
     def failure(self) -> Failure | None:
         """What went wrong with the process, which has ended; None if nothing did."""
-        code = self._process.returncode
+        code = self._process.exitcode or 0
         for reader in self._readers:
             reader.join(timeout=_OUTPUT_TIMEOUT_S)
         if code == -signal.SIGTERM and self._was_asked_to_stop:

@@ -203,7 +203,7 @@ def processes_of(folder: Path) -> dict[str, int]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
             with suppress(OSError):
-                words = (entry / "cmdline").read_bytes().decode().split("\0")
+                words = (entry / "cmdline").read_bytes().decode().replace("\0", " ").split()
                 if any(word.startswith(str(folder)) for word in words) and "deploy.cli" in words:
                     verb = words[words.index("deploy.cli") + 1]
                     found["recorder" if verb == "record" else verb] = int(entry.name)
