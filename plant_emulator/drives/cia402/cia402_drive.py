@@ -150,7 +150,7 @@ class Cia402Drive:
         pdo = self._process_data.sending(identifier)
         if pdo is None or not pdo.answers_remote or not self._is_operational():
             return False
-        self._process_data.transmit(pdo)
+        self._process_data.transmit(pdo, pdo.pack())
         return True
 
     def _serve_sdo(self, data: bytes) -> None:
