@@ -63,6 +63,7 @@ class Axis:
     Attributes:
         targets: torques taken so far.
         state: idle or in closed-loop control.
+        reports: signals of each message that the axis sends.
     """
 
     def __init__(self, settings: DriveSettings) -> None:
@@ -72,7 +73,7 @@ class Axis:
         self._watchdog_fed_ns = 0
         self.targets = 0
         self._start()
-        self._reports: dict[str, Callable[[], Mapping[str, float]]] = {
+        self.reports: dict[str, Callable[[], Mapping[str, float]]] = {
             "Get_Version": lambda: _VERSION,
             "Heartbeat": self._heartbeat,
             "Get_Error": lambda: {
@@ -104,6 +105,11 @@ class Axis:
         names = [error.name for error in self._errors if error.name]
         return " and ".join(names) or None
 
+    @property
+    def status(self) -> str:
+        """Its state."""
+        return self.state.name
+
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
         self._reading = reading
@@ -114,10 +120,6 @@ class Axis:
     def demand(self) -> JointDemand:
         """What the axis does to its joint; a disarmed one has its brake engaged."""
         return JointDemand(self._given_nm(), is_released=True) if self._is_armed() else AT_REST
-
-    def report(self, message: str) -> Mapping[str, float]:
-        """Signals of a message that the axis sends."""
-        return self._reports[message]()
 
     def request(self, state: int) -> None:
         """Change the state, if the axis has it and nothing is wrong."""
@@ -168,7 +170,7 @@ class Axis:
             raise InvalidMessageError("out_of_range", f"this axis cannot do action {action}")
         self._start()
 
-    def inject(self, fault: DriveFault) -> None:
+    def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         """Let something go wrong."""
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = True
@@ -176,7 +178,7 @@ class Axis:
         else:
             self._disarm(AxisError.DRV_FAULT)
 
-    def heal(self, fault: DriveFault) -> None:
+    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         """The motor cools down."""
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = False
