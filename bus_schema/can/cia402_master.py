@@ -180,9 +180,9 @@ class Cia402Master(CanMaster):
         sentences, timeout_ms = [], self._can.heartbeat_timeout_ms
         for node_id, joint in self._joint_of.items():
             age_ns = self._now_ns - self._last_heartbeat_ns[joint]
-            if age_ns > timeout_ms * 1_000_000 and joint not in self._replies.silent:
+            if age_ns > timeout_ms * 1_000_000 and joint not in self._silent:
                 sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms} ms")
-                self._replies.lost(joint)
+                self._silent.add(joint)
         return sentences
 
     def _hand_over(self, frame: CanFrame) -> None:
