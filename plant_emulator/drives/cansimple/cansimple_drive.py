@@ -19,7 +19,7 @@ from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.can_configuration import CANSIMPLE_DBC
 from plant_emulator.drives.cansimple.axis import Axis
-from plant_emulator.drives.drive import DriveSettings, Send
+from plant_emulator.drives.drive import Cycle, DriveSettings, Send
 
 COMMAND_BITS = 5
 HEARTBEAT_MS = 100
@@ -49,8 +49,8 @@ class CanSimpleDrive(Axis):
         self._send = send
         self._node_id = settings.node_id
         self._is_off_bus = False
-        self._heartbeats = _Cycle(HEARTBEAT_MS * _MS)
-        self._unasked_estimates = _Cycle(settings.estimates_ms * _MS)
+        self._heartbeats = Cycle(HEARTBEAT_MS * _MS)
+        self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
         self.samplings = 0
         self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
             "Estop": lambda _: self.emergency_stop(),
@@ -122,21 +122,6 @@ class CanSimpleDrive(Axis):
         message = load_database().get_message_by_name(name)
         data = message.encode(self.reports[name]())
         self._send(CanFrame(self._node_id << COMMAND_BITS | message.frame_id, data))
-
-
-class _Cycle:
-    """Something that happens again and again, or never if its period is 0."""
-
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._next_ns = 0
-
-    def is_due(self, now_ns: int) -> bool:
-        """Whether it is time; if so, until the next time not again."""
-        if now_ns < self._next_ns or not self._period_ns:
-            return False
-        self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
-        return True
 
 
 def _decode(message: Message, data: bytes) -> dict[str, Any]:

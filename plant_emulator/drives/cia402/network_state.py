@@ -10,7 +10,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.node import DriveNode
-from plant_emulator.drives.drive import Send
+from plant_emulator.drives.drive import Cycle, Send
 
 HEARTBEAT = 0x700
 _MS = 1_000_000
@@ -69,8 +69,7 @@ class NetworkState:
         self._on_lost, self._on_heard = on_lost, on_heard
         self.state = NmtState.INITIALISING
         self.watched: dict[int, int] = {}
-        self._period_ns = 0
-        self._next_heartbeat_ns = 0
+        self._heartbeats = Cycle(0)
         self._heard_ns: dict[int, int] = {}
         self._lost: set[int] = set()
         node.on_write(0x1016, self._check_consumed)
@@ -105,11 +104,8 @@ class NetworkState:
     def advance(self) -> None:
         """Send a heartbeat if one is due, and miss those that are overdue."""
         now_ns = self._node.now_ns
-        period_ns = self._period_ns
-        if period_ns and now_ns >= self._next_heartbeat_ns:
+        if self._heartbeats.is_due(now_ns):
             self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
-            behind = (now_ns - self._next_heartbeat_ns) // period_ns
-            self._next_heartbeat_ns += (behind + 1) * period_ns
         for node_id, time_ns in self.watched.items():
             heard_ns = self._heard_ns.get(node_id)
             if heard_ns is not None and now_ns - heard_ns > time_ns and node_id not in self._lost:
@@ -117,8 +113,7 @@ class NetworkState:
                 self._on_lost()
 
     def _on_period(self, _subindex: int, value: int) -> None:
-        self._period_ns = value * _MS
-        self._next_heartbeat_ns = self._node.now_ns + self._period_ns
+        self._heartbeats = Cycle(value * _MS, self._node.now_ns + value * _MS)
 
     def _watch(self, entries: list[int]) -> None:
         self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
