@@ -22,7 +22,7 @@ from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.drive import Send
 
 SDO_BYTES = 8
-_COMMAND_MASK, _UPLOAD, _DOWNLOAD, _BLOCK_UPLOAD, _ABORTED = 0xE0, 0x40, 0x20, 0xA0, 0x80
+_COMMAND_MASK, _ABORTED = 0xE0, 0x80
 _DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT = 0x00, 0x60
 _EXPEDITED, _SIZED, _LAST_SEGMENT = 0x02, 0x01, 0x01
 _LONGEST_DOWNLOAD = 64
@@ -157,11 +157,6 @@ class DriveNode(canopen.LocalNode):
         """Value of a numeric object."""
         data = self.get_data(index, subindex)
         return int(self.find(index, subindex).decode_raw(data))
-
-    def put(self, index: int, subindex: int, value: int) -> None:
-        """Write a numeric object as a master would, whatever its access."""
-        entry = self.find(index, subindex)
-        self.set_data(index, subindex, entry.encode_raw(value))
 
     def restore_defaults(self, first: int, last: int) -> None:
         """Forget what was written to the objects from `first` to `last`."""
