@@ -136,6 +136,11 @@ def submit(server: int, command: int, has_window: bool) -> int:
     return status
 
 
+def no_answer() -> ConnectionError:
+    """What is raised where the server is gone, as when its window was closed."""
+    return ConnectionError("Bullet's physics server does not answer")
+
+
 class BulletServer:
     """A physics server with one arm on a fixed base, without damping of Bullet's own.
 
@@ -183,7 +188,7 @@ class BulletServer:
             _set_velocity(self.handle, pose, joint.link, 0.0)
             self._submit(pose)
 
-    def hold(self, torques_nm: Sequence[float]) -> None:
+    def hold_with(self, torques_nm: Sequence[float]) -> None:
         """Hold each joint at rest with so much torque at most; 0 lets it go."""
         motors = _control(self.handle, self.body, CONTROL_VELOCITY)
         for joint, torque_nm in zip(self.joints, torques_nm, strict=True):
@@ -205,7 +210,7 @@ class BulletServer:
 
     def _submit(self, command: int) -> int:
         if not _can_submit(self.handle):
-            raise ConnectionError("Bullet's physics server does not answer")
+            raise no_answer()
         status: int = _submit(self.handle, command)
         return status
 
