@@ -15,11 +15,11 @@ from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock
-from plant_emulator.channel.random_numbers import uniform_numbers
+from plant_emulator.channel.random_numbers import endless
 from plant_emulator.command_gate import CommandGate
 from plant_emulator.faults.channel_faults import Direction
 from plant_emulator.faults.fault import FOREVER_NS, Fault
-from plant_emulator.faults.message_faults import AddedCommander, MessageEditor, MessageFault
+from plant_emulator.faults.message_faults import MessageEditor, MessageFault, SecondCommander
 from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 _STREAM = 102
@@ -65,9 +65,9 @@ class FaultyLink:
         message_faults = [fault for fault in faults if isinstance(fault, MessageFault)]
         # What a sender does wrong comes before what the link does to it.
         self._message_faults = sorted(message_faults, key=lambda fault: fault.happens_on_the_way)
-        self._commanders = [fault for fault in faults if isinstance(fault, AddedCommander)]
+        self._commanders = [fault for fault in faults if isinstance(fault, SecondCommander)]
         stream = np.random.SeedSequence(seed, spawn_key=(_STREAM,))
-        self._editor = MessageEditor(joint_names, uniform_numbers(np.random.default_rng(stream)))
+        self._editor = MessageEditor(joint_names, endless(np.random.default_rng(stream).random))
         self._schedule = FaultScheduler([*process_actions, *_announcements(faults)])
         self._sent_stamp_ns: int | None = None
         self._was_unreadable = False
