@@ -179,6 +179,7 @@ def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
 def _explained(error: Exception, interface: str, channel: str) -> ConfigurationError:
     """What is wrong with a bus that cannot be joined, and what to do about it."""
     cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
+    key, given = "link.can.channel", channel
     match getattr(cause, "errno", None):
         case errno.EAFNOSUPPORT:
             key, given = "link.can.interface", interface
@@ -187,20 +188,16 @@ def _explained(error: Exception, interface: str, channel: str) -> ConfigurationE
                 " brings one along, or take udp_multicast (virtual for simulate)"
             )
         case errno.ENODEV if interface == "socketcan":
-            key, given = "link.can.channel", channel
             advice = (
                 f"there is no such CAN interface; as root, `ip link add dev {channel} type vcan`"
                 f" and `ip link set {channel} up` make a virtual one; `ip link show type can` shows"
                 " hardware; scripts/with-vcan runs a command where vcan0 is up"
             )
         case errno.ENETDOWN:
-            key, given = "link.can.channel", channel
             advice = f"is down; as root: ip link set {channel} up (with `type can bitrate …` first)"
         case errno.EPERM | errno.EACCES:
-            key, given = "link.can.channel", channel
             advice = "may not be opened by this user; ask for its group, or run as root"
         case _ if interface == "udp_multicast":
-            key, given = "link.can.channel", channel
             advice = (
                 "must be a multicast address that this host has a route to, such as 239.74.163.2"
                 f" ({cause})"
