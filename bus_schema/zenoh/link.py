@@ -92,9 +92,6 @@ class ZenohPlantLink(ZenohNode, PlantLink):
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self.has_publisher(topics.JOINT_COMMANDS)
 
-    def sender_has_left(self, sender: bytes) -> bool:
-        return self.has_left(sender)
-
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
             self._overflow += 1  # a flood: what comes after is no use, and memory is bounded

@@ -130,25 +130,9 @@ class ZenohNode:
             for entity in self._others()
         )
 
-    def has_left(self, gid: bytes) -> bool:
+    def sender_has_left(self, sender: bytes) -> bool:
         """Whether a publisher had announced itself and is gone."""
-        return gid in self._departed
-
-    def await_role(
-        self, role: Role, timeout_s: float, is_stop_requested: Callable[[], bool] = never
-    ) -> None:
-        """Wait for one of our own processes, or until asked to stop.
-
-        Raises:
-            PeerSilentError: it did not come.
-        """
-        give_up_s = time.monotonic() + timeout_s
-        silence = self.watch_silence(role)
-        while not self.sees(role) and not is_stop_requested():
-            silence.look()
-            if time.monotonic() > give_up_s:
-                raise PeerSilentError(role, timeout_s, "sign of life")
-            time.sleep(POLL_S)
+        return sender in self._departed
 
     def watch_silence(self, role: Role) -> SilenceWatch:
         """A watch that reports why one of our own processes may be missing."""
@@ -168,7 +152,13 @@ class ZenohNode:
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        self.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+        give_up_s = time.monotonic() + timeout_s
+        silence = self.watch_silence(Role.RECORDER)
+        while not self.sees(Role.RECORDER) and not is_stop_requested():
+            silence.look()
+            if time.monotonic() > give_up_s:
+                raise PeerSilentError(Role.RECORDER, timeout_s, "sign of life")
+            time.sleep(POLL_S)
 
     def await_recorded(self) -> None:
         give_up_s = time.monotonic() + self._link.reply_timeout_s
