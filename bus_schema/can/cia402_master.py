@@ -114,7 +114,7 @@ class Cia402Master(CanMaster):
         wanted = {
             "device profile (0x1000)": (node.sdo[0x1000].raw & 0xFFFF, 402),
             "rated torque in mN m (0x6076)": (
-                node.sdo[0x6076].raw, int(self._codec.units.rated_mnm[joint])
+                node.sdo[0x6076].raw, int(self._codec.rated_mnm[joint])
             ),
             "encoder increments per turn (0x608F)": (
                 node.sdo[0x608F][1].raw, self._can.counts_per_turn

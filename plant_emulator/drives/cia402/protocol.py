@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import canopen
 
-from bus_schema.can.cia402_codec import Cia402Codec, DriveUnits, rated_torque_nm
+from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402_master import Cia402Master
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -27,8 +27,8 @@ class Cia402Protocol(DriveProtocol):
     drive_master = Cia402Master
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> Cia402Codec:
-        units = DriveUnits(can.counts_per_turn, rated_torque_nm(can, robot))
-        return Cia402Codec(self.node_ids(can, robot.joints), units)
+        node_ids = self.node_ids(can, robot.joints)
+        return Cia402Codec(node_ids, can.counts_per_turn, rated_torque_nm(can, robot))
 
     def check(self, can: CanConfiguration) -> None:
         if can.eds is None:

@@ -8,7 +8,7 @@ import pytest
 
 from bus_schema.can.cansimple_codec import CanSimpleCodec
 from bus_schema.can.cansimple_master import CanSimpleMaster
-from bus_schema.can.cia402_codec import Cia402Codec, DriveUnits, rated_torque_nm
+from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402_master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame
 from bus_schema.can.master import CanMaster, DriveError
@@ -44,8 +44,8 @@ class FrameBus:
 
 
 def cia402(bus: FrameBus) -> CanMaster:
-    units = DriveUnits(CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
-    return Cia402Master(bus, CAN, NODES, Cia402Codec(NODES, units))
+    codec = Cia402Codec(NODES, CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
+    return Cia402Master(bus, CAN, NODES, codec)
 
 
 def cansimple(bus: FrameBus) -> CanMaster:
