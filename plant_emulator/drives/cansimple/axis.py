@@ -155,10 +155,6 @@ class Axis:
             raise InvalidMessageError("out_of_range", "limits are at least 0")
         self._velocity_limit, self._current_limit = velocity_turns_s, current_a
 
-    def emergency_stop(self) -> None:
-        """Disarm."""
-        self._disarm(AxisError.ESTOP_REQUESTED)
-
     def clear_errors(self) -> None:
         """Forget errors whose causes are gone."""
         self._errors = AxisError.MOTOR_OVER_TEMP if self._is_hot else AxisError.NONE
@@ -182,10 +178,6 @@ class Axis:
         """The motor cools down."""
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = False
-
-    def feed_watchdog(self, now_ns: int) -> None:
-        """A frame has come."""
-        self._watchdog_fed_ns = now_ns
 
     def advance(self, now_ns: int) -> None:
         """Disarm if nothing has come for too long."""

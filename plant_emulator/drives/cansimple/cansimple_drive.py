@@ -18,7 +18,7 @@ from cantools.database.errors import Error as CantoolsError
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.can_configuration import CANSIMPLE_DBC
-from plant_emulator.drives.cansimple.axis import Axis
+from plant_emulator.drives.cansimple.axis import Axis, AxisError
 from plant_emulator.drives.drive import Cycle, DriveSettings, Send
 
 COMMAND_BITS = 5
@@ -53,7 +53,7 @@ class CanSimpleDrive(Axis):
         self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
         self.samplings = 0
         self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
-            "Estop": lambda _: self.emergency_stop(),
+            "Estop": lambda _: self._disarm(AxisError.ESTOP_REQUESTED),
             "Set_Axis_State": lambda v: self.request(v["Axis_Requested_State"]),
             "Set_Controller_Mode": lambda v: self.set_mode(v["Control_Mode"], v["Input_Mode"]),
             "Set_Input_Torque": lambda v: self.set_torque(v["Input_Torque"]),
@@ -72,7 +72,7 @@ class CanSimpleDrive(Axis):
             self._answer(message, frame)
         else:
             self._take(message, frame)
-        self.feed_watchdog(now_ns)
+        self._watchdog_fed_ns = now_ns
         return True
 
     def advance(self, now_ns: int) -> None:
