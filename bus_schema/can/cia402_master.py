@@ -53,11 +53,9 @@ class Cia402Master(CanMaster):
         self._network = _Network(bus)
         self._nodes = [BaseNode402(node_id, str(can.eds or CIA402_EDS)) for node_id in node_ids]
         for node in self._nodes:
-            node.sdo.RESPONSE_TIMEOUT = can.answer_timeout_s
-            node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = (
-                can.answer_timeout_s
-            )
-            node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
+            node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
+            node.TIMEOUT_SWITCH_STATE_FINAL = can.answer_timeout_s
+            node.TIMEOUT_SWITCH_STATE_SINGLE = can.answer_timeout_s
             self._network.add_node(node)
         self._last_heartbeat_ns = [0] * len(node_ids)
         self._emergencies = [""] * len(node_ids)

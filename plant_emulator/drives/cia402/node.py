@@ -179,13 +179,10 @@ class DriveNode(canopen.LocalNode):
         entry = self.object_dictionary.indices.get(index)
         if entry is None:
             raise SdoAbortedError(Abort.NO_SUCH_OBJECT)
-        if isinstance(entry, ODVariable):
-            member = entry if subindex == 0 else None
-        else:
-            member = entry.subindices.get(subindex)
-        if member is None:
+        members = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
+        if subindex not in members:
             raise SdoAbortedError(Abort.NO_SUCH_SUBINDEX)
-        return member
+        return members[subindex]
 
     _find_object = find  # what canopen's own methods call
 
