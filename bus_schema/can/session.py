@@ -162,18 +162,15 @@ def _require_up(channel: str) -> None:
 
 def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
     """What this interface wants to know; the bit rate of socketcan is a matter of ``ip link``."""
-    match configuration.interface:
-        case "virtual":
-            return {"protocol": can.CanProtocol.CAN_FD}
-        case "udp_multicast":
-            return {"port": configuration.port, "fd": configuration.fd}
-        case "socketcan":
-            return {"fd": configuration.fd}
-        case _:
-            rates: dict[str, Any] = {"bitrate": configuration.bitrate}
-            if configuration.fd:
-                rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
-            return rates
+    rates: dict[str, Any] = {"bitrate": configuration.bitrate}
+    if configuration.fd:
+        rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
+    others: dict[str, dict[str, Any]] = {
+        "virtual": {"protocol": can.CanProtocol.CAN_FD},
+        "udp_multicast": {"port": configuration.port, "fd": configuration.fd},
+        "socketcan": {"fd": configuration.fd},
+    }
+    return others.get(configuration.interface, rates)
 
 
 def _explained(error: Exception, interface: str, channel: str) -> ConfigurationError:
