@@ -9,6 +9,7 @@ from plant_emulator.drives.cia402.errors import SENTENCES, ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.motor import Motor
 from plant_emulator.drives.cia402.network_state import (
     HEARTBEAT,
+    STATE_AFTER,
     NetworkState,
     NmtCommand,
     NmtState,
@@ -175,7 +176,7 @@ class Cia402Drive:
         else:
             if command is NmtCommand.STOP:
                 self._motor.abort_connection(ErrorCode.STOPPED)
-            self._network.obey(command)
+            self._network.state = STATE_AFTER[command]
             self._process_data.rest()
 
     def _restart(self) -> None:
