@@ -125,10 +125,7 @@ class ZenohNode:
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether another session has announced that it sends on a topic."""
-        return any(
-            entity.kind == EntityKind.PUBLISHER and entity.topic == topic.name
-            for entity in self._others()
-        )
+        return any(entity.topic == topic.name for entity in self._others(EntityKind.PUBLISHER))
 
     def sender_has_left(self, sender: bytes) -> bool:
         """Whether a publisher had announced itself and is gone."""
@@ -141,9 +138,7 @@ class ZenohNode:
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""
         name = node_name(role)
-        return any(
-            entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
-        )
+        return any(entity.node == name for entity in self._others(EntityKind.NODE))
 
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""
@@ -170,9 +165,9 @@ class ZenohNode:
         """Leave the bus. What is still on its way to a slow peer is lost."""
         self._session.close()
 
-    def _others(self) -> list[Entity]:
-        own = self._session.identifier
-        return [entity for entity in list(self._entities.values()) if entity.session != own]
+    def _others(self, kind: EntityKind) -> list[Entity]:
+        own, known = self._session.identifier, list(self._entities.values())
+        return [entity for entity in known if entity.session != own and entity.kind == kind]
 
     def _token(self, kind: EntityKind, topic: Topic) -> str:
         self._sequences["entities"] = entity_id = self._sequences["entities"] + 1
