@@ -89,9 +89,8 @@ class Cia402Master(CanMaster):
         """Reset all drives until each has reported its boot-up; false if asked to stop."""
         give_up_s = time.monotonic() + timeout_s
         missing = set(self._joint_of)
-        for node_id, joint in self._joint_of.items():
-            note_boot = partial(_note_boot, missing, node_id)
-            self._nodes[joint].nmt.add_heartbeat_callback(note_boot)
+        for node_id, node in zip(self._node_ids, self._nodes, strict=True):
+            node.nmt.add_heartbeat_callback(partial(_note_boot, missing, node_id))
 
         def must_end() -> bool:
             return self._lost is not None or is_stop_requested()
