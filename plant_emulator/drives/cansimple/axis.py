@@ -75,7 +75,10 @@ class Axis:
         self._start()
         self.reports: dict[str, Callable[[], Mapping[str, float]]] = {
             "Get_Version": lambda: _VERSION,
-            "Heartbeat": self._heartbeat,
+            "Heartbeat": lambda: {
+                "Axis_Error": self._errors, "Axis_State": self.state,
+                "Procedure_Result": self._result, "Trajectory_Done_Flag": 0,
+            },
             "Get_Error": lambda: {
                 "Active_Errors": self._errors, "Disarm_Reason": self._disarm_reason
             },
@@ -212,12 +215,6 @@ class Axis:
 
     def _power_w(self) -> float:
         return self._reading.torque_nm * self._reading.velocity_rad_s
-
-    def _heartbeat(self) -> Mapping[str, float]:
-        return {
-            "Axis_Error": self._errors, "Axis_State": self.state,
-            "Procedure_Result": self._result, "Trajectory_Done_Flag": 0,
-        }  # fmt: skip
 
     def _estimates(self) -> Mapping[str, float]:
         counts_per_turn = self._settings.counts_per_turn
