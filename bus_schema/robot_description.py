@@ -14,7 +14,7 @@ from bus_schema.errors import RobotDescriptionError
 
 ACTUATED_TYPES = ("revolute", "continuous")
 PAYLOAD_LINK = "funnel_hil_payload"
-_UNLIMITED = 1e6
+_UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
 _INERTIA_TOLERANCE = 1e-3
 
 
@@ -99,10 +99,7 @@ def _complete_limits(joint: ET.Element) -> None:
     limit = joint.find("limit")
     limit = ET.SubElement(joint, "limit") if limit is None else limit
     endless = joint.get("type") == "continuous"
-    for name, unlimited in (
-        ("lower", -_UNLIMITED), ("upper", _UNLIMITED), ("effort", _UNLIMITED),
-        ("velocity", _UNLIMITED),
-    ):  # fmt: skip
+    for name, unlimited in _UNLIMITED.items():
         if limit.get(name) is None or (endless and name in ("lower", "upper")):
             limit.set(name, str(unlimited))
     joint.set("type", "revolute")

@@ -51,56 +51,29 @@ def rated_torque_nm(can: CanConfiguration, robot: RobotDescription) -> Vector:
     return np.asarray(robot.effort_limits_nm / PEAK_TO_RATED)
 
 
-class DriveUnits:
-    """Units of a robot's CiA 402 drives.
-
-    Args:
-        counts_per_turn: increments per turn of the joint.
-        rated_nm: rated torques, shape (joints,); drives know them in whole mN m.
-
-    Attributes:
-        rad_per_count: angle of an increment.
-        rated_mnm: rated torques as object 0x6076 has them, shape (joints,).
-    """
-
-    def __init__(self, counts_per_turn: int, rated_nm: Vector) -> None:
-        self.rad_per_count = 2.0 * math.pi / counts_per_turn
-        self.rated_mnm: NDArray[np.int64] = np.rint(rated_nm * 1000.0).astype(np.int64)
-        self._nm_per_mille = self.rated_mnm * _NM_PER_MILLE_MNM
-
-    def torque_words(self, torque_nm: Vector) -> list[int]:
-        """Torques per mille of the rated ones: to the nearest, within 16 bits."""
-        words = np.rint(torque_nm / self._nm_per_mille)
-        return [int(word) for word in np.clip(words, _WORD.min, _WORD.max)]
-
-    def torque_nm(self, joint: int, word: int) -> float:
-        """The torque that a word stands for."""
-        return word * float(self._nm_per_mille[joint])
-
-
 class Cia402Codec:
     """Frames of one control cycle, see `CanCodec`.
 
     Args:
         node_ids: addresses of the drives, one for each joint.
-        units: what their numbers mean.
+        counts_per_turn: increments per turn of the joint.
+        rated_nm: rated torques, shape (joints,); drives know them in whole mN m.
 
     Attributes:
-        units: the same.
+        controlword: what goes with each torque.
+        rated_mnm: rated torques as object 0x6076 has them, shape (joints,).
     """
 
     cycle = CycleFrames((0,), (8, 4), "SYNC + {n} × (TPDO 8 bytes + RPDO 4 bytes)")
 
-    def __init__(self, node_ids: Sequence[int], units: DriveUnits) -> None:
-        self.units = units
-        self._controlword = ENABLE_OPERATION
+    def __init__(self, node_ids: Sequence[int], counts_per_turn: int, rated_nm: Vector) -> None:
+        self.rated_mnm: NDArray[np.int64] = np.rint(rated_nm * 1000.0).astype(np.int64)
+        self._nm_per_mille = self.rated_mnm * _NM_PER_MILLE_MNM
+        self._rad_per_count = 2.0 * math.pi / counts_per_turn
+        self.controlword = ENABLE_OPERATION
         self._rpdos = [RPDO_1 + node_id for node_id in node_ids]
         self._joint_of_tpdo = {TPDO_1 + node: joint for joint, node in enumerate(node_ids)}
         self._joint_of_rpdo = {rpdo: joint for joint, rpdo in enumerate(self._rpdos)}
-
-    def begin_quick_stop(self) -> None:
-        """From now on the controlword that goes with each torque asks for a quick stop."""
-        self._controlword = QUICK_STOP
 
     def sampling_frames(self) -> Sequence[CanFrame]:
         return _SYNC_FRAMES
@@ -113,15 +86,16 @@ class Cia402Codec:
         if joint is None or not is_classical_data(frame, _STATE.size):
             return None
         counts, counts_per_s = _STATE.unpack(frame.data)
-        position[joint] = counts * self.units.rad_per_count
-        velocity[joint] = counts_per_s * self.units.rad_per_count
+        position[joint] = counts * self._rad_per_count
+        velocity[joint] = counts_per_s * self._rad_per_count
         return joint
 
     def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
-        words = self.units.torque_words(torque_nm)
+        words = np.rint(torque_nm / self._nm_per_mille)
+        within_range = np.clip(words, _WORD.min, _WORD.max).tolist()
         return [
-            CanFrame(rpdo, _COMMAND.pack(self._controlword, word))
-            for rpdo, word in zip(self._rpdos, words, strict=True)
+            CanFrame(rpdo, _COMMAND.pack(self.controlword, int(word)))
+            for rpdo, word in zip(self._rpdos, within_range, strict=True)
         ]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
@@ -129,5 +103,5 @@ class Cia402Codec:
         if joint is None or not is_classical_data(frame, _COMMAND.size):
             return None
         _, word = _COMMAND.unpack(frame.data)
-        torque_nm[joint] = self.units.torque_nm(joint, word)
+        torque_nm[joint] = word * self._nm_per_mille[joint]
         return joint

@@ -20,7 +20,7 @@ from canopen.emcy import EmcyError
 from canopen.profiles.p402 import BaseNode402, State402
 from canopen.sdo.exceptions import SdoError
 
-from bus_schema.can.cia402_codec import Cia402Codec
+from bus_schema.can.cia402_codec import QUICK_STOP, Cia402Codec
 from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError
@@ -53,11 +53,9 @@ class Cia402Master(CanMaster):
         self._network = _Network(bus)
         self._nodes = [BaseNode402(node_id, str(can.eds or CIA402_EDS)) for node_id in node_ids]
         for node in self._nodes:
-            node.sdo.RESPONSE_TIMEOUT = can.answer_timeout_s
-            node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = (
-                can.answer_timeout_s
-            )
-            node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
+            node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
+            node.TIMEOUT_SWITCH_STATE_FINAL = can.answer_timeout_s
+            node.TIMEOUT_SWITCH_STATE_SINGLE = can.answer_timeout_s
             self._network.add_node(node)
         self._last_heartbeat_ns = [0] * len(node_ids)
         self._emergencies = [""] * len(node_ids)
@@ -82,7 +80,7 @@ class Cia402Master(CanMaster):
 
     def begin_stop(self) -> None:
         super().begin_stop()
-        self._codec.begin_quick_stop()
+        self._codec.controlword = QUICK_STOP
 
     def leave(self) -> None:
         self._network.nmt.state = "PRE-OPERATIONAL"
@@ -91,9 +89,8 @@ class Cia402Master(CanMaster):
         """Reset all drives until each has reported its boot-up; false if asked to stop."""
         give_up_s = time.monotonic() + timeout_s
         missing = set(self._joint_of)
-        for node_id, joint in self._joint_of.items():
-            note_boot = partial(_note_boot, missing, node_id)
-            self._nodes[joint].nmt.add_heartbeat_callback(note_boot)
+        for node_id, node in zip(self._node_ids, self._nodes, strict=True):
+            node.nmt.add_heartbeat_callback(partial(_note_boot, missing, node_id))
 
         def must_end() -> bool:
             return self._lost is not None or is_stop_requested()
@@ -114,7 +111,7 @@ class Cia402Master(CanMaster):
         wanted = {
             "device profile (0x1000)": (node.sdo[0x1000].raw & 0xFFFF, 402),
             "rated torque in mN m (0x6076)": (
-                node.sdo[0x6076].raw, int(self._codec.units.rated_mnm[joint])
+                node.sdo[0x6076].raw, int(self._codec.rated_mnm[joint])
             ),
             "encoder increments per turn (0x608F)": (
                 node.sdo[0x608F][1].raw, self._can.counts_per_turn
@@ -180,9 +177,9 @@ class Cia402Master(CanMaster):
         sentences, timeout_ms = [], self._can.heartbeat_timeout_ms
         for node_id, joint in self._joint_of.items():
             age_ns = self._now_ns - self._last_heartbeat_ns[joint]
-            if age_ns > timeout_ms * 1_000_000 and joint not in self._replies.silent:
+            if age_ns > timeout_ms * 1_000_000 and joint not in self._silent:
                 sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms} ms")
-                self._replies.lost(joint)
+                self._silent.add(joint)
         return sentences
 
     def _hand_over(self, frame: CanFrame) -> None:

@@ -24,6 +24,7 @@ _STUFFED_RUN = 5
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _LONGEST_CLASSICAL_BYTES = 8
 _LARGEST_CRC17_BYTES = 16
+_EXTENDED_HEAD_BITS = 1 + 11 + 2 + 18 + 1
 # CRC delimiter, ACK slot and delimiter, end of frame (7), interframe space (3)
 _CLASSICAL_TAIL_BITS = 13
 _FD_TAIL_BITS = 12
@@ -73,7 +74,7 @@ def wire_bits(frame: CanFrame) -> WireBits:
     """
     if frame.is_fd:
         return _fd_bits(frame._replace(data=frame.data[: _FD_LENGTHS[-1]]))
-    head, head_bits = _arbitration(frame, remote_bit=int(frame.is_remote))
+    head, head_bits = _arbitration(frame)
     length = 0 if frame.is_remote else min(len(frame.data), _LONGEST_CLASSICAL_BYTES)
     # IDE and r0, or r1 and r0 of an extended frame, and the DLC
     bits = _unpacked(head << 6 | length, head_bits + 6, frame.data[:length])
@@ -117,30 +118,29 @@ def check_cycle_fits(
     )  # fmt: skip
 
 
-def arbitration_key(frame: CanFrame) -> tuple[int, int]:
+def arbitration_key(frame: CanFrame) -> int:
     """Sorts frames as arbitration does: the frame that sorts first wins the bus.
 
-    The key is the arbitration field with the bits up to IDE filled up to the extended format's
-    length, so that a standard frame wins over an extended one with the same base identifier.
+    The key is the arbitration field filled up to the extended format's length with what a standard
+    frame has there, dominant bits: it wins over an extended one with the same base identifier.
     """
-    if frame.is_extended:
-        base, rest = frame.identifier >> 18, frame.identifier & 0x3FFFF
-        return (base << 2 | 0b11, rest << 1 | int(frame.is_remote))
-    return (frame.identifier << 2 | int(frame.is_remote) << 1, 0)
+    head, head_bits = _arbitration(frame)
+    return head << (_EXTENDED_HEAD_BITS - head_bits)
 
 
-def _arbitration(frame: CanFrame, *, remote_bit: int) -> tuple[int, int]:
+def _arbitration(frame: CanFrame) -> tuple[int, int]:
     """Start of frame to the remote bit, and how many bits these are."""
+    remote_bit = int(frame.is_remote and not frame.is_fd)
     if frame.is_extended:
         base, rest = frame.identifier >> 18 & 0x7FF, frame.identifier & 0x3FFFF
-        return (base << 2 | 0b11) << 19 | rest << 1 | remote_bit, 1 + 11 + 2 + 18 + 1
+        return (base << 2 | 0b11) << 19 | rest << 1 | remote_bit, _EXTENDED_HEAD_BITS
     return (frame.identifier & 0x7FF) << 1 | remote_bit, 1 + 11 + 1
 
 
 def _fd_bits(frame: CanFrame) -> WireBits:
     dlc = next(dlc for dlc, length in enumerate(_FD_LENGTHS) if length >= len(frame.data))
     padded = frame.data.ljust(_FD_LENGTHS[dlc], b"\0")
-    head, head_bits = _arbitration(frame, remote_bit=0)
+    head, head_bits = _arbitration(frame)
     if not frame.is_extended:
         head, head_bits = head << 1, head_bits + 1  # IDE
     # FDF, res, BRS: the last bit of the arbitration phase
@@ -149,7 +149,8 @@ def _fd_bits(frame: CanFrame) -> WireBits:
     # ESI and DLC
     head, head_bits = head << 5 | dlc, head_bits + 5
     bits = _unpacked(head, head_bits, padded)
-    early, late = _stuff_bits(bits, nominal_bits)
+    # None comes after the last bit: the CRC field begins with a fixed one.
+    early, late = _stuff_bits(bits[:-1], nominal_bits)
     crc_field = _CRC17_FIELD_BITS if len(padded) <= _LARGEST_CRC17_BYTES else _CRC21_FIELD_BITS
     return WireBits(
         nominal_bits + int(early) + _FD_TAIL_BITS,
@@ -175,28 +176,19 @@ def _stuffed_classical_bits(bits: NDArray[np.uint8]) -> int:
         crc = (crc << 1) & 0x7FFF
         if flips:
             crc ^= _CRC15
-    total, run, last = 0, 0, 2
-    for index in range(bits.size + _CRC15_BITS):
-        if index < bits.size:
-            bit = int(bits[index])
-        else:
-            bit = (crc >> (bits.size + _CRC15_BITS - 1 - index)) & 1
-        run = run + 1 if bit == last else 1
-        last = bit
-        total += 1
-        if run == _STUFFED_RUN:
-            total, run, last = total + 1, 1, 1 - bit
-    return total
+    sequence = np.empty(bits.size + _CRC15_BITS, np.uint8)
+    sequence[: bits.size] = bits
+    for index in range(_CRC15_BITS):
+        sequence[bits.size + index] = (crc >> (_CRC15_BITS - 1 - index)) & 1
+    _, stuff_bits = _stuff_bits(sequence, 0)
+    return sequence.size + stuff_bits
 
 
 @compiled
 def _stuff_bits(bits: NDArray[np.uint8], boundary: int) -> tuple[int, int]:
-    """Stuff bits of an FD frame up to its data field, before and after a boundary.
-
-    There is none after the last bit: the CRC field begins with a fixed one.
-    """
+    """Stuff bits that a sequence makes necessary, before and after a boundary."""
     early, late, run, last = 0, 0, 0, 2
-    for index in range(bits.size - 1):
+    for index in range(bits.size):
         bit = int(bits[index])
         run = run + 1 if bit == last else 1
         last = bit

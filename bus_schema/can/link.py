@@ -60,10 +60,6 @@ class CanControllerLink(ControllerLink):
         bus: the bus it is on, which the link closes.
         clock: time of the run.
         telemetry: where everything goes that is no state or torque.
-
-    Attributes:
-        incomplete: ticks at which a drive did not answer in time.
-        skipped: ticks that were missed.
     """
 
     def __init__(
@@ -78,8 +74,6 @@ class CanControllerLink(ControllerLink):
         self._commands = 0
         self._on_state: StateHandler | None = None
         self._is_answered = False
-        self.incomplete = 0
-        self.skipped = 0
 
     def publish(self, topic: Topic, payload: bytes) -> int:
         """Send torques to the drives, and everything else by telemetry."""
@@ -145,9 +139,7 @@ class CanControllerLink(ControllerLink):
         """Read what all drives answer; false if this tick has to do without."""
         position, velocity = self._state.fields["position"], self._state.fields["velocity"]
         if not self._run.lockstep:
-            is_complete = self._master.read(self._patience_s(tick), position, velocity)
-            self.incomplete += not is_complete
-            return is_complete
+            return self._master.read(self._patience_s(tick), position, velocity)
         waited_s = 0.0
         while not self._master.read(_POLL_S, position, velocity):
             waited_s += _POLL_S
@@ -167,13 +159,8 @@ class CanControllerLink(ControllerLink):
 
     def _next(self, tick: int) -> int:
         following = tick + 1
-        if self._run.lockstep:
-            self._clock.wait_until(self._run.grid.tick_ns(following))
-            return following
-        reached = self._run.grid.tick_at_or_before(self._clock.now_ns())
-        if reached > following:
-            self.skipped += reached - following
-            following = reached
+        if not self._run.lockstep:
+            following = max(following, self._run.grid.tick_at_or_before(self._clock.now_ns()))
         self._clock.wait_until(self._run.grid.tick_ns(following))
         return following
 

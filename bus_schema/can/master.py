@@ -17,48 +17,6 @@ class DriveError(BusError):
     """A drive is not what it should be, or no longer does what it must; the message says which."""
 
 
-class PendingReplies:
-    """Which drives still have to answer since they were last sampled, and which never will.
-
-    Args:
-        node_ids: addresses of the drives.
-
-    Attributes:
-        silent: joints of drives that are no longer waited for.
-    """
-
-    def __init__(self, node_ids: tuple[int, ...]) -> None:
-        self._node_ids = node_ids
-        self._missing: set[int] = set()
-        self.silent: set[int] = set()
-
-    @property
-    def is_complete(self) -> bool:
-        return not self._missing
-
-    @property
-    def missing(self) -> str:
-        """Addresses of those that have not answered yet."""
-        return ", ".join(str(self._node_ids[joint]) for joint in sorted(self._missing))
-
-    def expect_all(self) -> None:
-        """All were sampled."""
-        self._missing = set(range(len(self._node_ids))) - self.silent
-
-    def received(self, joint: int) -> None:
-        """One has answered."""
-        self._missing.discard(joint)
-
-    def lost(self, joint: int) -> None:
-        """One will answer no more."""
-        self.silent.add(joint)
-
-    def give_up(self) -> None:
-        """Those that have not answered are not waited for any longer."""
-        self.silent |= self._missing
-        self._missing = set()
-
-
 class CanMaster(ABC):
     """The master of one protocol; joints are counted from 0.
 
@@ -75,7 +33,10 @@ class CanMaster(ABC):
         self._bus, self._can, self._codec = bus, can, codec
         self._node_ids = node_ids
         self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
-        self._replies = PendingReplies(node_ids)
+        # Joints whose drives have yet to answer since the last sampling, and those of drives that
+        # are no longer waited for.
+        self._awaited: set[int] = set()
+        self._silent: set[int] = set()
         self._is_powered = [False] * len(node_ids)
         self._faults: list[str] = []
         self._is_stopping = False
@@ -101,7 +62,7 @@ class CanMaster(ABC):
         if self._is_heartbeat_due():
             self._send_heartbeat()
             self._next_heartbeat_ns = now_ns + self._can.heartbeat_ms * 1_000_000
-        self._replies.expect_all()
+        self._awaited = set(self._joint_of.values()) - self._silent
         self._send(self._codec.sampling_frames())
 
     def read(self, timeout_s: float, position: Vector, velocity: Vector) -> bool:
@@ -116,7 +77,7 @@ class CanMaster(ABC):
             DriveError: a drive reports a fault, stopped following, or fell silent.
         """
         give_up_s = time.monotonic() + timeout_s
-        while not self._replies.is_complete:
+        while self._awaited:
             frame = self._bus.receive(max(0.0, give_up_s - time.monotonic()))
             if frame is None:
                 break
@@ -124,15 +85,15 @@ class CanMaster(ABC):
             if joint is None:
                 self._handle(frame)
             else:
-                self._replies.received(joint)
+                self._awaited.discard(joint)
         faults, self._faults = self._faults + self._missed_heartbeats(), []
         if faults and not self._is_stopping:
             raise DriveError("; ".join(dict.fromkeys(faults)))
-        return self._replies.is_complete
+        return not self._awaited
 
     def missing(self) -> str:
         """Addresses of the drives that have not answered yet, in words."""
-        return self._replies.missing
+        return ", ".join(str(self._node_ids[joint]) for joint in sorted(self._awaited))
 
     def command(self, torque_nm: Vector) -> None:
         """Send torques, shape (joints,)."""
@@ -144,12 +105,13 @@ class CanMaster(ABC):
 
     def give_up(self) -> None:
         """Those that have not answered yet are not waited for any longer, and count as silent."""
-        self._replies.give_up()
+        self._silent |= self._awaited
+        self._awaited = set()
 
     def is_stopped(self) -> bool:
         """Whether no drive that still answers has its power stage on any longer."""
         return not any(
-            is_powered and joint not in self._replies.silent
+            is_powered and joint not in self._silent
             for joint, is_powered in enumerate(self._is_powered)
         )
 

@@ -162,23 +162,21 @@ def _require_up(channel: str) -> None:
 
 def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
     """What this interface wants to know; the bit rate of socketcan is a matter of ``ip link``."""
-    match configuration.interface:
-        case "virtual":
-            return {"protocol": can.CanProtocol.CAN_FD}
-        case "udp_multicast":
-            return {"port": configuration.port, "fd": configuration.fd}
-        case "socketcan":
-            return {"fd": configuration.fd}
-        case _:
-            rates: dict[str, Any] = {"bitrate": configuration.bitrate}
-            if configuration.fd:
-                rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
-            return rates
+    rates: dict[str, Any] = {"bitrate": configuration.bitrate}
+    if configuration.fd:
+        rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
+    others: dict[str, dict[str, Any]] = {
+        "virtual": {"protocol": can.CanProtocol.CAN_FD},
+        "udp_multicast": {"port": configuration.port, "fd": configuration.fd},
+        "socketcan": {"fd": configuration.fd},
+    }
+    return others.get(configuration.interface, rates)
 
 
 def _explained(error: Exception, interface: str, channel: str) -> ConfigurationError:
     """What is wrong with a bus that cannot be joined, and what to do about it."""
     cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
+    key, given = "link.can.channel", channel
     match getattr(cause, "errno", None):
         case errno.EAFNOSUPPORT:
             key, given = "link.can.interface", interface
@@ -187,20 +185,16 @@ def _explained(error: Exception, interface: str, channel: str) -> ConfigurationE
                 " brings one along, or take udp_multicast (virtual for simulate)"
             )
         case errno.ENODEV if interface == "socketcan":
-            key, given = "link.can.channel", channel
             advice = (
                 f"there is no such CAN interface; as root, `ip link add dev {channel} type vcan`"
                 f" and `ip link set {channel} up` make a virtual one; `ip link show type can` shows"
                 " hardware; scripts/with-vcan runs a command where vcan0 is up"
             )
         case errno.ENETDOWN:
-            key, given = "link.can.channel", channel
             advice = f"is down; as root: ip link set {channel} up (with `type can bitrate …` first)"
         case errno.EPERM | errno.EACCES:
-            key, given = "link.can.channel", channel
             advice = "may not be opened by this user; ask for its group, or run as root"
         case _ if interface == "udp_multicast":
-            key, given = "link.can.channel", channel
             advice = (
                 "must be a multicast address that this host has a route to, such as 239.74.163.2"
                 f" ({cause})"

@@ -27,6 +27,7 @@ AFFINITY = "CPU affinity"
 GARBAGE_COLLECTOR = "garbage collector"
 PRECEDENCE = "precedence"
 
+_LIBC = ctypes.CDLL(None, use_errno=True)
 _MCL_CURRENT = 1  # <sys/mman.h>
 _MCL_FUTURE = 2
 _PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
@@ -200,23 +201,23 @@ def _lock_memory() -> str:
             "memlock unlimited in /etc/security/limits.conf, LimitMEMLOCK=infinity in a systemd "
             "unit or the capability CAP_IPC_LOCK"
         )
-    needed, available = _unbacked_kib(), _available_kib()
+    # The first is address space of this process that has no memory behind it yet.
+    needed = _kib("/proc/self/status", "VmSize") - _kib("/proc/self/status", "VmRSS")
+    available = _kib("/proc/meminfo", "MemAvailable")
     if needed > available:
         raise _RefusedError(
             f"locking would claim {needed // 1024} MiB more, {available // 1024} MiB are available"
         )
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+    if _LIBC.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         raise _RefusedError(f"mlockall: {os.strerror(ctypes.get_errno())}")
     return "current and future pages"
 
 
 def _minimise_timer_slack() -> str:
-    libc = ctypes.CDLL(None, use_errno=True)
     unused = [ctypes.c_ulong(0)] * 3
-    if libc.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), *unused) != 0:
+    if _LIBC.prctl(_PR_SET_TIMERSLACK, ctypes.c_ulong(1), *unused) != 0:
         raise _RefusedError(f"prctl: {os.strerror(ctypes.get_errno())}")
-    slack_ns = libc.prctl(_PR_GET_TIMERSLACK, ctypes.c_ulong(0), *unused)
+    slack_ns = _LIBC.prctl(_PR_GET_TIMERSLACK, ctypes.c_ulong(0), *unused)
     return f"{slack_ns} ns"  # the kernel keeps 0 for a thread under SCHED_FIFO
 
 
@@ -259,31 +260,20 @@ def _exempt_from_memlock_limit() -> bool:
     The set of capabilities is no answer: inside a user namespace it may hold CAP_IPC_LOCK, and the
     kernel asks for the one of the initial namespace.
     """
-    libc = ctypes.CDLL(None, use_errno=True)
     page = ctypes.create_string_buffer(1)
     soft, hard = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, hard))
     try:
-        locked: bool = libc.mlock(page, ctypes.c_size_t(1)) == 0
+        locked: bool = _LIBC.mlock(page, ctypes.c_size_t(1)) == 0
     finally:
         resource.setrlimit(resource.RLIMIT_MEMLOCK, (soft, hard))
     if locked:
-        libc.munlock(page, ctypes.c_size_t(1))
+        _LIBC.munlock(page, ctypes.c_size_t(1))
     return locked
 
 
-def _unbacked_kib() -> int:
-    """Address space of this process that has no memory behind it yet, in KiB."""
-    status = Path("/proc/self/status").read_text()
-    return _kib(status, "VmSize") - _kib(status, "VmRSS")
-
-
-def _available_kib() -> int:
-    return _kib(Path("/proc/meminfo").read_text(), "MemAvailable")
-
-
-def _kib(text: str, key: str) -> int:
-    found = re.search(rf"^{key}:\s+(\d+) kB", text, re.MULTILINE)
+def _kib(file: str, key: str) -> int:
+    found = re.search(rf"^{key}:\s+(\d+) kB", Path(file).read_text(), re.MULTILINE)
     return int(found[1]) if found else 0
 
 

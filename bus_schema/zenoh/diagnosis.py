@@ -53,14 +53,8 @@ def explain_silence(link: LinkConfiguration, role: Role, peer: Role) -> str:
     if peer is Role.RECORDER or role is Role.PLANT:
         return f"{start} at {link.listen_endpoint(role)}: {_why_nobody_comes(link, peer)}"
     endpoint = link.listen_endpoint(peer)
-    protocol, _, address = endpoint.partition("/")
-    if protocol == "tcp":
-        finding = _probe(address)
-    elif protocol == "tls":
-        finding = _shake_hands(address, link, role, peer)
-    else:
-        finding = None
-    return f"{start} at {endpoint}: {finding or _why_nobody_answers(link, peer)}"
+    finding = _probe(endpoint, link, role, peer) or _why_nobody_answers(link, peer)
+    return f"{start} at {endpoint}: {finding}"
 
 
 def _why_nobody_comes(link: LinkConfiguration, peer: Role) -> str:
@@ -84,26 +78,30 @@ def _why_nobody_answers(link: LinkConfiguration, peer: Role) -> str:
     )
 
 
-def _probe(address: str) -> str | None:
-    """What is wrong at a TCP endpoint; None if somebody is there."""
+def _probe(endpoint: str, link: LinkConfiguration, role: Role, peer: Role) -> str | None:
+    """What is wrong at a TCP or TLS endpoint; None if somebody is there who accepts us."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in ("tcp", "tls"):
+        return None
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
     try:
-        _connect(address).close()
+        connection = socket.create_connection((host, int(port)), _PROBE_S)
     except OSError as error:
-        return _unreachable(error)
-    return None
+        return f"nobody can be reached there ({error.strerror or error}): is it running?"
+    with connection:
+        return _shake_hands(connection, host, link, role, peer) if protocol == "tls" else None
 
 
-def _shake_hands(address: str, link: LinkConfiguration, role: Role, peer: Role) -> str | None:
-    """What is wrong at a TLS endpoint; None if it accepts us and is who it should be."""
+def _shake_hands(
+    plain: socket.socket, host: str, link: LinkConfiguration, role: Role, peer: Role
+) -> str | None:
+    """What is wrong with a TLS server; None if it accepts us and is who it should be."""
     keys = link.security.keys
-    try:
-        plain = _connect(address)
-    except OSError as error:
-        return _unreachable(error)
     try:
         context = ssl.create_default_context(cafile=str(keys.authority))
         context.load_cert_chain(keys.certificate(role), keys.key(role))
-        with plain, context.wrap_socket(plain, server_hostname=_host(address)) as secure:
+        with context.wrap_socket(plain, server_hostname=host) as secure:
             found = _common_name(secure.getpeercert() or {})
             if found != peer:
                 return f"the certificate there is for the role {found!r}; link.security refuses it"
@@ -127,18 +125,6 @@ def _our_refusal(secure: ssl.SSLSocket, role: Role) -> str | None:
     except OSError as error:
         return f"it refuses our certificate for the role {role} ({error})"
     return None
-
-
-def _connect(address: str) -> socket.socket:
-    return socket.create_connection((_host(address), int(address.rpartition(":")[2])), _PROBE_S)
-
-
-def _host(address: str) -> str:
-    return address.rpartition(":")[0].strip("[]")
-
-
-def _unreachable(error: OSError) -> str:
-    return f"nobody can be reached there ({error.strerror or error}): is it running?"
 
 
 def _common_name(certificate: object) -> str:

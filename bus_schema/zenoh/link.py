@@ -9,14 +9,14 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES
-from bus_schema.messages.topics import Role, Topic
+from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock
 from bus_schema.zenoh.node import POLL_S, ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
@@ -24,6 +24,7 @@ from bus_schema.zenoh.session import Delivery
 
 _LARGEST_BACKLOG = 10_000
 _GRACE_S = 1.0
+_NO_ATTACHMENT = Attachment(sequence=0, source_time_ns=0, gid=b"")
 
 
 class ZenohPlantLink(ZenohNode, PlantLink):
@@ -82,8 +83,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
 
     def take_commands(self) -> list[CommandArrival]:
         taken, self._pending = self._pending, []
-        for _ in range(self._arrivals.qsize()):
-            taken.append(self._arrivals.get_nowait())
+        taken.extend(self._arrivals.get_nowait() for _ in range(self._arrivals.qsize()))
         return taken
 
     def overflow(self) -> int:
@@ -91,9 +91,6 @@ class ZenohPlantLink(ZenohNode, PlantLink):
 
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self.has_publisher(topics.JOINT_COMMANDS)
-
-    def sender_has_left(self, sender: bytes) -> bool:
-        return self.has_left(sender)
 
     def _on_command(self, delivery: Delivery) -> None:
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
@@ -183,28 +180,16 @@ def open_telemetry(link: LinkConfiguration, role: Role, *, lossless: bool) -> Ze
         SessionError: an endpoint cannot be served.
     """
     node = ZenohNode(link, role, lossless=lossless)
-    for topic in _TELEMETRY[role]:
-        node.advertise(topic)
+    for topic in topics.TOPICS:
+        # Commands are told of by the plant's side, since it is there that they take effect.
+        sender = Role.PLANT if topic is topics.JOINT_COMMANDS else topic.sender
+        if sender in (role, None):
+            node.advertise(topic)
     node.announce()
     return node
 
 
 def arrival_of(payload: bytes, attachment: bytes, now_ns: int) -> CommandArrival:
     """A command as the plant takes it in; a sender without an attachment has no name."""
-    known = Attachment.decode(attachment)
-    return CommandArrival(
-        payload[: MAX_PAYLOAD_BYTES + 1],
-        known.sequence if known else 0,
-        known.gid if known else b"",
-        now_ns,
-    )
-
-
-# The plant's side publishes states and commands, since it is there that they take effect.
-_TELEMETRY: dict[Role, Sequence[Topic]] = {
-    Role.PLANT: (
-        topics.JOINT_STATES, topics.JOINT_COMMANDS, topics.PLANT_STATUS, topics.PLANT_TRUTH,
-        topics.RUN_EVENTS,
-    ),
-    Role.CONTROLLER: (topics.CONTROL_STATUS, topics.RUN_EVENTS),
-}  # fmt: skip
+    known = Attachment.decode(attachment) or _NO_ATTACHMENT
+    return CommandArrival(payload[: MAX_PAYLOAD_BYTES + 1], known.sequence, known.gid, now_ns)

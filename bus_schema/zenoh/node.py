@@ -125,30 +125,11 @@ class ZenohNode:
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether another session has announced that it sends on a topic."""
-        return any(
-            entity.kind == EntityKind.PUBLISHER and entity.topic == topic.name
-            for entity in self._others()
-        )
+        return any(entity.topic == topic.name for entity in self._others(EntityKind.PUBLISHER))
 
-    def has_left(self, gid: bytes) -> bool:
+    def sender_has_left(self, sender: bytes) -> bool:
         """Whether a publisher had announced itself and is gone."""
-        return gid in self._departed
-
-    def await_role(
-        self, role: Role, timeout_s: float, is_stop_requested: Callable[[], bool] = never
-    ) -> None:
-        """Wait for one of our own processes, or until asked to stop.
-
-        Raises:
-            PeerSilentError: it did not come.
-        """
-        give_up_s = time.monotonic() + timeout_s
-        silence = self.watch_silence(role)
-        while not self.sees(role) and not is_stop_requested():
-            silence.look()
-            if time.monotonic() > give_up_s:
-                raise PeerSilentError(role, timeout_s, "sign of life")
-            time.sleep(POLL_S)
+        return sender in self._departed
 
     def watch_silence(self, role: Role) -> SilenceWatch:
         """A watch that reports why one of our own processes may be missing."""
@@ -157,9 +138,7 @@ class ZenohNode:
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""
         name = node_name(role)
-        return any(
-            entity.kind == EntityKind.NODE and entity.node == name for entity in self._others()
-        )
+        return any(entity.node == name for entity in self._others(EntityKind.NODE))
 
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""
@@ -168,7 +147,13 @@ class ZenohNode:
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        self.await_role(Role.RECORDER, timeout_s, is_stop_requested)
+        give_up_s = time.monotonic() + timeout_s
+        silence = self.watch_silence(Role.RECORDER)
+        while not self.sees(Role.RECORDER) and not is_stop_requested():
+            silence.look()
+            if time.monotonic() > give_up_s:
+                raise PeerSilentError(Role.RECORDER, timeout_s, "sign of life")
+            time.sleep(POLL_S)
 
     def await_recorded(self) -> None:
         give_up_s = time.monotonic() + self._link.reply_timeout_s
@@ -180,9 +165,9 @@ class ZenohNode:
         """Leave the bus. What is still on its way to a slow peer is lost."""
         self._session.close()
 
-    def _others(self) -> list[Entity]:
-        own = self._session.identifier
-        return [entity for entity in list(self._entities.values()) if entity.session != own]
+    def _others(self, kind: EntityKind) -> list[Entity]:
+        own, known = self._session.identifier, list(self._entities.values())
+        return [entity for entity in known if entity.session != own and entity.kind == kind]
 
     def _token(self, kind: EntityKind, topic: Topic) -> str:
         self._sequences["entities"] = entity_id = self._sequences["entities"] + 1

@@ -112,8 +112,11 @@ class ZenohSession:
         security: Mapping[str, Any] | None = None,
     ) -> None:
         settings = _settings(listen, connect, low_latency, patience_s) | dict(security or {})
+        configuration = zenoh.Config()
         try:
-            self._session = zenoh.open(_configuration(settings))
+            for path, value in settings.items():
+                configuration.insert_json5(path, json.dumps(value))
+            self._session = zenoh.open(configuration)
         except zenoh.ZError as error:
             raise SessionError(
                 f"no Zenoh session (listening on {list(listen)}, connecting to {list(connect)}):"
@@ -203,10 +206,3 @@ def _settings(
         "transport/link/tx/queue/size/data": 16,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     }  # fmt: skip
-
-
-def _configuration(settings: Mapping[str, Any]) -> zenoh.Config:
-    configuration = zenoh.Config()
-    for path, value in settings.items():
-        configuration.insert_json5(path, json.dumps(value))
-    return configuration

@@ -19,6 +19,7 @@ from plant_emulator.arm.bullet_server import (
     control,
     copy_memory,
     get_state,
+    no_answer,
     request_state,
     set_torque,
     step_simulation,
@@ -50,8 +51,8 @@ class Handles(NamedTuple):
     pointers: NDArray[np.uintp]
 
 
-class BulletArm:
-    """An arm whose substeps are gone through in compiled code, several in one call.
+class BulletArm(BulletServer):
+    """An arm on a server of its own; substeps are gone through in compiled code, several in a call.
 
     Args:
         robot: description of the arm.
@@ -78,19 +79,19 @@ class BulletArm:
         payload_kg: float = 0.0,
         gui: bool = False,
     ) -> None:
-        server = BulletServer(robot, grid.substep_s, payload_kg=payload_kg, gui=gui)
-        self._server, self._torques = server, torques
-        self._brake_torques = [
-            _BRAKE_TO_EFFORT * limit if np.isfinite(limit) else _BRAKE_TORQUE_NM
-            for limit in robot.effort_limits_nm
-        ]
-        positions = [joint.position_index for joint in server.joints]
-        velocities = [joint.velocity_index for joint in server.joints]
+        super().__init__(robot, grid.substep_s, payload_kg=payload_kg, gui=gui)
+        self._torques = torques
+        limits = robot.effort_limits_nm
+        self._brake_torques: Vector = np.where(
+            np.isfinite(limits), _BRAKE_TO_EFFORT * limits, _BRAKE_TORQUE_NM
+        )
+        positions = [joint.position_index for joint in self.joints]
+        velocities = [joint.velocity_index for joint in self.joints]
         self.motion: Matrix = np.zeros((2, robot.joints))
         self.position: Vector = self.motion[0]
         self.velocity: Vector = self.motion[1]
         indices = np.array([positions, velocities])
-        handles = Handles(server.handle, server.body, gui, indices, np.zeros(2, np.uintp))
+        handles = Handles(self.handle, self.body, gui, indices, np.zeros(2, np.uintp))
         arm = (handles, self.motion)
         self._read = bind(_read, *arm)
         self._advance_braked = bind(_advance_braked, *arm, free=["int64"])
@@ -100,23 +101,17 @@ class BulletArm:
         self.set_brakes(engaged=False)
 
     def place(self, position: Vector) -> None:
-        """Put the joints at `position` (rad, shape (joints,)), at rest."""
-        self._server.place(position)
+        super().place(position)
         if not self._read():
-            raise _no_answer()
+            raise no_answer()
 
     def set_brakes(self, *, engaged: bool) -> None:
         """Engage or release brakes that hold every joint against ten times its largest torque."""
-        self.hold([engaged] * len(self._brake_torques))
+        self.hold([engaged] * self._brake_torques.size)
 
     def hold(self, joints: Sequence[bool]) -> None:
         """Engage the brakes of some joints, shape (joints,), and release those of the others."""
-        self._server.hold(
-            [
-                torque if is_held else 0.0
-                for torque, is_held in zip(self._brake_torques, joints, strict=True)
-            ]
-        )
+        self.hold_with(np.where(joints, self._brake_torques, 0.0).tolist())
 
     def advance(self, first: int, end: int) -> None:
         """Go through substeps under the torque that is asked for, and read the joints after each.
@@ -131,7 +126,7 @@ class BulletArm:
         is_done, saturated, hits = self._advance(first, end)
         self._torques.note(saturated=saturated, hits=hits)
         if not is_done:
-            raise _no_answer()
+            raise no_answer()
 
     def advance_braked(self, substeps: int) -> None:
         """Go through substeps with the brakes engaged and no other torque.
@@ -140,19 +135,7 @@ class BulletArm:
             ConnectionError: Bullet's physics server is gone.
         """
         if not self._advance_braked(substeps):
-            raise _no_answer()
-
-    def drop_payload(self) -> None:
-        """Let the payload fall off."""
-        self._server.drop_payload()
-
-    def close(self) -> None:
-        """Free the physics server."""
-        self._server.close()
-
-
-def _no_answer() -> ConnectionError:
-    return ConnectionError("Bullet's physics server does not answer")
+            raise no_answer()
 
 
 @compiled

@@ -69,42 +69,39 @@ def _function(name: str, result: Any, *arguments: Any) -> Any:
     return function
 
 
+def _setter(name: str, *arguments: Any) -> Any:
+    """A function that completes a command."""
+    return _function(name, _INT, _POINTER, *arguments)
+
+
 _connect = _function("ConnectPhysicsDirect", _POINTER)
 _connect_window = _function("CreateInProcessPhysicsServerAndConnect", _POINTER, _INT, _POINTER)
 _disconnect = _function("DisconnectSharedMemory", None, _POINTER)
 _can_submit = _function("CanSubmitCommand", _INT, _POINTER)
 _submit = _function("SubmitClientCommandAndWaitStatus", _POINTER, _POINTER, _POINTER)
 _reset = _function("InitResetSimulationCommand", _POINTER, _POINTER)
-_set_reset_flags = _function("InitResetSimulationSetFlags", _INT, _POINTER, _INT)
+_set_reset_flags = _setter("InitResetSimulationSetFlags", _INT)
 _world = _function("InitPhysicsParamCommand", _POINTER, _POINTER)
-_set_gravity = _function("PhysicsParamSetGravity", _INT, _POINTER, _DOUBLE, _DOUBLE, _DOUBLE)
-_set_time_step = _function("PhysicsParamSetTimeStep", _INT, _POINTER, _DOUBLE)
+_set_gravity = _setter("PhysicsParamSetGravity", _DOUBLE, _DOUBLE, _DOUBLE)
+_set_time_step = _setter("PhysicsParamSetTimeStep", _DOUBLE)
 _load_urdf = _function("LoadUrdfCommandInit", _POINTER, _POINTER, ctypes.c_char_p)
-_set_fixed_base = _function("LoadUrdfCommandSetUseFixedBase", _INT, _POINTER, _INT)
-_set_load_flags = _function("LoadUrdfCommandSetFlags", _INT, _POINTER, _INT)
+_set_fixed_base = _setter("LoadUrdfCommandSetUseFixedBase", _INT)
+_set_load_flags = _setter("LoadUrdfCommandSetFlags", _INT)
 _loaded_body = _function("GetStatusBodyIndex", _INT, _POINTER)
 _number_of_joints = _function("GetNumJoints", _INT, _POINTER, _INT)
 _joint_info = _function("GetJointInfo", _INT, _POINTER, _INT, _INT, _POINTER)
 _dynamics = _function("InitChangeDynamicsInfo", _POINTER, _POINTER)
-_set_linear_damping = _function("ChangeDynamicsInfoSetLinearDamping", _INT, _POINTER, _INT, _DOUBLE)
-_set_angular_damping = _function(
-    "ChangeDynamicsInfoSetAngularDamping", _INT, _POINTER, _INT, _DOUBLE
-)
-_set_joint_damping = _function(
-    "ChangeDynamicsInfoSetJointDamping", _INT, _POINTER, _INT, _INT, _DOUBLE
-)
-_set_mass = _function("ChangeDynamicsInfoSetMass", _INT, _POINTER, _INT, _INT, _DOUBLE)
+_set_linear_damping = _setter("ChangeDynamicsInfoSetLinearDamping", _INT, _DOUBLE)
+_set_angular_damping = _setter("ChangeDynamicsInfoSetAngularDamping", _INT, _DOUBLE)
+_set_joint_damping = _setter("ChangeDynamicsInfoSetJointDamping", _INT, _INT, _DOUBLE)
+_set_mass = _setter("ChangeDynamicsInfoSetMass", _INT, _INT, _DOUBLE)
 _pose = _function("CreatePoseCommandInit", _POINTER, _POINTER, _INT)
-_set_position = _function(
-    "CreatePoseCommandSetJointPosition", _INT, _POINTER, _POINTER, _INT, _DOUBLE
-)
-_set_velocity = _function(
-    "CreatePoseCommandSetJointVelocity", _INT, _POINTER, _POINTER, _INT, _DOUBLE
-)
+_set_position = _setter("CreatePoseCommandSetJointPosition", _POINTER, _INT, _DOUBLE)
+_set_velocity = _setter("CreatePoseCommandSetJointVelocity", _POINTER, _INT, _DOUBLE)
 _control = _function("JointControlCommandInit2", _POINTER, _POINTER, _INT, _INT)
-_set_desired_velocity = _function("JointControlSetDesiredVelocity", _INT, _POINTER, _INT, _DOUBLE)
-_set_velocity_gain = _function("JointControlSetKd", _INT, _POINTER, _INT, _DOUBLE)
-_set_largest_force = _function("JointControlSetMaximumForce", _INT, _POINTER, _INT, _DOUBLE)
+_set_desired_velocity = _setter("JointControlSetDesiredVelocity", _INT, _DOUBLE)
+_set_velocity_gain = _setter("JointControlSetKd", _INT, _DOUBLE)
+_set_largest_force = _setter("JointControlSetMaximumForce", _INT, _DOUBLE)
 
 # The same interface as compiled code calls it; a handle is an unsigned integer there.
 can_submit = c_function(_LIBRARY, "b3CanSubmitCommand", "intc", "uintp")
@@ -119,19 +116,7 @@ set_torque = c_function(
 )
 step_simulation = c_function(_LIBRARY, "b3InitStepSimulationCommand", "uintp", "uintp")
 request_state = c_function(_LIBRARY, "b3RequestActualStateCommandInit", "uintp", "uintp", "intc")
-get_state = c_function(
-    _LIBRARY,
-    "b3GetStatusActualState",
-    "intc",
-    "uintp",
-    "uintp",
-    "uintp",
-    "uintp",
-    "uintp",
-    "uintp",
-    "uintp",
-    "uintp",
-)
+get_state = c_function(_LIBRARY, "b3GetStatusActualState", "intc", *["uintp"] * 8)
 copy_memory = c_function(ctypes.CDLL(None), "memcpy", "uintp", "uintp", "uintp", "uintp")
 
 
@@ -149,6 +134,11 @@ def submit(server: int, command: int, has_window: bool) -> int:
         _send(server, command)
         status = _answer(server)
     return status
+
+
+def no_answer() -> ConnectionError:
+    """What is raised where the server is gone, as when its window was closed."""
+    return ConnectionError("Bullet's physics server does not answer")
 
 
 class BulletServer:
@@ -198,7 +188,7 @@ class BulletServer:
             _set_velocity(self.handle, pose, joint.link, 0.0)
             self._submit(pose)
 
-    def hold(self, torques_nm: Sequence[float]) -> None:
+    def hold_with(self, torques_nm: Sequence[float]) -> None:
         """Hold each joint at rest with so much torque at most; 0 lets it go."""
         motors = _control(self.handle, self.body, CONTROL_VELOCITY)
         for joint, torque_nm in zip(self.joints, torques_nm, strict=True):
@@ -220,7 +210,7 @@ class BulletServer:
 
     def _submit(self, command: int) -> int:
         if not _can_submit(self.handle):
-            raise ConnectionError("Bullet's physics server does not answer")
+            raise no_answer()
         status: int = _submit(self.handle, command)
         return status
 

@@ -9,6 +9,7 @@ whatever instants it is asked for.
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
@@ -27,6 +28,9 @@ from plant_emulator.configuration import (
 
 NOISE_COMPONENTS = 48
 _QUARTER_TURN = 0.5 * math.pi
+
+_Wave: TypeAlias = tuple[float, float, float, float, float]
+"""Amplitude, frequency, phase, start and end, as in a row of the table."""
 
 _WAVE = np.dtype([
     ("joint", np.int64), ("amplitude_nm", np.float64), ("frequency_rad_s", np.float64),
@@ -72,9 +76,7 @@ def add_disturbance(time_s: float, waves: Records, out: Vector) -> None:
             out[wave.joint] += wave.amplitude_nm * math.sin(angle)
 
 
-def _waves(
-    term: DisturbanceTerm, random: np.random.Generator
-) -> list[tuple[float, float, float, float, float]]:
+def _waves(term: DisturbanceTerm, random: np.random.Generator) -> list[_Wave]:
     match term:
         case ConstantTerm():
             return [(term.torque_nm, 0.0, _QUARTER_TURN, 0.0, math.inf)]
@@ -89,9 +91,7 @@ def _waves(
             return _noise(term, random)
 
 
-def _noise(
-    term: NoiseTerm, random: np.random.Generator
-) -> list[tuple[float, float, float, float, float]]:
+def _noise(term: NoiseTerm, random: np.random.Generator) -> list[_Wave]:
     edges = np.linspace(term.lowest_hz, term.highest_hz, NOISE_COMPONENTS + 1)
     frequencies = 2.0 * math.pi * random.uniform(edges[:-1], edges[1:])
     phases = random.uniform(0.0, 2.0 * math.pi, NOISE_COMPONENTS)

@@ -19,7 +19,7 @@ from plant_emulator.channel.channel import NEVER_NS, Channel, Item
 from plant_emulator.channel.conditions import ConditionFault, Conditions, ConditionsSchedule
 from plant_emulator.channel.jitter import Jitter
 from plant_emulator.channel.playout import PlayoutBuffer
-from plant_emulator.channel.random_numbers import uniform_numbers
+from plant_emulator.channel.random_numbers import endless
 from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
 
@@ -33,8 +33,8 @@ class Loss:
     """
 
     def __init__(self, random: np.random.Generator, burst_random: np.random.Generator) -> None:
-        self._numbers = uniform_numbers(random)
-        self._burst_numbers = uniform_numbers(burst_random)
+        self._numbers = endless(random.random)
+        self._burst_numbers = endless(burst_random.random)
         self._is_bad = False
 
     def loses_next(self, conditions: Conditions) -> bool:
@@ -77,7 +77,7 @@ class ImpairedChannel(Channel[Item]):
         randoms = [np.random.default_rng(child) for child in seed.spawn(5)]
         self._jitter, self._copy_jitter = (Jitter(configuration, r) for r in randoms[:2])
         self._loss = Loss(randoms[2], randoms[3])
-        self._duplicate_numbers = uniform_numbers(randoms[4])
+        self._duplicate_numbers = endless(randoms[4].random)
         self._schedule = ConditionsSchedule(configuration, faults)
         self._may_overtake = configuration.reorder
         self._under_way: list[tuple[int, _Transit, Item]] = []

@@ -17,7 +17,7 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.link.channel_configuration import ChannelConfiguration
-from plant_emulator.channel.random_numbers import normal_numbers
+from plant_emulator.channel.random_numbers import endless
 
 Quantile = Callable[[float], float]
 """A distribution's quantile function at Φ(z)."""
@@ -67,7 +67,7 @@ class Jitter:
     """
 
     def __init__(self, configuration: ChannelConfiguration, random: np.random.Generator) -> None:
-        self._normal = normal_numbers(random)
+        self._normal = endless(random.standard_normal)
         self._z = next(self._normal)
         self._correlation, self._keep, self._renew = 0.0, 0.0, 1.0
         if configuration.distribution_file is None:

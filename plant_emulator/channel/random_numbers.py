@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
-import numpy as np
+from bus_schema.arrays import Vector
 
 _BLOCK = 256
 
 
-def uniform_numbers(random: np.random.Generator) -> Iterator[float]:
-    """Numbers from 0 to below 1."""
+def endless(draw: Callable[[int], Vector]) -> Iterator[float]:
+    """Numbers one by one from a method of a generator that draws as many as it is told to."""
     while True:
-        yield from random.random(_BLOCK).tolist()
-
-
-def normal_numbers(random: np.random.Generator) -> Iterator[float]:
-    """Numbers of mean 0 and standard deviation 1."""
-    while True:
-        yield from random.standard_normal(_BLOCK).tolist()
+        yield from draw(_BLOCK).tolist()

@@ -21,6 +21,9 @@ from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointR
 
 logger = logging.getLogger(__name__)
 
+_OUTSIDE = (DriveFault.SILENT, DriveFault.ENCODER_FROZEN)
+"""Faults that a drive knows nothing of."""
+
 
 class _Axis:
     """A drive with what can be broken about it from outside."""
@@ -30,29 +33,28 @@ class _Axis:
         self.drive = protocol(settings, self._send_if_connected)
         self.node_id = settings.node_id
         self.targets_taken = 0
-        self.is_silent = False
-        self.frozen_rad: float | None = None
+        self._faults: set[DriveFault] = set()
         self._position_rad = 0.0
 
+    @property
+    def is_silent(self) -> bool:
+        return DriveFault.SILENT in self._faults
+
     def measure(self, position_rad: float, velocity_rad_s: float, torque_nm: float) -> None:
-        if self.frozen_rad is not None:
-            position_rad, velocity_rad_s = self.frozen_rad, 0.0
+        if DriveFault.ENCODER_FROZEN in self._faults:
+            position_rad, velocity_rad_s = self._position_rad, 0.0
         self._position_rad = position_rad
         self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:
-        if fault is DriveFault.SILENT:
-            self.is_silent = True
-        elif fault is DriveFault.ENCODER_FROZEN:
-            self.frozen_rad = self._position_rad
+        if fault in _OUTSIDE:
+            self._faults.add(fault)
         else:
             self.drive.inject(fault, now_ns)
 
     def heal(self, fault: DriveFault, now_ns: int) -> None:
-        if fault is DriveFault.SILENT:
-            self.is_silent = False
-        elif fault is DriveFault.ENCODER_FROZEN:
-            self.frozen_rad = None
+        if fault in _OUTSIDE:
+            self._faults.discard(fault)
         else:
             self.drive.heal(fault, now_ns)
 

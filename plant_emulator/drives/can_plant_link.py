@@ -54,8 +54,8 @@ class CanPlantLink(PlantLink):
     ) -> None:
         self._run, self._drives, self._codec = run, drives, codec
         self._clock, self._telemetry = clock, telemetry
-        self._measured = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
-        self._sampled = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
+        self._layout = topics.layout(topics.JOINT_STATES, run.joint_names)
+        self._measured, self._sampled = Record(self._layout), Record(self._layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, run.joint_names))
         self._torque: Vector = np.zeros(len(run.joint_names))
         self._samplings = 0
@@ -65,7 +65,6 @@ class CanPlantLink(PlantLink):
         self._over = threading.Event()
         self._thread: threading.Thread | None = None
         self._controller_was_seen = False
-        self._layout = topics.layout(topics.JOINT_STATES, run.joint_names)
         self._failure: str | None = None
 
     def publish(self, topic: Topic, payload: bytes) -> int:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from bus_schema.can.cia402_codec import rated_torque_nm
 from bus_schema.configuration import expand
 from bus_schema.link.can_configuration import CanConfiguration
@@ -26,12 +28,14 @@ def commission(
     """
     damping = expand(plant.stop_damping_nm_s, robot.joints, "plant.stop_damping_nm_s")
     rated = rated_torque_nm(can, robot)
+    # The joint's limit, or what a 16-bit torque can say if that is less.
+    largest = np.minimum(robot.effort_limits_nm, rated * _LARGEST_PER_MILLE / 1000.0)
     node_ids = PROTOCOLS.build(can.protocol).node_ids(can, robot.joints)
     return tuple(
         DriveSettings(
             node_id=node_id,
             rated_torque_nm=float(rated[joint]),
-            max_torque_nm=_max_torque_nm(float(robot.effort_limits_nm[joint]), float(rated[joint])),
+            max_torque_nm=float(largest[joint]),
             counts_per_turn=can.counts_per_turn,
             lower_rad=float(robot.lower_rad[joint]),
             upper_rad=float(robot.upper_rad[joint]),
@@ -59,8 +63,3 @@ def build_bank(
     if polled:
         settings = tuple(replace(each, estimates_ms=0) for each in settings)
     return DriveBank(PROTOCOLS.build(can.protocol).drive, settings, send)
-
-
-def _max_torque_nm(effort_limit_nm: float, rated_nm: float) -> float:
-    """The joint's limit, or what a 16-bit torque can say if that is less."""
-    return min(effort_limit_nm, rated_nm * _LARGEST_PER_MILLE / 1000.0)

@@ -85,6 +85,25 @@ class DriveSettings:
     estimates_ms: int = 10
 
 
+class Cycle:
+    """Something that happens again and again, or never if its period is 0.
+
+    Args:
+        period_ns: time between two of them.
+        first_ns: when it happens first.
+    """
+
+    def __init__(self, period_ns: int, first_ns: int = 0) -> None:
+        self._period_ns, self._next_ns = period_ns, first_ns
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether it is time; if so, until the next time not again."""
+        if now_ns < self._next_ns or not self._period_ns:
+            return False
+        self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
+        return True
+
+
 class Drive(Protocol):
     """One axis of one protocol."""
 

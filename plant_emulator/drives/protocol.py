@@ -19,11 +19,13 @@ class DriveProtocol:
         title: its name in sentences.
         largest_node_id: largest address that a drive can have.
         drive: emulated drives that speak it.
+        drive_master: master of drives that speak it, unless `master` makes another one.
     """
 
     title: str
     largest_node_id = 127
     drive: type[Drive]
+    drive_master: type[CanMaster]
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> CanCodec:
         """The frames of a control cycle.
@@ -39,7 +41,8 @@ class DriveProtocol:
         Raises:
             ConfigurationError: a value does not fit the robot.
         """
-        raise NotImplementedError
+        node_ids = self.node_ids(can, robot.joints)
+        return self.drive_master(bus, can, node_ids, self.codec(can, robot))
 
     def check(self, can: CanConfiguration) -> None:
         """Check values that concern this protocol alone.

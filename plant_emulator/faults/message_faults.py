@@ -129,15 +129,7 @@ class ClockStep(MessageFault):
         return tuple(editor.with_later_stamp(each, round(self.step_ms * 1e6)) for each in messages)
 
 
-class AddedCommander(LinkFault):
-    """A fault by which another session sends commands too."""
-
-    def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
-        """What arrives just before a command of the controller's; its number is given later."""
-        raise NotImplementedError
-
-
-class SecondCommander(AddedCommander):
+class SecondCommander(LinkFault):
     """Another session answers every state too, just before the controller does.
 
     Attributes:
@@ -148,5 +140,6 @@ class SecondCommander(AddedCommander):
     torque_nm: float
 
     def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
+        """What arrives just before a command of the controller's; its number is given later."""
         payload = editor.with_torque(arrival.payload, self.torque_nm, joints=slice(None))
         return arrival._replace(payload=payload, sender=SECOND_COMMANDER)

@@ -63,6 +63,7 @@ class Axis:
     Attributes:
         targets: torques taken so far.
         state: idle or in closed-loop control.
+        reports: signals of each message that the axis sends.
     """
 
     def __init__(self, settings: DriveSettings) -> None:
@@ -72,9 +73,12 @@ class Axis:
         self._watchdog_fed_ns = 0
         self.targets = 0
         self._start()
-        self._reports: dict[str, Callable[[], Mapping[str, float]]] = {
+        self.reports: dict[str, Callable[[], Mapping[str, float]]] = {
             "Get_Version": lambda: _VERSION,
-            "Heartbeat": self._heartbeat,
+            "Heartbeat": lambda: {
+                "Axis_Error": self._errors, "Axis_State": self.state,
+                "Procedure_Result": self._result, "Trajectory_Done_Flag": 0,
+            },
             "Get_Error": lambda: {
                 "Active_Errors": self._errors, "Disarm_Reason": self._disarm_reason
             },
@@ -104,6 +108,11 @@ class Axis:
         names = [error.name for error in self._errors if error.name]
         return " and ".join(names) or None
 
+    @property
+    def status(self) -> str:
+        """Its state."""
+        return self.state.name
+
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
         self._reading = reading
@@ -114,10 +123,6 @@ class Axis:
     def demand(self) -> JointDemand:
         """What the axis does to its joint; a disarmed one has its brake engaged."""
         return JointDemand(self._given_nm(), is_released=True) if self._is_armed() else AT_REST
-
-    def report(self, message: str) -> Mapping[str, float]:
-        """Signals of a message that the axis sends."""
-        return self._reports[message]()
 
     def request(self, state: int) -> None:
         """Change the state, if the axis has it and nothing is wrong."""
@@ -153,10 +158,6 @@ class Axis:
             raise InvalidMessageError("out_of_range", "limits are at least 0")
         self._velocity_limit, self._current_limit = velocity_turns_s, current_a
 
-    def emergency_stop(self) -> None:
-        """Disarm."""
-        self._disarm(AxisError.ESTOP_REQUESTED)
-
     def clear_errors(self) -> None:
         """Forget errors whose causes are gone."""
         self._errors = AxisError.MOTOR_OVER_TEMP if self._is_hot else AxisError.NONE
@@ -168,7 +169,7 @@ class Axis:
             raise InvalidMessageError("out_of_range", f"this axis cannot do action {action}")
         self._start()
 
-    def inject(self, fault: DriveFault) -> None:
+    def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         """Let something go wrong."""
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = True
@@ -176,14 +177,10 @@ class Axis:
         else:
             self._disarm(AxisError.DRV_FAULT)
 
-    def heal(self, fault: DriveFault) -> None:
+    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         """The motor cools down."""
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = False
-
-    def feed_watchdog(self, now_ns: int) -> None:
-        """A frame has come."""
-        self._watchdog_fed_ns = now_ns
 
     def advance(self, now_ns: int) -> None:
         """Disarm if nothing has come for too long."""
@@ -218,12 +215,6 @@ class Axis:
 
     def _power_w(self) -> float:
         return self._reading.torque_nm * self._reading.velocity_rad_s
-
-    def _heartbeat(self) -> Mapping[str, float]:
-        return {
-            "Axis_Error": self._errors, "Axis_State": self.state,
-            "Procedure_Result": self._result, "Trajectory_Done_Flag": 0,
-        }  # fmt: skip
 
     def _estimates(self) -> Mapping[str, float]:
         counts_per_turn = self._settings.counts_per_turn

@@ -18,14 +18,8 @@ from cantools.database.errors import Error as CantoolsError
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.can_configuration import CANSIMPLE_DBC
-from plant_emulator.drives.cansimple.axis import Axis
-from plant_emulator.drives.drive import (
-    DriveFault,
-    DriveSettings,
-    JointDemand,
-    JointReading,
-    Send,
-)
+from plant_emulator.drives.cansimple.axis import Axis, AxisError
+from plant_emulator.drives.drive import Cycle, DriveSettings, Send
 
 COMMAND_BITS = 5
 HEARTBEAT_MS = 100
@@ -47,46 +41,26 @@ def _messages() -> dict[int, Message]:
     return {message.frame_id: message for message in load_database().messages}
 
 
-class CanSimpleDrive:
-    """The bus side of an axis: messages in and out."""
+class CanSimpleDrive(Axis):
+    """An axis with its bus side: messages in and out."""
 
     def __init__(self, settings: DriveSettings, send: Send) -> None:
+        super().__init__(settings)
         self._send = send
         self._node_id = settings.node_id
-        self._axis = Axis(settings)
         self._is_off_bus = False
-        self._heartbeat = _Cycle(HEARTBEAT_MS * _MS)
-        self._estimates = _Cycle(settings.estimates_ms * _MS)
+        self._heartbeats = Cycle(HEARTBEAT_MS * _MS)
+        self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
         self.samplings = 0
         self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
-            "Estop": lambda _: self._axis.emergency_stop(),
-            "Set_Axis_State": lambda v: self._axis.request(v["Axis_Requested_State"]),
-            "Set_Controller_Mode": lambda v: self._axis.set_mode(
-                v["Control_Mode"], v["Input_Mode"]
-            ),
-            "Set_Input_Torque": lambda v: self._axis.set_torque(v["Input_Torque"]),
-            "Set_Limits": lambda v: self._axis.set_limits(v["Velocity_Limit"], v["Current_Limit"]),
-            "Reboot": lambda v: self._axis.reboot(v["Action"]),
-            "Clear_Errors": lambda _: self._axis.clear_errors(),
+            "Estop": lambda _: self._disarm(AxisError.ESTOP_REQUESTED),
+            "Set_Axis_State": lambda v: self.request(v["Axis_Requested_State"]),
+            "Set_Controller_Mode": lambda v: self.set_mode(v["Control_Mode"], v["Input_Mode"]),
+            "Set_Input_Torque": lambda v: self.set_torque(v["Input_Torque"]),
+            "Set_Limits": lambda v: self.set_limits(v["Velocity_Limit"], v["Current_Limit"]),
+            "Reboot": lambda v: self.reboot(v["Action"]),
+            "Clear_Errors": lambda _: self.clear_errors(),
         }
-
-    @property
-    def targets(self) -> int:
-        return self._axis.targets
-
-    @property
-    def status(self) -> str:
-        return self._axis.state.name
-
-    @property
-    def fault(self) -> str | None:
-        return self._axis.fault
-
-    def measure(self, reading: JointReading) -> None:
-        self._axis.measure(reading)
-
-    def demand(self) -> JointDemand:
-        return self._axis.demand()
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or frame.identifier >> COMMAND_BITS != self._node_id:
@@ -98,21 +72,15 @@ class CanSimpleDrive:
             self._answer(message, frame)
         else:
             self._take(message, frame)
-        self._axis.feed_watchdog(now_ns)
+        self._watchdog_fed_ns = now_ns
         return True
 
     def advance(self, now_ns: int) -> None:
-        self._axis.advance(now_ns)
-        if self._heartbeat.is_due(now_ns):
+        super().advance(now_ns)
+        if self._heartbeats.is_due(now_ns):
             self._transmit("Heartbeat")
-        if self._estimates.is_due(now_ns):
+        if self._unasked_estimates.is_due(now_ns):
             self._transmit("Get_Encoder_Estimates")
-
-    def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        self._axis.inject(fault)
-
-    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        self._axis.heal(fault)
 
     def lose_bus(self, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         self._is_off_bus = True  # the axis itself notices by its watchdog only
@@ -152,23 +120,8 @@ class CanSimpleDrive:
         if self._is_off_bus:
             return
         message = load_database().get_message_by_name(name)
-        data = message.encode(self._axis.report(name))
+        data = message.encode(self.reports[name]())
         self._send(CanFrame(self._node_id << COMMAND_BITS | message.frame_id, data))
-
-
-class _Cycle:
-    """Something that happens again and again, or never if its period is 0."""
-
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._next_ns = 0
-
-    def is_due(self, now_ns: int) -> bool:
-        """Whether it is time; if so, until the next time not again."""
-        if now_ns < self._next_ns or not self._period_ns:
-            return False
-        self._next_ns += ((now_ns - self._next_ns) // self._period_ns + 1) * self._period_ns
-        return True
 
 
 def _decode(message: Message, data: bytes) -> dict[str, Any]:

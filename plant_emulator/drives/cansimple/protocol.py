@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bus_schema.can.cansimple_codec import CanSimpleCodec
 from bus_schema.can.cansimple_master import CanSimpleMaster
-from bus_schema.can.frame import CanBus
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
@@ -17,12 +16,7 @@ class CanSimpleProtocol(DriveProtocol):
     title = "CANSimple"
     largest_node_id = 63
     drive = CanSimpleDrive
+    drive_master = CanSimpleMaster
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> CanSimpleCodec:
         return CanSimpleCodec(self.node_ids(can, robot.joints))
-
-    def master(
-        self, bus: CanBus, can: CanConfiguration, robot: RobotDescription
-    ) -> CanSimpleMaster:
-        node_ids = self.node_ids(can, robot.joints)
-        return CanSimpleMaster(bus, can, node_ids, self.codec(can, robot))

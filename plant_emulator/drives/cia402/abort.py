@@ -8,7 +8,6 @@ from enum import IntEnum
 class Abort(IntEnum):
     """Why an SDO transfer was refused."""
 
-    TOGGLE_BIT = 0x0503_0000
     UNKNOWN_COMMAND = 0x0504_0001
     OUT_OF_MEMORY = 0x0504_0005
     UNSUPPORTED_ACCESS = 0x0601_0000
@@ -17,7 +16,6 @@ class Abort(IntEnum):
     NOT_MAPPABLE = 0x0604_0041
     PDO_TOO_LONG = 0x0604_0042
     INCOMPATIBLE = 0x0604_0043
-    WRONG_LENGTH = 0x0607_0010
     NO_SUCH_SUBINDEX = 0x0609_0011
     INVALID_VALUE = 0x0609_0030
     TOO_HIGH = 0x0609_0031

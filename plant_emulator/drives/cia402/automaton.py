@@ -15,7 +15,8 @@ from plant_emulator.drives.cia402.state_machine import (
 )
 
 _MS = 1_000_000
-_QUICK_STOP, _SHUTDOWN, _DISABLE, _FAULT_REACTION = 0x605A, 0x605B, 0x605C, 0x605E
+_QUICK_STOP, _FAULT_REACTION = 0x605A, 0x605E
+_SLOW_DOWN_OPTIONS = {Command.SHUTDOWN: 0x605B, Command.SWITCH_ON: 0x605C}
 _LONGEST_SLOW_DOWN = 0x2000
 _STAYS_IN_QUICK_STOP = (5, 6, 7, 8)
 _POWER_OFF = 0
@@ -102,7 +103,7 @@ class Automaton:
             if power_off:
                 self._enter(State.FAULT)
             return
-        was_moving = self._may_move()
+        was_moving = self.state is State.OPERATION_ENABLED or self._slow_down is not None
         self.state = State.FAULT_REACTION_ACTIVE
         if was_moving and not power_off and self._node.value(_FAULT_REACTION) != _POWER_OFF:
             self._begin_slow_down(State.FAULT)
@@ -133,11 +134,8 @@ class Automaton:
 
     def _slows_down_for(self, command: Command) -> bool:
         """Whether an option code wants the joint at rest before the drive function ends."""
-        if command is Command.SHUTDOWN:
-            return self._node.value(_SHUTDOWN) != _POWER_OFF
-        if command is Command.SWITCH_ON:
-            return self._node.value(_DISABLE) != _POWER_OFF
-        return False
+        option = _SLOW_DOWN_OPTIONS.get(command)
+        return option is not None and self._node.value(option) != _POWER_OFF
 
     def _quick_stop(self) -> None:
         option = self._node.value(_QUICK_STOP)
@@ -147,9 +145,6 @@ class Automaton:
         self.state = State.QUICK_STOP_ACTIVE
         stays = option in _STAYS_IN_QUICK_STOP
         self._begin_slow_down(State.QUICK_STOP_ACTIVE if stays else State.SWITCH_ON_DISABLED)
-
-    def _may_move(self) -> bool:
-        return self.state is State.OPERATION_ENABLED or self._slow_down is not None
 
     def _begin_slow_down(self, then: State) -> None:
         until_ns = self._node.now_ns + self._node.value(_LONGEST_SLOW_DOWN) * _MS

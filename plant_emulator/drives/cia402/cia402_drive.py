@@ -9,6 +9,7 @@ from plant_emulator.drives.cia402.errors import SENTENCES, ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.motor import Motor
 from plant_emulator.drives.cia402.network_state import (
     HEARTBEAT,
+    STATE_AFTER,
     NetworkState,
     NmtCommand,
     NmtState,
@@ -16,7 +17,7 @@ from plant_emulator.drives.cia402.network_state import (
 from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
 from plant_emulator.drives.cia402.process_data import ProcessData
 from plant_emulator.drives.cia402.state_machine import State
-from plant_emulator.drives.drive import DriveFault, DriveSettings, JointDemand, JointReading, Send
+from plant_emulator.drives.drive import DriveFault, DriveSettings, Send
 
 _NMT = 0x000
 _NMT_BYTES = 2
@@ -38,6 +39,8 @@ class Cia402Drive:
             self._node, self._send_if_on_bus, self._on_heartbeat_lost, self._on_heartbeat_back
         )
         self._motor = Motor(self._node, self._errors, settings)
+        # Between motor and joint there is no bus.
+        self.measure, self.demand = self._motor.measure, self._motor.demand
         self._process_data = ProcessData(
             self._node, self._errors, self._send_if_on_bus, self._on_rpdo_timeout
         )
@@ -63,12 +66,6 @@ class Cia402Drive:
     def fault(self) -> str | None:
         code = self._motor.error_code
         return None if code is ErrorCode.NONE else f"{SENTENCES[code]} (0x{code:04X})"
-
-    def measure(self, reading: JointReading) -> None:
-        self._motor.measure(reading)
-
-    def demand(self) -> JointDemand:
-        return self._motor.demand()
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or self._network.state is NmtState.INITIALISING:
@@ -150,7 +147,7 @@ class Cia402Drive:
         pdo = self._process_data.sending(identifier)
         if pdo is None or not pdo.answers_remote or not self._is_operational():
             return False
-        self._process_data.transmit(pdo)
+        self._process_data.transmit(pdo, pdo.pack())
         return True
 
     def _serve_sdo(self, data: bytes) -> None:
@@ -175,7 +172,7 @@ class Cia402Drive:
         else:
             if command is NmtCommand.STOP:
                 self._motor.abort_connection(ErrorCode.STOPPED)
-            self._network.obey(command)
+            self._network.state = STATE_AFTER[command]
             self._process_data.rest()
 
     def _restart(self) -> None:

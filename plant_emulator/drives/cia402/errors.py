@@ -57,7 +57,7 @@ class ErrorLog:
         node.serve(0x1001, lambda _: self.register)
         node.serve(0x1003, self._read_history)
         node.on_write(0x1003, self._clear_history)
-        node.on_write(0x1014, self._move)
+        node.on_write(0x1014, lambda _, value: check_identifier(value, node.value(0x1014)))
 
     @property
     def any(self) -> bool:
@@ -122,9 +122,6 @@ class ErrorLog:
         if value != 0:
             raise SdoAbortedError(Abort.INVALID_VALUE)
         self._history = []
-
-    def _move(self, _subindex: int, value: int) -> None:
-        check_identifier(value, self._node.value(0x1014))
 
 
 def check_identifier(value: int, present: int) -> None:

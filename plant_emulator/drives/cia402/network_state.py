@@ -10,7 +10,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.node import DriveNode
-from plant_emulator.drives.drive import Send
+from plant_emulator.drives.drive import Cycle, Send
 
 HEARTBEAT = 0x700
 _MS = 1_000_000
@@ -37,11 +37,12 @@ class NmtCommand(IntEnum):
     RESET_COMMUNICATION = 130
 
 
-_STATE_AFTER = {
+STATE_AFTER = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
+"""What a command does to the state; resets are for the drive as a whole to do."""
 
 
 class NetworkState:
@@ -69,8 +70,7 @@ class NetworkState:
         self._on_lost, self._on_heard = on_lost, on_heard
         self.state = NmtState.INITIALISING
         self.watched: dict[int, int] = {}
-        self._period_ns = 0
-        self._next_heartbeat_ns = 0
+        self._heartbeats = Cycle(0)
         self._heard_ns: dict[int, int] = {}
         self._lost: set[int] = set()
         node.on_write(0x1016, self._check_consumed)
@@ -90,10 +90,6 @@ class NetworkState:
         self._watch([self._node.value(0x1016, subindex) for subindex in _CONSUMED])
         self._on_period(0, self._node.value(0x1017))
 
-    def obey(self, command: NmtCommand) -> None:
-        """Change the state; resets are for the drive as a whole to do."""
-        self.state = _STATE_AFTER[command]
-
     def note_heartbeat(self, node_id: int) -> None:
         """A heartbeat of a watched node has come."""
         self._heard_ns[node_id] = self._node.now_ns
@@ -105,11 +101,8 @@ class NetworkState:
     def advance(self) -> None:
         """Send a heartbeat if one is due, and miss those that are overdue."""
         now_ns = self._node.now_ns
-        period_ns = self._period_ns
-        if period_ns and now_ns >= self._next_heartbeat_ns:
+        if self._heartbeats.is_due(now_ns):
             self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
-            behind = (now_ns - self._next_heartbeat_ns) // period_ns
-            self._next_heartbeat_ns += (behind + 1) * period_ns
         for node_id, time_ns in self.watched.items():
             heard_ns = self._heard_ns.get(node_id)
             if heard_ns is not None and now_ns - heard_ns > time_ns and node_id not in self._lost:
@@ -117,8 +110,7 @@ class NetworkState:
                 self._on_lost()
 
     def _on_period(self, _subindex: int, value: int) -> None:
-        self._period_ns = value * _MS
-        self._next_heartbeat_ns = self._node.now_ns + self._period_ns
+        self._heartbeats = Cycle(value * _MS, self._node.now_ns + value * _MS)
 
     def _watch(self, entries: list[int]) -> None:
         self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))

@@ -22,7 +22,7 @@ from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.drive import Send
 
 SDO_BYTES = 8
-_COMMAND_MASK, _UPLOAD, _DOWNLOAD, _BLOCK_UPLOAD, _ABORTED = 0xE0, 0x40, 0x20, 0xA0, 0x80
+_COMMAND_MASK, _ABORTED = 0xE0, 0x80
 _DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT = 0x00, 0x60
 _EXPEDITED, _SIZED, _LAST_SEGMENT = 0x02, 0x01, 0x01
 _LONGEST_DOWNLOAD = 64
@@ -158,11 +158,6 @@ class DriveNode(canopen.LocalNode):
         data = self.get_data(index, subindex)
         return int(self.find(index, subindex).decode_raw(data))
 
-    def put(self, index: int, subindex: int, value: int) -> None:
-        """Write a numeric object as a master would, whatever its access."""
-        entry = self.find(index, subindex)
-        self.set_data(index, subindex, entry.encode_raw(value))
-
     def restore_defaults(self, first: int, last: int) -> None:
         """Forget what was written to the objects from `first` to `last`."""
         for index in [index for index in self.data_store if first <= index <= last]:
@@ -184,13 +179,10 @@ class DriveNode(canopen.LocalNode):
         entry = self.object_dictionary.indices.get(index)
         if entry is None:
             raise SdoAbortedError(Abort.NO_SUCH_OBJECT)
-        if isinstance(entry, ODVariable):
-            member = entry if subindex == 0 else None
-        else:
-            member = entry.subindices.get(subindex)
-        if member is None:
+        members = {0: entry} if isinstance(entry, ODVariable) else entry.subindices
+        if subindex not in members:
             raise SdoAbortedError(Abort.NO_SUCH_SUBINDEX)
-        return member
+        return members[subindex]
 
     _find_object = find  # what canopen's own methods call
 

@@ -59,12 +59,9 @@ class Pdo:
 
     def load(self) -> None:
         """Take everything from the dictionary."""
-        node, index = self._node, self._communication
-        self._set_cob_id(node.value(index, _COB_ID))
-        self._set_type(node.value(index, _TYPE))
-        self.inhibit_ns = node.value(index, _INHIBIT) * _INHIBIT_UNIT
-        self.event_ns = node.value(index, _EVENT) * _MS
-        self._set_entries(node.value(self._mapping, 0))
+        for subindex in (_COB_ID, _TYPE, _INHIBIT, _EVENT):
+            self._take(subindex, self._node.value(self._communication, subindex))
+        self._set_entries(self._node.value(self._mapping, 0))
 
     def pack(self) -> bytes:
         """The mapped objects' values."""
@@ -82,14 +79,19 @@ class Pdo:
             self._node.set_data(index, subindex, data[start:end])
             start = end
 
-    def _set_cob_id(self, value: int) -> None:
-        self.identifier = value & 0x7FF
-        self.is_valid = not value & _NOT_VALID
-        self.answers_remote = not self._is_received and not value & _NO_REMOTE
-
-    def _set_type(self, value: int) -> None:
-        self.is_synchronous = value <= _LAST_SYNCHRONOUS
-        self.period = value
+    def _take(self, subindex: int, value: int) -> None:
+        """Take a communication parameter."""
+        if subindex == _COB_ID:
+            self.identifier = value & 0x7FF
+            self.is_valid = not value & _NOT_VALID
+            self.answers_remote = not self._is_received and not value & _NO_REMOTE
+        elif subindex == _TYPE:
+            self.is_synchronous = value <= _LAST_SYNCHRONOUS
+            self.period = value
+        elif subindex == _INHIBIT:
+            self.inhibit_ns = value * _INHIBIT_UNIT
+        elif subindex == _EVENT:
+            self.event_ns = value * _MS
 
     def _set_entries(self, count: int) -> None:
         self.entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(count)]
@@ -98,17 +100,11 @@ class Pdo:
     def _write_communication(self, subindex: int, value: int) -> None:
         if subindex == _COB_ID:
             check_identifier(value & ~_NO_REMOTE, self._node.value(self._communication, _COB_ID))
-            self._set_cob_id(value)
-        elif subindex == _TYPE:
-            if value > _LAST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
-                raise SdoAbortedError(Abort.INVALID_VALUE)
-            self._set_type(value)
-        elif subindex == _INHIBIT:
-            if self.is_valid:  # it may not be changed while the PDO exists
-                raise SdoAbortedError(Abort.INVALID_VALUE)
-            self.inhibit_ns = value * _INHIBIT_UNIT
-        elif subindex == _EVENT:
-            self.event_ns = value * _MS
+        is_no_type = value > _LAST_SYNCHRONOUS and value not in _EVENT_DRIVEN
+        # An inhibit time may not be changed while the PDO exists.
+        if (subindex == _TYPE and is_no_type) or (subindex == _INHIBIT and self.is_valid):
+            raise SdoAbortedError(Abort.INVALID_VALUE)
+        self._take(subindex, value)
 
     def _write_mapping(self, subindex: int, value: int) -> None:
         """Destroy the PDO, set the count to 0, map, set the count, create it: else no access."""

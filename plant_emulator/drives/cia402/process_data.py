@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 from canopen.sdo.exceptions import SdoAbortedError
 
@@ -14,11 +15,13 @@ from plant_emulator.drives.cia402.node import DriveNode
 from plant_emulator.drives.cia402.pdo import Pdo
 from plant_emulator.drives.drive import Send
 
+AnyPdo = TypeVar("AnyPdo", bound=Pdo)
+
 _PDOS = 4
 _PRODUCES_SYNC = 1 << 30
 
 
-class _Received:
+class ReceivedPdo(Pdo):
     """An RPDO with what has come for it.
 
     Attributes:
@@ -26,16 +29,13 @@ class _Received:
         pending: data that comes into force at the next SYNC.
     """
 
-    def __init__(self, pdo: Pdo) -> None:
-        self.pdo = pdo
-        self.rest()
-
     def rest(self) -> None:
+        """Nothing is pending or awaited."""
         self.heard_ns: int | None = None
         self.pending: bytes | None = None
 
 
-class _Sent:
+class SentPdo(Pdo):
     """A TPDO with what has gone of it.
 
     Attributes:
@@ -44,11 +44,8 @@ class _Sent:
         syncs: SYNCs since then.
     """
 
-    def __init__(self, pdo: Pdo) -> None:
-        self.pdo = pdo
-        self.rest()
-
     def rest(self) -> None:
+        """Nothing has gone yet."""
         self.data: bytes | None = None
         self.sent_ns = 0
         self.syncs = 0
@@ -72,13 +69,14 @@ class ProcessData:
     ) -> None:
         self._node, self._errors, self._send, self._on_timeout = node, errors, send, on_timeout
         self._received = [
-            _Received(Pdo(node, 0x1400 + number, 0x1600 + number, is_received=True))
+            ReceivedPdo(node, 0x1400 + number, 0x1600 + number, is_received=True)
             for number in range(_PDOS)
         ]
         self._sent = [
-            _Sent(Pdo(node, 0x1800 + number, 0x1A00 + number, is_received=False))
+            SentPdo(node, 0x1800 + number, 0x1A00 + number, is_received=False)
             for number in range(_PDOS)
         ]
+        self._pdos: list[ReceivedPdo | SentPdo] = [*self._received, *self._sent]
         node.on_write(0x1005, self._move_sync)
         self.samplings = 0
         self.load()
@@ -86,29 +84,22 @@ class ProcessData:
     def load(self) -> None:
         """Take everything from the dictionary."""
         self.sync_identifier = self._node.value(0x1005) & 0x7FF
-        for pdo in (*(r.pdo for r in self._received), *(s.pdo for s in self._sent)):
+        for pdo in self._pdos:
             pdo.load()
         self.rest()
 
     def rest(self) -> None:
         """The node is not operational: nothing is pending or awaited."""
-        for received in self._received:
-            received.rest()
-        for sent in self._sent:
-            sent.rest()
+        for pdo in self._pdos:
+            pdo.rest()
 
-    def receiving(self, identifier: int) -> Pdo | None:
+    def receiving(self, identifier: int) -> ReceivedPdo | None:
         """The RPDO with this identifier."""
-        return next(
-            (r.pdo for r in self._received if r.pdo.is_valid and r.pdo.identifier == identifier),
-            None,
-        )
+        return _with_identifier(self._received, identifier)
 
-    def sending(self, identifier: int) -> Pdo | None:
+    def sending(self, identifier: int) -> SentPdo | None:
         """The TPDO with this identifier."""
-        return next(
-            (s.pdo for s in self._sent if s.pdo.is_valid and s.pdo.identifier == identifier), None
-        )
+        return _with_identifier(self._sent, identifier)
 
     def sync(self, data: bytes) -> None:
         """SYNC: what is pending comes into force, what is due is sampled and sent."""
@@ -120,60 +111,53 @@ class ProcessData:
         for received in self._received:
             if received.pending is not None:
                 data, received.pending = received.pending, None
-                _unpack(received.pdo, data)
+                _unpack(received, data)
         for sent in self._sent:
-            if sent.pdo.is_valid and sent.pdo.is_synchronous:
+            if sent.is_valid and sent.is_synchronous:
                 self._send_on_sync(sent)
 
-    def receive(self, pdo: Pdo, data: bytes) -> None:
+    def receive(self, pdo: ReceivedPdo, data: bytes) -> None:
         """Data for an RPDO has come."""
-        received = next(each for each in self._received if each.pdo is pdo)
         self._check_length(pdo, data)
-        received.heard_ns = self._node.now_ns
+        pdo.heard_ns = self._node.now_ns
         if pdo.is_synchronous:
-            received.pending = data
+            pdo.pending = data
         else:
             _unpack(pdo, data)
 
-    def transmit(self, pdo: Pdo) -> None:
-        """Send a TPDO that was asked for."""
-        sent = next(each for each in self._sent if each.pdo is pdo)
-        self._transmit(sent, pdo.pack())
+    def transmit(self, pdo: SentPdo, data: bytes) -> None:
+        """Send a TPDO."""
+        pdo.data, pdo.sent_ns, pdo.syncs = data, self._node.now_ns, 0
+        self._send(CanFrame(pdo.identifier, data))
 
     def send_events(self) -> None:
         """Send event-driven TPDOs that have changed or whose timers have run out."""
-        for sent in self._sent:
-            pdo = sent.pdo
+        for pdo in self._sent:
             if pdo.is_synchronous or not pdo.is_valid or not pdo.entries:
                 continue
-            age_ns = self._node.now_ns - sent.sent_ns
-            if sent.data is not None and age_ns < pdo.inhibit_ns:
+            age_ns = self._node.now_ns - pdo.sent_ns
+            if pdo.data is not None and age_ns < pdo.inhibit_ns:
                 continue
             data = pdo.pack()
-            if data != sent.data or (pdo.event_ns and age_ns >= pdo.event_ns):
-                self._transmit(sent, data)
+            if data != pdo.data or (pdo.event_ns and age_ns >= pdo.event_ns):
+                self.transmit(pdo, data)
 
     def watch(self) -> None:
         """Miss RPDOs that are overdue; each is awaited from its first arrival on."""
-        for received in self._received:
-            pdo = received.pdo
-            if received.heard_ns is None or not pdo.event_ns or not pdo.is_valid:
+        for pdo in self._received:
+            if pdo.heard_ns is None or not pdo.event_ns or not pdo.is_valid:
                 continue
-            if self._node.now_ns - received.heard_ns > pdo.event_ns:
-                received.heard_ns = None
+            if self._node.now_ns - pdo.heard_ns > pdo.event_ns:
+                pdo.heard_ns = None
                 self._on_timeout()
 
-    def _send_on_sync(self, sent: _Sent) -> None:
-        sent.syncs += 1
-        if sent.syncs < sent.pdo.period:
+    def _send_on_sync(self, pdo: SentPdo) -> None:
+        pdo.syncs += 1
+        if pdo.syncs < pdo.period:
             return
-        data = sent.pdo.pack()
-        if sent.pdo.period > 0 or data != sent.data:
-            self._transmit(sent, data)
-
-    def _transmit(self, sent: _Sent, data: bytes) -> None:
-        sent.data, sent.sent_ns, sent.syncs = data, self._node.now_ns, 0
-        self._send(CanFrame(sent.pdo.identifier, data))
+        data = pdo.pack()
+        if pdo.period > 0 or data != pdo.data:
+            self.transmit(pdo, data)
 
     def _check_length(self, pdo: Pdo, data: bytes) -> None:
         if len(data) < pdo.length:
@@ -190,6 +174,10 @@ class ProcessData:
             raise SdoAbortedError(Abort.INVALID_VALUE)
         check_identifier(value, value)
         self.sync_identifier = value & 0x7FF
+
+
+def _with_identifier(pdos: Sequence[AnyPdo], identifier: int) -> AnyPdo | None:
+    return next((pdo for pdo in pdos if pdo.is_valid and pdo.identifier == identifier), None)
 
 
 def _unpack(pdo: Pdo, data: bytes) -> None:

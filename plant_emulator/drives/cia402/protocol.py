@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import canopen
 
-from bus_schema.can.cia402_codec import Cia402Codec, DriveUnits, rated_torque_nm
+from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402_master import Cia402Master
-from bus_schema.can.frame import CanBus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
@@ -25,13 +24,11 @@ class Cia402Protocol(DriveProtocol):
 
     title = "CiA 402"
     drive = Cia402Drive
+    drive_master = Cia402Master
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> Cia402Codec:
-        units = DriveUnits(can.counts_per_turn, rated_torque_nm(can, robot))
-        return Cia402Codec(self.node_ids(can, robot.joints), units)
-
-    def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> Cia402Master:
-        return Cia402Master(bus, can, self.node_ids(can, robot.joints), self.codec(can, robot))
+        node_ids = self.node_ids(can, robot.joints)
+        return Cia402Codec(node_ids, can.counts_per_turn, rated_torque_nm(can, robot))
 
     def check(self, can: CanConfiguration) -> None:
         if can.eds is None:

@@ -73,9 +73,6 @@ class Statusword:
     FOLLOWS_COMMAND = 1 << 12
 
 
-ENABLED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)
-"""States with the drive function enabled, but for a fault reaction that slows down."""
-
 _S, _C = State, Command
 TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
@@ -107,12 +104,14 @@ def decode_command(controlword: int, previous: int) -> Command | None:
     """
     if controlword & Controlword.FAULT_RESET:
         return None if previous & Controlword.FAULT_RESET else Command.FAULT_RESET
-    if not controlword & Controlword.ENABLE_VOLTAGE:
-        return Command.DISABLE_VOLTAGE
-    if not controlword & Controlword.QUICK_STOP:
-        return Command.QUICK_STOP
-    if not controlword & Controlword.SWITCH_ON:
-        return Command.SHUTDOWN
-    if not controlword & Controlword.ENABLE_OPERATION:
-        return Command.SWITCH_ON
-    return Command.ENABLE_OPERATION
+    lacking = (command for bit, command in _COMMAND_WITHOUT.items() if not controlword & bit)
+    return next(lacking, Command.ENABLE_OPERATION)
+
+
+_COMMAND_WITHOUT = {
+    Controlword.ENABLE_VOLTAGE: Command.DISABLE_VOLTAGE,
+    Controlword.QUICK_STOP: Command.QUICK_STOP,
+    Controlword.SWITCH_ON: Command.SHUTDOWN,
+    Controlword.ENABLE_OPERATION: Command.SWITCH_ON,
+}
+"""What a controlword asks for by the first of these bits that it lacks."""

@@ -8,10 +8,10 @@ import pytest
 
 from bus_schema.can.cansimple_codec import CanSimpleCodec
 from bus_schema.can.cansimple_master import CanSimpleMaster
-from bus_schema.can.cia402_codec import Cia402Codec, DriveUnits, rated_torque_nm
+from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402_master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame
-from bus_schema.can.master import CanMaster, DriveError, PendingReplies
+from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import load_robot
@@ -44,8 +44,8 @@ class FrameBus:
 
 
 def cia402(bus: FrameBus) -> CanMaster:
-    units = DriveUnits(CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
-    return Cia402Master(bus, CAN, NODES, Cia402Codec(NODES, units))
+    codec = Cia402Codec(NODES, CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
+    return Cia402Master(bus, CAN, NODES, codec)
 
 
 def cansimple(bus: FrameBus) -> CanMaster:
@@ -95,16 +95,18 @@ def test_drive_that_has_yet_to_answer_is_waited_for_until_it_is_given_up(build, 
     assert master.read(0.0, position, velocity)
 
 
-def test_replies_are_awaited_of_all_but_those_given_up() -> None:
-    replies = PendingReplies((4, 5, 6))
-    assert replies.is_complete
-    replies.expect_all()
-    replies.received(1)
-    assert replies.missing == "4, 6"
-    replies.give_up()
-    assert replies.is_complete
-    replies.expect_all()
-    assert replies.missing == "5"
-    replies.lost(1)
-    replies.expect_all()
-    assert replies.is_complete
+def test_answers_are_awaited_of_all_but_those_given_up() -> None:
+    bus = FrameBus(CanFrame(0x049, bytes(8)))  # estimates of node 2
+    master = cansimple(bus)
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    assert master.read(0.0, position, velocity)
+    master.sample(0)
+    assert not master.read(0.0, position, velocity)
+    assert master.missing() == "1, 3"
+    master.give_up()
+    assert master.read(0.0, position, velocity)
+    master.sample(0)
+    assert master.missing() == "2"
+    master.give_up()
+    master.sample(0)
+    assert master.read(0.0, position, velocity)

@@ -180,7 +180,7 @@ def test_recorder_says_nothing_but_that_it_has_everything(keys: KeyFolder) -> No
     with secured_plant(keys) as (link, plant):
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
         recorder.announce()
-        plant.await_role(Role.RECORDER, HANG_S)
+        plant.await_recorder(HANG_S)
         _, gid = plant._publishers[topics.RUN_EVENTS.name]
         recorder.acknowledge(gid)
         plant.await_recorded()
