@@ -5,11 +5,12 @@ It stands in front of any link, so that the loop, the gate and the bus are those
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
-from bus_schema.link.interface import CommandArrival, PlantLink
+from bus_schema.link.interface import CommandArrival, PlantLink, never
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
@@ -52,16 +53,6 @@ class FaultyLink:
         seed: int,
     ) -> None:
         self._link, self._clock, self._gate = link, clock, gate
-        # Here faults change nothing.
-        self.await_controller = link.await_controller
-        self.await_recorder = link.await_recorder
-        self.await_recorded = link.await_recorded
-        self.controller_has_left = link.controller_has_left
-        self.sender_has_left = link.sender_has_left
-        self.overflow = link.overflow
-        self.fault = link.fault
-        self.report = link.report
-        self.close = link.close
         message_faults = [fault for fault in faults if isinstance(fault, MessageFault)]
         # What a sender does wrong comes before what the link does to it.
         self._message_faults = sorted(message_faults, key=lambda fault: fault.happens_on_the_way)
@@ -100,6 +91,37 @@ class FaultyLink:
             (payload,) = self._changed((arrival.payload,), "downlink")
             taken.append(arrival._replace(payload=payload))
         return taken
+
+    def await_controller(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self._link.await_controller(timeout_s, is_stop_requested)
+
+    def await_recorder(
+        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
+    ) -> None:
+        self._link.await_recorder(timeout_s, is_stop_requested)
+
+    def await_recorded(self) -> None:
+        self._link.await_recorded()
+
+    def controller_has_left(self) -> bool:
+        return self._link.controller_has_left()
+
+    def sender_has_left(self, sender: bytes) -> bool:
+        return self._link.sender_has_left(sender)
+
+    def overflow(self) -> int:
+        return self._link.overflow()
+
+    def fault(self) -> str | None:
+        return self._link.fault()
+
+    def report(self) -> dict[str, Any]:
+        return self._link.report()
+
+    def close(self) -> None:
+        self._link.close()
 
     def _changed(self, messages: tuple[bytes, ...], direction: Direction) -> tuple[bytes, ...]:
         now_ns = self._clock.now_ns()
