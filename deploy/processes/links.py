@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bus_schema.configuration import ConfigurationError
 from bus_schema.messages.topics import Role
 from deploy.scenario.scenario import Setup
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import naming
 
 
 def check_link(setup: Setup, *, one_process: bool) -> None:
@@ -14,10 +13,8 @@ def check_link(setup: Setup, *, one_process: bool) -> None:
     Raises:
         ScenarioError: it has not.
     """
-    try:
+    with naming(setup.source):
         setup.link_kind.check_machine(setup.scenario.link, one_process=one_process)
-    except ConfigurationError as error:
-        raise ScenarioError(f"{setup.source}: {error}") from error
 
 
 def require_keys(setup: Setup, *roles: Role) -> None:
