@@ -1,4 +1,4 @@
-"""`funnel-hil run`: a scenario in three processes."""
+"""One run: `funnel-hil run` in three processes, `funnel-hil simulate` in this one."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from deploy.cli.common import (
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
 from deploy.processes.endpoints import with_free_endpoints
-from deploy.processes.launcher import Launcher
+from deploy.processes.launcher import Launcher, RunOutcome
 from deploy.processes.links import check_link, require_keys
 from deploy.runs.run_folder import RunFolder
+from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
+from plant_emulator.plant_loop import PlantLoop
 
 
 def run(
@@ -40,4 +42,32 @@ def run(
     with CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s") as progress:
         outcome = launcher.run(status_handler(progress))
     folder.write_manifest(setup, outcome.realtime)
+    finish(console, folder, outcome, require_bounds=require_bounds)
+
+
+def simulate(
+    scenario: ScenarioArgument = "paper_arm",
+    overrides: Overrides = None,
+    out: Out = None,
+    require_bounds: RequireBounds = False,
+) -> None:
+    """Run a scenario in one process and in virtual time."""
+    setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=True)
+    console = Console()
+    folder = RunFolder.begin(setup, out)
+    outcome = RunOutcome()
+    name = setup.scenario.name
+    with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
+
+        def watch(loop: PlantLoop) -> None:
+            def stop() -> None:
+                outcome.interrupted = True
+                loop.request_stop()
+
+            on_interrupt(stop)
+            progress.follow(lambda: setup.grid.tick_ns(loop.tick) * 1e-9, name)
+
+        simulation = simulate_setup(setup, watch, folder.can_log)
+    simulation.write_log(folder.log)
     finish(console, folder, outcome, require_bounds=require_bounds)
