@@ -21,15 +21,17 @@ from deploy.cli.common import (
     show_places,
 )
 from deploy.cli.progress import CommandProgress
-from deploy.cli.show_comparison import settling_sentence, show_comparison
 from deploy.cli.show_run import show_summary
 from deploy.cli.studies import is_study, report_study
 from deploy.comparison.comparison import Comparison, LawRun, load_setups
 from deploy.comparison.folder import KIND, ComparisonFolder
-from deploy.comparison.settling import settling_test
+from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import bounds_sentence
+from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_table
+from deploy.reports.quantities import RMS_ERROR
+from deploy.reports.tables import number
+from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
@@ -160,5 +162,27 @@ def _conclude_comparison(
     """Write rows, summary and report, and show what came of it."""
     folder.conclude(comparison)
     write_comparison_report(comparison, folder.report)
-    show_comparison(console, comparison)
+    _show_comparison(console, comparison)
     show_places(console, folder)
+
+
+def settling_sentence(test: SettlingTest) -> str:
+    """How a law settled from near and far."""
+    times = [row.settling_time_s for row in test.rows]
+    known = [time for time in times if time is not None]
+    farthest = number(max((row.distance_rad for row in test.rows), default=None))
+    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
+    slowest = f", at most {number(max(known))} s" if known else ""
+    return (
+        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
+        f"{slowest}{bound}"
+    )
+
+
+def _show_comparison(console: Console, comparison: Comparison) -> None:
+    """The result as two tables: what decides, and the RMS errors joint by joint."""
+    if not comparison.runs:
+        console.print("no law was run")
+        return
+    print_table(console, verdict_table(comparison))
+    print_table(console, joint_table(comparison, RMS_ERROR))

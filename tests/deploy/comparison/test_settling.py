@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deploy.cli.show_comparison import settling_sentence
+from deploy.cli.experiments import settling_sentence
 from deploy.comparison.settling import OFFSETS_RAD, SettlingRow, SettlingTest, settling_test
 from deploy.scenario.scenario import load_setup
 
