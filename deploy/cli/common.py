@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import signal
 from collections.abc import Callable, Sequence
-from functools import wraps
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -25,8 +23,6 @@ from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.yaml_files import ScenarioError
 
-Options = TypeVar("Options")
-
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
 ]
@@ -40,23 +36,6 @@ Out = Annotated[
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
-
-
-def with_options(
-    options: type[Options],
-) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """A command whose options are the fields of a dataclass: too many for parameters."""
-
-    def decorate(command: Callable[[Options], None]) -> Callable[..., None]:
-        @wraps(command)
-        def from_words(**values: Any) -> None:
-            command(options(**values))
-
-        vars(from_words)["__signature__"] = inspect.signature(options, eval_str=True)
-        from_words.__annotations__ = {}
-        return from_words
-
-    return decorate
 
 
 def parse_laws(text: str | None) -> list[str]:
