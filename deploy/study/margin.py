@@ -113,11 +113,6 @@ class Case:
     search: MarginSearch
     rows: dict[int, list[Row]] = field(default_factory=dict)
 
-    @property
-    def columns(self) -> dict[str, Any]:
-        """What tells it from other cases, by column."""
-        return {"arm": self.base.scenario.name, "compensation": self.compensation}
-
 
 class Margin(Study):
     """The runs of a search for margins.
@@ -215,7 +210,8 @@ class Margin(Study):
             return []
         value, runs = self._value(steps), []
         for start, scale in enumerate(self.definition.offsets):
-            columns = {**case.columns, "quantity": self.definition.quantity, "value": value,
+            columns = {"arm": case.base.scenario.name, "compensation": case.compensation,
+                       "quantity": self.definition.quantity, "value": value,
                        "offset_scale": scale}  # fmt: skip
             overrides = self._overrides(case, value, scale)
             runs += [
