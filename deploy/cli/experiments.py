@@ -168,9 +168,9 @@ def _conclude_comparison(
 
 def settling_sentence(test: SettlingTest) -> str:
     """How a law settled from near and far."""
-    times = [row.settling_time_s for row in test.rows]
+    times = [start.settling_time_s for start in test.starts]
     known = [time for time in times if time is not None]
-    farthest = number(max((row.distance_rad for row in test.rows), default=None))
+    farthest = number(max((start.distance_rad for start in test.starts), default=None))
     bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
     slowest = f", at most {number(max(known))} s" if known else ""
     return (
