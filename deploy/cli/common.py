@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
@@ -14,6 +15,7 @@ from rich.markup import escape
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
+from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
@@ -21,7 +23,9 @@ from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.scenario.scenario import Setup
 from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.plant_loop import PlantLoop
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
@@ -60,6 +64,31 @@ def on_interrupt(stop: Callable[[], None]) -> None:
 
     signal.signal(signal.SIGINT, handle)
     signal.signal(signal.SIGTERM, handle)
+
+
+def watching(
+    progress: CommandProgress, setup: Setup, name: str, stop: threading.Event, before_s: float = 0.0
+) -> Callable[[PlantLoop], None]:
+    """For `simulate` to call at the start: follows the run, and ends it on an interrupt.
+
+    Args:
+        progress: where to show how far it is.
+        setup: the scenario.
+        name: what the run is called there.
+        stop: set by an interrupt.
+        before_s: time of other runs that the progress has behind it.
+    """
+
+    def watch(loop: PlantLoop) -> None:
+        progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, name)
+
+        def request_stop() -> None:
+            stop.set()
+            loop.request_stop()
+
+        on_interrupt(request_stop)
+
+    return watch
 
 
 def exit_code(*, interrupted: bool, whole: bool, kept: bool) -> int:

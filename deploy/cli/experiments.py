@@ -16,9 +16,9 @@ from deploy.cli.common import (
     ScenarioArgument,
     conclude,
     exit_code,
-    on_interrupt,
     parse_laws,
     show_places,
+    watching,
 )
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
@@ -37,7 +37,6 @@ from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
 from deploy.scenario.scenario import Setup
-from plant_emulator.plant_loop import PlantLoop
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 
@@ -136,19 +135,8 @@ def _run_all(
     with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
             law = setup.scenario.controller.law
-
-            def on_start(
-                loop: PlantLoop, setup: Setup = setup, law: str = law, before_s: float = before_s
-            ) -> None:
-                progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, law)
-
-                def request_stop() -> None:
-                    stop.set()
-                    loop.request_stop()
-
-                on_interrupt(request_stop)
-
-            runs.append(folder.add(attempt(setup, on_start)))
+            watch = watching(progress, setup, law, stop, before_s)
+            runs.append(folder.add(attempt(setup, watch)))
             progress.say(f"{law}: {bounds_sentence(runs[-1])}")
             before_s += setup.scenario.duration_s
             if stop.is_set():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
@@ -12,6 +14,7 @@ from deploy.cli.common import (
     ScenarioArgument,
     finish,
     on_interrupt,
+    watching,
 )
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
@@ -21,7 +24,6 @@ from deploy.processes.links import check_link, require_keys
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
-from plant_emulator.plant_loop import PlantLoop
 
 
 def run(
@@ -56,18 +58,10 @@ def simulate(
     check_link(setup, one_process=True)
     console = Console()
     folder = RunFolder.begin(setup, out)
-    outcome = RunOutcome()
-    name = setup.scenario.name
+    name, stop = setup.scenario.name, threading.Event()
     with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
-
-        def watch(loop: PlantLoop) -> None:
-            def stop() -> None:
-                outcome.interrupted = True
-                loop.request_stop()
-
-            on_interrupt(stop)
-            progress.follow(lambda: setup.grid.tick_ns(loop.tick) * 1e-9, name)
-
+        watch = watching(progress, setup, name, stop)
         simulation = simulate_setup(setup, watch, folder.can_log)
     simulation.write_log(folder.log)
+    outcome = RunOutcome(interrupted=stop.is_set())
     finish(console, folder, outcome, require_bounds=require_bounds)
