@@ -18,9 +18,8 @@ from deploy.cli.common import (
 )
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
-from deploy.processes.endpoints import with_free_endpoints
 from deploy.processes.launcher import Launcher, RunOutcome
-from deploy.processes.links import check_link, require_keys
+from deploy.processes.links import check_link, require_keys, with_free_endpoints
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
