@@ -27,10 +27,9 @@ from deploy.reports.terminal import print_table
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.study.conduct import carry_out, retrace
-from deploy.study.definition import SHIPPED
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.margin import Margin
-from deploy.study.study import Study
+from deploy.study.study import SHIPPED, Study
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40

@@ -15,16 +15,9 @@ from controller.laws import LAWS
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
 from deploy.scenario.yaml_files import naming, override, validated
-from deploy.study.definition import (
-    Different,
-    Name,
-    Seeds,
-    StudyDefinition,
-    scenario_name,
-)
 from deploy.study.margin_search import MarginSearch
 from deploy.study.statistics import held, spread_of_runs
-from deploy.study.study import Run, Study
+from deploy.study.study import Different, Name, Run, Seeds, Study, StudyDefinition, scenario_name
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,15 @@ from deploy.scenario.yaml_files import (
     read_yaml,
     validated,
 )
-from deploy.study.definition import SHIPPED, StudyDefinition, require_different, scenario_name
 from deploy.study.statistics import spread_of_runs
-from deploy.study.study import Run, Study
+from deploy.study.study import (
+    SHIPPED,
+    Run,
+    Study,
+    StudyDefinition,
+    require_different,
+    scenario_name,
+)
 
 _MOST_VALUES = 10_000
 
