@@ -71,12 +71,8 @@ def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[
     settled: list[float | None] = []
     for error, band in zip(errors.T, band_rad, strict=True):
         outside = np.flatnonzero(np.abs(error) > band)
-        if not outside.size:
-            settled.append(float(times_s[0]) if len(times_s) else None)
-        elif outside[-1] + 1 < len(times_s):
-            settled.append(float(times_s[outside[-1] + 1]))
-        else:
-            settled.append(None)
+        entered = outside[-1] + 1 if outside.size else 0
+        settled.append(float(times_s[entered]) if entered < len(times_s) else None)
     return settled
 
 
