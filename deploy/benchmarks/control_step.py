@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -79,12 +80,9 @@ class _StepBench:
 
     def physics_us(self) -> float:
         """Cost of a bare step of physics."""
-        arm = PybulletArm(self._setup.robot, self._setup.grid.substep_s)
-        arm.place(self._setup.start_position_rad)
-        try:
+        with closing(PybulletArm(self._setup.robot, self._setup.grid.substep_s)) as arm:
+            arm.place(self._setup.start_position_rad)
             return cost_us(arm.advance, self._steps)
-        finally:
-            arm.close()
 
     def _step(self) -> None:
         tracking, task = self._tracking, self._task

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -58,14 +59,10 @@ def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Secti
 
 def bare_physics_us(setup: Setup) -> float:
     """Cost of the pybullet calls of one tick: set torques, step and read, for each substep."""
-    arm = PybulletArm(setup.robot, setup.grid.substep_s)
-    arm.place(setup.start_position_rad)
-    torque = [0.0] * setup.robot.joints
-    substeps = setup.grid.substeps
-    try:
+    torque, substeps = [0.0] * setup.robot.joints, setup.grid.substeps
+    with closing(PybulletArm(setup.robot, setup.grid.substep_s)) as arm:
+        arm.place(setup.start_position_rad)
         return substeps * cost_us(lambda: arm.step_bare(torque), setup.ticks * substeps)
-    finally:
-        arm.close()
 
 
 def simulate_us(setup: Setup) -> float:

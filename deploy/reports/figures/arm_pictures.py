@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from contextlib import closing
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +28,12 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    arm = PybulletArm(run.setup.robot, run.setup.grid.substep_s)
-    try:
+    with closing(PybulletArm(run.setup.robot, run.setup.grid.substep_s)) as arm:
         extent = arm.extent(positions)
         pictures = [
             arm.render(position, _OVERSAMPLING * _WIDTH_PX, _OVERSAMPLING * _HEIGHT_PX, extent)
             for position in positions
         ]
-    finally:
-        arm.close()
     return [
         Picture(float(times_s[tick]), _png(pixels))
         for tick, pixels in zip(ticks, pictures, strict=True)
