@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -91,8 +91,8 @@ def watching(
     return watch
 
 
-def exit_code(*, interrupted: bool, whole: bool, kept: bool) -> int:
-    """What a command ends with.
+def leave(*, interrupted: bool, whole: bool, kept: bool) -> NoReturn:
+    """End a command with the exit code it deserves.
 
     Args:
         interrupted: the user put an end to it.
@@ -100,10 +100,10 @@ def exit_code(*, interrupted: bool, whole: bool, kept: bool) -> int:
         kept: the bounds were kept, or nobody requires it.
     """
     if interrupted:
-        return INTERRUPTED
+        raise typer.Exit(INTERRUPTED)
     if not whole:
-        return FAULT
-    return FINISHED if kept else BOUNDS_NOT_KEPT
+        raise typer.Exit(FAULT)
+    raise typer.Exit(FINISHED if kept else BOUNDS_NOT_KEPT)
 
 
 def show_places(console: Console, folder: ResultFolder) -> None:
@@ -148,10 +148,8 @@ def finish(
     summary = conclude(folder, data, outcome.failures)
     show_summary(console, data, summary)
     show_places(console, folder)
-    raise typer.Exit(
-        exit_code(
-            interrupted=outcome.interrupted,
-            whole=summary["completed"] and not summary["faults"],
-            kept=summary["bounds"]["kept"] or not require_bounds,
-        )
+    leave(
+        interrupted=outcome.interrupted,
+        whole=summary["completed"] and not summary["faults"],
+        kept=summary["bounds"]["kept"] or not require_bounds,
     )

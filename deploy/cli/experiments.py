@@ -15,7 +15,7 @@ from deploy.cli.common import (
     RequireBounds,
     ScenarioArgument,
     conclude,
-    exit_code,
+    leave,
     parse_laws,
     show_places,
     watching,
@@ -67,12 +67,10 @@ def compare(
             comparison.settling.append(test)
             console.print(settling_sentence(test), markup=False, highlight=False)
     _conclude_comparison(comparison, folder, console)
-    raise typer.Exit(
-        exit_code(
-            interrupted=interrupted,
-            whole=all(run.is_whole for run in comparison.runs),
-            kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
-        )
+    leave(
+        interrupted=interrupted,
+        whole=all(run.is_whole for run in comparison.runs),
+        kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
     )
 
 
