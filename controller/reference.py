@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -21,7 +22,11 @@ class Reference:
     """
 
     def __init__(self, kernel: Callable[..., None], *parameters: Matrix | Vector | float) -> None:
-        self._kernel, self._parameters = kernel, parameters
+        self._kernel = kernel
+        self._parameters = [
+            np.ascontiguousarray(given) if isinstance(given, np.ndarray) else given
+            for given in parameters
+        ]
 
     def evaluate(
         self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
@@ -46,51 +51,6 @@ def sample_positions(reference: Reference, times_s: Vector, joints: int) -> Matr
         follow(time_s)
         positions[row] = position
     return positions
-
-
-class CartesianPath(Reference):
-    """A path of the tool of a yaw-pitch-pitch arm, through analytic inverse kinematics, elbow up.
-
-    Args:
-        axes: shape (3, 5): offset (m), velocity (m/s), amplitude (m), frequency (rad/s) and
-            phase (rad) of x, y and z: offset + velocity t + amplitude sin(frequency t + phase).
-        shoulder_height_m: height of the shoulder above the base.
-        upper_arm_m: shoulder to elbow.
-        forearm_m: elbow to tool.
-
-    Where the path is out of reach, the angles of shoulder and elbow are NaN.
-    """
-
-    def __init__(
-        self, axes: Matrix, shoulder_height_m: float, upper_arm_m: float, forearm_m: float
-    ) -> None:
-        axes = np.ascontiguousarray(axes)
-        super().__init__(_cartesian_path, axes, shoulder_height_m, upper_arm_m, forearm_m)
-
-
-class JointSinusoids(Reference):
-    """Each joint moves as centre + Σ amplitude sin(frequency t + phase).
-
-    Args:
-        centre_rad: shape (joints,).
-        terms: shape (terms, joints, 3): amplitude (rad), frequency (rad/s), phase (rad).
-    """
-
-    def __init__(self, centre_rad: Vector, terms: Matrix) -> None:
-        super().__init__(_joint_sinusoids, centre_rad, np.ascontiguousarray(terms))
-
-
-class MinimumJerk(Reference):
-    """Rest-to-rest moves through waypoints, each a quintic of least jerk; at rest before and after.
-
-    Args:
-        times_s: increasing, shape (waypoints,).
-        positions_rad: shape (waypoints, joints).
-    """
-
-    def __init__(self, times_s: Vector, positions_rad: Matrix) -> None:
-        waypoints = np.ascontiguousarray(positions_rad)
-        super().__init__(_minimum_jerk, np.ascontiguousarray(times_s), waypoints)
 
 
 @compiled
@@ -182,3 +142,33 @@ def _minimum_jerk(
         position[i] = positions[segment, i] + distance * shape
         velocity[i] = distance * d_shape
         acceleration[i] = distance * dd_shape
+
+
+CartesianPath = partial(Reference, _cartesian_path)
+"""A path of the tool of a yaw-pitch-pitch arm, through analytic inverse kinematics, elbow up.
+
+Args:
+    axes: shape (3, 5): offset (m), velocity (m/s), amplitude (m), frequency (rad/s) and
+        phase (rad) of x, y and z: offset + velocity t + amplitude sin(frequency t + phase).
+    shoulder_height_m: height of the shoulder above the base.
+    upper_arm_m: shoulder to elbow.
+    forearm_m: elbow to tool.
+
+Where the path is out of reach, the angles of shoulder and elbow are NaN.
+"""
+
+JointSinusoids = partial(Reference, _joint_sinusoids)
+"""Each joint moves as centre + Σ amplitude sin(frequency t + phase).
+
+Args:
+    centre_rad: shape (joints,).
+    terms: shape (terms, joints, 3): amplitude (rad), frequency (rad/s), phase (rad).
+"""
+
+MinimumJerk = partial(Reference, _minimum_jerk)
+"""Rest-to-rest moves through waypoints, each a quintic of least jerk; at rest before and after.
+
+Args:
+    times_s: increasing, shape (waypoints,).
+    positions_rad: shape (waypoints, joints).
+"""

@@ -8,7 +8,6 @@ predict the flip. A Kalman filter per joint tells the two apart: f walks at rand
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -69,49 +68,32 @@ class DisturbanceObserver:
             smooth_sign: tanh(q̇ / v) during the step, shape (joints,).
             step_s: its length.
         """
-        rates = Rates(
-            gain=1.0 - math.exp(-self._bandwidth_rad_s * step_s),
-            walk=_WALK_RAD_S2**2 * step_s,
-            friction_walk=self._drift * step_s,
-        )
-        step = MissedStep(missed_nm, inertia_kg_m2, smooth_sign)
-        _learn(step, rates, self._covariance, self.disturbance_nm, self.coulomb_nm)
-
-
-class MissedStep(NamedTuple):
-    """What `DisturbanceObserver.learn` is told of one step of motion."""
-
-    missed_nm: Vector
-    inertia_kg_m2: Vector
-    smooth_sign: Vector
-
-
-class Rates(NamedTuple):
-    """How far f and c may have walked in a step (variances), and the steady gain of f."""
-
-    gain: float
-    walk: float
-    friction_walk: float
+        gain = 1.0 - math.exp(-self._bandwidth_rad_s * step_s)
+        _learn(
+            missed_nm, inertia_kg_m2, smooth_sign, gain, _WALK_RAD_S2**2 * step_s,
+            self._drift * step_s, self._covariance, self.disturbance_nm, self.coulomb_nm,
+        )  # fmt: skip
 
 
 @compiled
 def _learn(
-    step: MissedStep, rates: Rates, covariance: Matrix, disturbance: Vector, coulomb: Vector
-) -> None:
+    missed: Vector, inertia: Vector, smooth_sign: Vector, gain: float, walk: float,
+    friction_walk: float, covariance: Matrix, disturbance: Vector, coulomb: Vector,
+) -> None:  # fmt: skip
+    """Take in one step; `walk` and `friction_walk` are variances of what f and c did meanwhile."""
     # by which `gain` is the steady gain for f alone
-    noise = rates.walk * (1.0 - rates.gain) / (rates.gain * rates.gain)
+    noise = walk * (1.0 - gain) / (gain * gain)
     for i in range(disturbance.size):
-        smooth_sign, missed = step.smooth_sign[i], step.missed_nm[i]
         p_ff, p_fc, p_cc = covariance[i]
-        p_ff = max(p_ff, noise * rates.gain) + rates.walk
-        p_cc += rates.friction_walk
+        p_ff = max(p_ff, noise * gain) + walk
+        p_cc += friction_walk
         # the row of the measurement is (1, −smooth_sign)
-        spread_f = p_ff - p_fc * smooth_sign
-        spread_c = p_fc - p_cc * smooth_sign
-        total = spread_f - spread_c * smooth_sign + noise
+        spread_f = p_ff - p_fc * smooth_sign[i]
+        spread_c = p_fc - p_cc * smooth_sign[i]
+        total = spread_f - spread_c * smooth_sign[i] + noise
         covariance[i, 0] = p_ff - spread_f * spread_f / total
         covariance[i, 1] = p_fc - spread_f * spread_c / total
         covariance[i, 2] = p_cc - spread_c * spread_c / total
-        disturbance[i] += spread_f / total * missed
-        limit = _MOST_FRICTION_RAD_S2 * step.inertia_kg_m2[i]
-        coulomb[i] = min(max(coulomb[i] + spread_c / total * missed, 0.0), limit)
+        disturbance[i] += spread_f / total * missed[i]
+        limit = _MOST_FRICTION_RAD_S2 * inertia[i]
+        coulomb[i] = min(max(coulomb[i] + spread_c / total * missed[i], 0.0), limit)

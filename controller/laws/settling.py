@@ -29,8 +29,7 @@ FixedTimeGains = FixedTimeModelBasedGains | FixedTimeNeuralGains
 
 def settling_bound_s(gains: FixedTimeGains, largest_inertia: LargestInertia) -> float:
     """Reaching plus sliding bound, s; infinite where a gain k_1 or k_2 is zero."""
-    reaching = reaching_bound_s(gains, largest_inertia)
-    return reaching + sliding_bound_s(gains)
+    return reaching_bound_s(gains, largest_inertia) + sliding_bound_s(gains)
 
 
 def sliding_bound_s(gains: FixedTimeGains) -> float:

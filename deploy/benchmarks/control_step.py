@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -32,17 +34,11 @@ def measure_control_steps(steps: int, repetitions: int) -> Section:
     with TemporaryDirectory() as folder:
         scenarios = ("paper_arm", "iiwa", str(write_long_arm(Path(folder), _LONG_JOINTS)))
         setups = [load_setup(name, [f"controller.law={_LAW}"]) for name in scenarios]
-    benches = [_StepBench(setup, steps) for setup in setups]
-    costs = interleave(
-        {
-            name: measure
-            for setup, bench in zip(setups, benches, strict=True)
-            for name, measure in (
-                (_step(setup), bench.control_step_us), (_physics(setup), bench.physics_us)
-            )
-        },
-        repetitions,
-    )  # fmt: skip
+    candidates: dict[str, Callable[[], float]] = {}
+    for setup in setups:
+        bench = _StepBench(setup, steps)
+        candidates |= {_step(setup): bench.control_step_us, _physics(setup): bench.physics_us}
+    costs = interleave(candidates, repetitions)
     small, *larger = setups
     ratios = [ratio(costs, _step(setup), _physics(setup)) for setup in setups]
     ratios += [ratio(costs, _step(setup), _step(small)) for setup in larger]
@@ -79,12 +75,9 @@ class _StepBench:
 
     def physics_us(self) -> float:
         """Cost of a bare step of physics."""
-        arm = PybulletArm(self._setup.robot, self._setup.grid.substep_s)
-        arm.place(self._setup.start_position_rad)
-        try:
+        with closing(PybulletArm(self._setup.robot, self._setup.grid.substep_s)) as arm:
+            arm.place(self._setup.start_position_rad)
             return cost_us(arm.advance, self._steps)
-        finally:
-            arm.close()
 
     def _step(self) -> None:
         tracking, task = self._tracking, self._task

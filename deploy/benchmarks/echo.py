@@ -50,11 +50,9 @@ class NearEnd(Protocol):
 
     def await_far_end(self) -> None:
         """Return once exchanges work."""
-        ...
 
     def exchange(self) -> None:
         """Send a status and a state, and wait for the command."""
-        ...
 
 
 class TryingNearEnd(ABC):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -9,8 +10,8 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.processes.endpoints import with_free_endpoints
 from deploy.processes.launcher import Launcher
+from deploy.processes.links import with_free_endpoints
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
@@ -58,14 +59,10 @@ def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Secti
 
 def bare_physics_us(setup: Setup) -> float:
     """Cost of the pybullet calls of one tick: set torques, step and read, for each substep."""
-    arm = PybulletArm(setup.robot, setup.grid.substep_s)
-    arm.place(setup.start_position_rad)
-    torque = [0.0] * setup.robot.joints
-    substeps = setup.grid.substeps
-    try:
+    torque, substeps = [0.0] * setup.robot.joints, setup.grid.substeps
+    with closing(PybulletArm(setup.robot, setup.grid.substep_s)) as arm:
+        arm.place(setup.start_position_rad)
         return substeps * cost_us(lambda: arm.step_bare(torque), setup.ticks * substeps)
-    finally:
-        arm.close()
 
 
 def simulate_us(setup: Setup) -> float:

@@ -11,7 +11,7 @@ from deploy.benchmarks import cyclictest
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.loop_costs import recorded_run
 from deploy.benchmarks.measure import Section, interleave, ratio
-from deploy.processes.endpoints import with_free_endpoints
+from deploy.processes.links import with_free_endpoints
 from deploy.runs.metrics import summarise
 from deploy.scenario.scenario import Setup, load_setup
 

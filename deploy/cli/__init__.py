@@ -18,7 +18,7 @@ from deploy.scenario.yaml_files import InputError
 
 _COMMANDS = {
     "run": "deploy.cli.run:run",
-    "simulate": "deploy.cli.simulate:simulate",
+    "simulate": "deploy.cli.run:simulate",
     "controller": "deploy.cli.processes:controller",
     "plant": "deploy.cli.processes:plant",
     "record": "deploy.cli.processes:record",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 import signal
+import threading
 from collections.abc import Callable, Sequence
-from functools import wraps
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -16,6 +15,7 @@ from rich.markup import escape
 
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
+from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
@@ -23,9 +23,9 @@ from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.scenario.scenario import Setup
 from deploy.scenario.yaml_files import ScenarioError
-
-Options = TypeVar("Options")
+from plant_emulator.plant_loop import PlantLoop
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
@@ -40,23 +40,6 @@ Out = Annotated[
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
-
-
-def with_options(
-    options: type[Options],
-) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """A command whose options are the fields of a dataclass: too many for parameters."""
-
-    def decorate(command: Callable[[Options], None]) -> Callable[..., None]:
-        @wraps(command)
-        def from_words(**values: Any) -> None:
-            command(options(**values))
-
-        vars(from_words)["__signature__"] = inspect.signature(options, eval_str=True)
-        from_words.__annotations__ = {}
-        return from_words
-
-    return decorate
 
 
 def parse_laws(text: str | None) -> list[str]:
@@ -83,8 +66,33 @@ def on_interrupt(stop: Callable[[], None]) -> None:
     signal.signal(signal.SIGTERM, handle)
 
 
-def exit_code(*, interrupted: bool, whole: bool, kept: bool) -> int:
-    """What a command ends with.
+def watching(
+    progress: CommandProgress, setup: Setup, name: str, stop: threading.Event, before_s: float = 0.0
+) -> Callable[[PlantLoop], None]:
+    """For `simulate` to call at the start: follows the run, and ends it on an interrupt.
+
+    Args:
+        progress: where to show how far it is.
+        setup: the scenario.
+        name: what the run is called there.
+        stop: set by an interrupt.
+        before_s: time of other runs that the progress has behind it.
+    """
+
+    def watch(loop: PlantLoop) -> None:
+        progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, name)
+
+        def request_stop() -> None:
+            stop.set()
+            loop.request_stop()
+
+        on_interrupt(request_stop)
+
+    return watch
+
+
+def leave(*, interrupted: bool, whole: bool, kept: bool) -> NoReturn:
+    """End a command with the exit code it deserves.
 
     Args:
         interrupted: the user put an end to it.
@@ -92,10 +100,10 @@ def exit_code(*, interrupted: bool, whole: bool, kept: bool) -> int:
         kept: the bounds were kept, or nobody requires it.
     """
     if interrupted:
-        return INTERRUPTED
+        raise typer.Exit(INTERRUPTED)
     if not whole:
-        return FAULT
-    return FINISHED if kept else BOUNDS_NOT_KEPT
+        raise typer.Exit(FAULT)
+    raise typer.Exit(FINISHED if kept else BOUNDS_NOT_KEPT)
 
 
 def show_places(console: Console, folder: ResultFolder) -> None:
@@ -140,10 +148,8 @@ def finish(
     summary = conclude(folder, data, outcome.failures)
     show_summary(console, data, summary)
     show_places(console, folder)
-    raise typer.Exit(
-        exit_code(
-            interrupted=outcome.interrupted,
-            whole=summary["completed"] and not summary["faults"],
-            kept=summary["bounds"]["kept"] or not require_bounds,
-        )
+    leave(
+        interrupted=outcome.interrupted,
+        whole=summary["completed"] and not summary["faults"],
+        kept=summary["bounds"]["kept"] or not require_bounds,
     )

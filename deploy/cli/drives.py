@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Annotated
 
 import typer
@@ -56,11 +57,8 @@ def drives(
         raise ScenarioError(str(error)) from error
     with naming(setup.source):
         bus = open_can_bus(can)
-    try:
-        code = _serve(setup, bus, plan, duration_s, verbose=verbose)
-    finally:
-        bus.close()
-    raise typer.Exit(code)
+    with closing(bus):
+        raise typer.Exit(_serve(setup, bus, plan, duration_s, verbose=verbose))
 
 
 def _serve(

@@ -15,27 +15,28 @@ from deploy.cli.common import (
     RequireBounds,
     ScenarioArgument,
     conclude,
-    exit_code,
-    on_interrupt,
+    leave,
     parse_laws,
     show_places,
+    watching,
 )
 from deploy.cli.progress import CommandProgress
-from deploy.cli.show_comparison import settling_sentence, show_comparison
 from deploy.cli.show_run import show_summary
 from deploy.cli.studies import is_study, report_study
 from deploy.comparison.comparison import Comparison, LawRun, load_setups
 from deploy.comparison.folder import KIND, ComparisonFolder
-from deploy.comparison.settling import settling_test
+from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import bounds_sentence
+from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_table
+from deploy.reports.quantities import RMS_ERROR
+from deploy.reports.tables import number
+from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
 from deploy.scenario.scenario import Setup
-from plant_emulator.plant_loop import PlantLoop
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 
@@ -66,12 +67,10 @@ def compare(
             comparison.settling.append(test)
             console.print(settling_sentence(test), markup=False, highlight=False)
     _conclude_comparison(comparison, folder, console)
-    raise typer.Exit(
-        exit_code(
-            interrupted=interrupted,
-            whole=all(run.is_whole for run in comparison.runs),
-            kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
-        )
+    leave(
+        interrupted=interrupted,
+        whole=all(run.is_whole for run in comparison.runs),
+        kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
     )
 
 
@@ -134,19 +133,8 @@ def _run_all(
     with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
             law = setup.scenario.controller.law
-
-            def on_start(
-                loop: PlantLoop, setup: Setup = setup, law: str = law, before_s: float = before_s
-            ) -> None:
-                progress.follow(lambda: before_s + setup.grid.tick_ns(loop.tick) * 1e-9, law)
-
-                def request_stop() -> None:
-                    stop.set()
-                    loop.request_stop()
-
-                on_interrupt(request_stop)
-
-            runs.append(folder.add(attempt(setup, on_start)))
+            watch = watching(progress, setup, law, stop, before_s)
+            runs.append(folder.add(attempt(setup, watch)))
             progress.say(f"{law}: {bounds_sentence(runs[-1])}")
             before_s += setup.scenario.duration_s
             if stop.is_set():
@@ -160,5 +148,27 @@ def _conclude_comparison(
     """Write rows, summary and report, and show what came of it."""
     folder.conclude(comparison)
     write_comparison_report(comparison, folder.report)
-    show_comparison(console, comparison)
+    _show_comparison(console, comparison)
     show_places(console, folder)
+
+
+def settling_sentence(test: SettlingTest) -> str:
+    """How a law settled from near and far."""
+    times = [start.settling_time_s for start in test.starts]
+    known = [time for time in times if time is not None]
+    farthest = number(max((start.distance_rad for start in test.starts), default=None))
+    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
+    slowest = f", at most {number(max(known))} s" if known else ""
+    return (
+        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
+        f"{slowest}{bound}"
+    )
+
+
+def _show_comparison(console: Console, comparison: Comparison) -> None:
+    """The result as two tables: what decides, and the RMS errors joint by joint."""
+    if not comparison.runs:
+        console.print("no law was run")
+        return
+    print_table(console, verdict_table(comparison))
+    print_table(console, joint_table(comparison, RMS_ERROR))

@@ -40,11 +40,8 @@ def init(
     ] = 365.0,
 ) -> None:
     """Make an authority, and a certificate for each role."""
-    keys = KeyFolder.at(folder)
-    create_authority(keys, authority_days)
-    for role in Role:
-        issue(keys, role, [*_LOCAL, *(hosts or [])], days)
-    _show(keys)
+    create_authority(KeyFolder.at(folder), authority_days)
+    issue_roles(list(Role), folder, hosts, days)
 
 
 @app.command("issue")
@@ -58,16 +55,13 @@ def issue_roles(
     keys = KeyFolder.at(folder)
     for role in roles:
         issue(keys, role, [*_LOCAL, *(hosts or [])], days)
-    _show(keys)
+    show_all(folder)
 
 
 @app.command("list")
 def show_all(folder: Folder = Path(DEFAULT_FOLDER)) -> None:
     """Show which certificates there are, for whom, and for how long."""
-    _show(KeyFolder.at(folder))
-
-
-def _show(keys: KeyFolder) -> None:
+    keys = KeyFolder.at(folder)
     table = Table(
         "role", "serial number", "valid until, UTC", "hosts", title=str(keys.path), box=None
     )

@@ -1,6 +1,8 @@
-"""`funnel-hil run`: a scenario in three processes."""
+"""One run: `funnel-hil run` in three processes, `funnel-hil simulate` in this one."""
 
 from __future__ import annotations
+
+import threading
 
 from rich.console import Console
 
@@ -12,14 +14,15 @@ from deploy.cli.common import (
     ScenarioArgument,
     finish,
     on_interrupt,
+    watching,
 )
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
 from deploy.processes.command_process import prepare
-from deploy.processes.endpoints import with_free_endpoints
-from deploy.processes.launcher import Launcher
-from deploy.processes.links import check_link, require_keys
+from deploy.processes.launcher import Launcher, RunOutcome
+from deploy.processes.links import check_link, require_keys, with_free_endpoints
 from deploy.runs.run_folder import RunFolder
+from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
 
 
@@ -42,4 +45,24 @@ def run(
     with CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s") as progress:
         outcome = launcher.run(status_handler(progress))
     folder.write_manifest(setup, outcome.realtime)
+    finish(console, folder, outcome, require_bounds=require_bounds)
+
+
+def simulate(
+    scenario: ScenarioArgument = "paper_arm",
+    overrides: Overrides = None,
+    out: Out = None,
+    require_bounds: RequireBounds = False,
+) -> None:
+    """Run a scenario in one process and in virtual time."""
+    setup = load_setup(scenario, overrides or [])
+    check_link(setup, one_process=True)
+    console = Console()
+    folder = RunFolder.begin(setup, out)
+    name, stop = setup.scenario.name, threading.Event()
+    with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
+        watch = watching(progress, setup, name, stop)
+        simulation = simulate_setup(setup, watch, folder.can_log)
+    simulation.write_log(folder.log)
+    outcome = RunOutcome(interrupted=stop.is_set())
     finish(console, folder, outcome, require_bounds=require_bounds)

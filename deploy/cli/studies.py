@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,19 +13,26 @@ import yaml
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import Out, Overrides, on_interrupt, parse_laws, show_places, with_options
+from deploy.cli.common import Out, Overrides, on_interrupt, parse_laws, show_places
 from deploy.cli.progress import CommandProgress
-from deploy.cli.show_study import RunCounter, show_study
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.reports.study_report import write_study_report
-from deploy.reports.study_tables import write_margin_table
+from deploy.reports.study_tables import (
+    held_again,
+    margin_table,
+    point_table,
+    write_margin_table,
+)
+from deploy.reports.terminal import print_table
+from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.study.conduct import carry_out, retrace
-from deploy.study.definition import SHIPPED
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.margin import Margin
-from deploy.study.study import Study
+from deploy.study.study import SHIPPED, Study
 from deploy.study.sweep import load_sweep
+
+_SHOWN_POINTS = 40
 
 WorkerCount = Annotated[
     int | None,
@@ -53,7 +61,7 @@ def sweep(
 
 @dataclass
 class MarginOptions:
-    """What `margin` takes; the texts become values of its definition."""
+    """The options of `margin`, which are too many for parameters."""
 
     scenario: Annotated[
         list[str] | None,
@@ -94,37 +102,54 @@ class MarginOptions:
     scheduler: Scheduler = None
     out: Out = None
 
-    def definition(self) -> dict[str, Any]:
-        """What is given, by key of the definition."""
-        given = {
-            "scenarios": self.scenario or None,
-            "laws": None if self.laws is None else parse_laws(self.laws),
-            "compensation": _listed(self.compensation),
-            "quantity": self.quantity,
-            "seeds": None if self.seeds is None else yaml.safe_load(self.seeds),
-            "offsets": _listed(self.offsets),
-            "duration_s": self.duration,
-            "resolution": self.resolution,
-            "limit": self.limit,
-        }
-        return {key: value for key, value in given.items() if value is not None}
 
-
-@with_options(MarginOptions)
-def margin(options: MarginOptions) -> None:
+def margin(**words: Any) -> None:
     """Find the largest delay, jitter or loss at which each law keeps its bounds.
 
     Bracketing and bisection, from several starts with several seeds. Interrupted or killed, the
     same command goes on where it stopped.
     """
+    options = MarginOptions(**words)
     path, values = Path("margin"), {}
     if options.study is not None:
         path = find_yaml(options.study, SHIPPED)
         values = read_yaml(path)
-    values |= options.definition()
+    given = {
+        "scenarios": options.scenario or None,
+        "laws": None if options.laws is None else parse_laws(options.laws),
+        "compensation": _listed(options.compensation),
+        "quantity": options.quantity,
+        "seeds": None if options.seeds is None else yaml.safe_load(options.seeds),
+        "offsets": _listed(options.offsets),
+        "duration_s": options.duration,
+        "resolution": options.resolution,
+        "limit": options.limit,
+    }
+    values |= {key: value for key, value in given.items() if value is not None}
     if fixed := dict(map(parse_override, options.overrides or [])):
         values["set"] = {**(values.get("set") or {}), **fixed}
     _conduct(Margin(values, path), options.workers, options.scheduler, options.out)
+
+
+vars(margin)["__signature__"] = inspect.signature(MarginOptions, eval_str=True)  # for typer
+
+
+class RunCounter:
+    """Counts the runs of a study on a progress."""
+
+    def __init__(self, progress: CommandProgress) -> None:
+        self._progress = progress
+        self._done = self._before = self._failed = 0
+
+    def done(self, values: Row, expected: int, *, before: bool) -> None:
+        """A run is done, now or by an earlier command; `expected` runs there will be in all."""
+        self._done += 1
+        self._before += before
+        self._failed += values["error"] is not None
+        notes = {"runs were there from before": self._before, "failed": self._failed}
+        note = ", ".join(f"{count} {what}" for what, count in notes.items() if count)
+        self._progress.skip_to(self._before)
+        self._progress.update(self._done, total=expected, note=note)
 
 
 def is_study(path: Path) -> bool:
@@ -185,3 +210,19 @@ def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
 def _listed(text: str | None) -> list[Any] | None:
     """Values from ``a,b,…``, typed as YAML has them."""
     return None if text is None else [yaml.safe_load(part) for part in text.split(",")]
+
+
+def show_study(console: Console, summary: dict[str, Any]) -> None:
+    """The result as a table."""
+    if summary["kind"] == "margin":
+        print_table(console, margin_table(summary))
+        for sentence in held_again(summary):
+            console.print(sentence, markup=False)
+    else:
+        table = point_table(summary)
+        print_table(console, replace(table, rows=table.rows[:_SHOWN_POINTS]))
+    hidden = len(summary.get("points", ())) - _SHOWN_POINTS
+    if hidden > 0:
+        console.print(f"{hidden} more points are in the report")
+    if summary["runs_failed"]:
+        console.print(f"[bold red]{summary['runs_failed']} runs failed[/]; their rows say why")

@@ -49,11 +49,6 @@ class LawRun:
         """Whether a whole run stayed inside its bounds."""
         return self.is_whole and bool(self.summary["bounds"]["kept"])
 
-    @property
-    def has_ticks(self) -> bool:
-        """Whether there is anything to draw."""
-        return len(self.data.tables[topics.PLANT_TRUTH.name]) > 1
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -70,7 +65,7 @@ class Comparison:
     @property
     def drawn(self) -> list[LawRun]:
         """Runs with something to draw."""
-        return [run for run in self.runs if run.has_ticks]
+        return [run for run in self.runs if len(run.data.tables[topics.PLANT_TRUTH.name]) > 1]
 
     def colour_index(self, law: str) -> int:
         """Place of a law among all, which gives its colour."""

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
@@ -25,6 +27,8 @@ from deploy.runs.simulate import Simulation
 from deploy.scenario.scenario import Setup
 
 KIND = "comparison"
+SETTLING = TypeAdapter(list[SettlingTest])
+"""From and to what ``summary.json`` has of settling tests."""
 
 
 class ComparisonFolder(ResultFolder):
@@ -80,7 +84,7 @@ class ComparisonFolder(ResultFolder):
         loaded = {law: load_run(self._law_path(law))[0] for law in laws}
         return Comparison(
             [LawRun(law, data, summarise(data)) for law, data in loaded.items()],
-            [SettlingTest.from_values(values) for values in summary.get("settling", [])],
+            SETTLING.validate_python(summary.get("settling", [])),
         )
 
     def _law_path(self, law: str) -> Path:
@@ -96,5 +100,5 @@ def _summary(comparison: Comparison) -> dict[str, Any]:
         "seed": common.seed if common else None,
         "clock": common.summary["clock"] if common else None,
         "laws": {run.law: run.summary for run in comparison.runs},
-        "settling": [test.values() for test in comparison.settling],
+        "settling": SETTLING.dump_python(comparison.settling),
     }

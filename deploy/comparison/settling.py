@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from bus_schema.arrays import Vector
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import Setup, check
@@ -19,23 +17,23 @@ LONGEST_S = 8.0
 
 
 @dataclass(frozen=True)
-class SettlingRow:
+class Start:
     """One start.
 
     Attributes:
-        offset_rad: initial error of the joints, shape (joints,).
+        offset_rad: initial error of each joint.
         settling_time_s: when the last joint entered the funnel's final bound to stay; None if not.
         bounds_kept: whether no joint ever left the funnel.
     """
 
-    offset_rad: Vector
+    offset_rad: list[float]
     settling_time_s: float | None
     bounds_kept: bool
 
     @property
     def distance_rad(self) -> float:
         """The largest initial error of a joint."""
-        return float(np.abs(self.offset_rad).max())
+        return max(map(abs, self.offset_rad))
 
 
 @dataclass(frozen=True)
@@ -49,28 +47,14 @@ class SettlingTest:
 
     law: str
     bound_s: float | None
-    rows: list[SettlingRow]
+    starts: list[Start]
 
     @property
     def holds(self) -> bool:
         """Whether there is a bound and every start settled within it."""
-        times = [row.settling_time_s for row in self.rows]
+        times = [start.settling_time_s for start in self.starts]
         bound = self.bound_s
         return bound is not None and all(time is not None and time <= bound for time in times)
-
-    def values(self) -> dict[str, Any]:
-        """Everything, ready for JSON."""
-        starts = [{**vars(row), "offset_rad": row.offset_rad.tolist()} for row in self.rows]
-        return {"law": self.law, "bound_s": self.bound_s, "starts": starts}
-
-    @classmethod
-    def from_values(cls, values: dict[str, Any]) -> SettlingTest:
-        """What `values` made JSON of."""
-        rows = [
-            SettlingRow(**{**start, "offset_rad": np.array(start["offset_rad"])})
-            for start in values["starts"]
-        ]
-        return cls(values["law"], values["bound_s"], rows)
 
 
 def settling_test(setup: Setup, offsets_rad: Sequence[float] = OFFSETS_RAD) -> SettlingTest:
@@ -80,7 +64,7 @@ def settling_test(setup: Setup, offsets_rad: Sequence[float] = OFFSETS_RAD) -> S
     other where its range ends before, or as far as it goes. The funnel opens with the offset, as
     the scenario says.
     """
-    bound_s, rows = None, []
+    bound_s, starts = None, []
     for size in offsets_rad:
         start = _started_off(setup, size)
         summary = summarise(simulate(start).data())
@@ -88,8 +72,8 @@ def settling_test(setup: Setup, offsets_rad: Sequence[float] = OFFSETS_RAD) -> S
         times = summary["tracking"]["settling_time_s"]
         settled = None if None in times else max(times)
         offset = start.scenario.robot.initial_offset_rad
-        rows.append(SettlingRow(offset, settled, bool(summary["bounds"]["kept"])))
-    return SettlingTest(setup.scenario.controller.law, bound_s, rows)
+        starts.append(Start(offset.tolist(), settled, bool(summary["bounds"]["kept"])))
+    return SettlingTest(setup.scenario.controller.law, bound_s, starts)
 
 
 def _started_off(setup: Setup, size_rad: float) -> Setup:

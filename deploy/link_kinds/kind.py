@@ -11,36 +11,22 @@ from bus_schema.arrays import Vector
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
-from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.clock import Clock, TickGrid
+from bus_schema.runtime.clock import Clock
 from plant_emulator.arm.arm_plant import ArmPlant
-from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.plant_task import PlantTask
 
 Arm = TypeVar("Arm", bound=ArmPlant)
 
 
 @dataclass(frozen=True)
-class LinkRun:
-    """What a link has to know of the run that goes over it.
+class LinkRun(PlantTask):
+    """What a link has to know of the run that goes over it: the plant's task, and its own means.
 
     Attributes:
-        link: section ``link`` of the scenario.
-        plant: section ``plant`` of the scenario.
-        grid: ticks and physics steps of the run.
-        ticks: how many ticks there are.
-        seed: seed of everything random on the link.
-        lockstep: virtual time: the plant waits for the reply to every state.
         bus: what both sides share inside one process; None between processes.
         can_log: file for the frames of a CAN bus; None for no log.
     """
 
-    robot: RobotDescription
-    link: LinkConfiguration
-    plant: PlantConfiguration
-    grid: TickGrid
-    ticks: int
-    seed: int
-    lockstep: bool
     bus: InProcessBus | None = None
     can_log: Path | None = None
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.registry import Registry
 from deploy.link_kinds.kind import LinkKind
 
@@ -19,12 +18,3 @@ LINK_KINDS: Registry[LinkKind[Any]] = Registry(
         "can": "deploy.link_kinds.can:CanKind",
     },
 )
-
-
-def kind_of(link: LinkConfiguration) -> LinkKind[Any]:
-    """The kind that section ``link`` of a scenario names.
-
-    Raises:
-        ConfigurationError: the table has no such kind.
-    """
-    return LINK_KINDS.build(link.kind)

@@ -5,34 +5,14 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 from bus_schema.messages.topics import Role
+from deploy.processes.child import Child
 from plant_emulator.faults.process_faults import ProcessAction
 from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 _FREEZE_TIMEOUT_S = 2.0
 _POLL_S = 0.002
-
-
-class Process(Protocol):
-    """What a fault can happen to."""
-
-    def is_running(self) -> bool:
-        """Whether the process is there."""
-        ...
-
-    def is_frozen(self) -> bool:
-        """Whether it is stopped by a signal."""
-        ...
-
-    def kill(self) -> None:
-        """Kill it, and wait until it is gone."""
-        ...
-
-    def send(self, number: signal.Signals) -> None:
-        """Send a signal."""
-        ...
 
 
 class ProcessFaultInjector:
@@ -46,7 +26,7 @@ class ProcessFaultInjector:
         removed: processes that were killed and will be started again.
     """
 
-    def __init__(self, processes: Mapping[Role, Process], start: Callable[[Role], None]) -> None:
+    def __init__(self, processes: Mapping[Role, Child], start: Callable[[Role], None]) -> None:
         self._processes = processes
         self._start = start
         self._requested: set[int] = set()
@@ -85,7 +65,7 @@ class ProcessFaultInjector:
                 process.send(signal.SIGCONT)
 
 
-def _freeze(process: Process) -> None:
+def _freeze(process: Child) -> None:
     process.send(signal.SIGSTOP)
     give_up_s = time.monotonic() + _FREEZE_TIMEOUT_S
     while process.is_running() and not process.is_frozen() and time.monotonic() < give_up_s:

@@ -12,7 +12,6 @@ import ipaddress
 import os
 import stat
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from cryptography import x509
@@ -27,19 +26,6 @@ from deploy.scenario.yaml_files import ScenarioError
 AUTHORITY_NAME = "funnel-hil authority"
 _CLOCKS_DIFFER_BY = dt.timedelta(minutes=5)
 _SERVER, _CLIENT = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
-
-
-@dataclass(frozen=True)
-class Credential:
-    """A certificate with the private key that belongs to it.
-
-    Attributes:
-        certificate: as issued.
-        key: its private key.
-    """
-
-    certificate: x509.Certificate
-    key: ec.EllipticCurvePrivateKey
 
 
 def create_authority(keys: KeyFolder, days: float) -> None:
@@ -59,13 +45,13 @@ def create_authority(keys: KeyFolder, days: float) -> None:
         keys.path.chmod(0o700)
         key = ec.generate_private_key(ec.SECP256R1())
         name = _name(AUTHORITY_NAME)
-        usage = _usage(key_cert_sign=True, crl_sign=True)
-        builder = (
+        certificate = (
             _builder(name, name, key, days)
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(usage, critical=True)
+            .add_extension(_usage(key_cert_sign=True, crl_sign=True), critical=True)
+            .sign(key, hashes.SHA256())
         )
-        _write(keys.authority, keys.authority_key, Credential(_sign(builder, key), key))
+        _write(keys.authority, certificate, keys.authority_key, key)
     except OSError as error:
         raise ScenarioError(f"--folder {keys.path}: {error.strerror}") from error
 
@@ -82,26 +68,26 @@ def issue(keys: KeyFolder, role: Role, hosts: Sequence[str], days: float) -> x50
     Raises:
         ScenarioError: there is no authority, or a host is none.
     """
-    authority = _read_authority(keys)
+    remedy = f"run `funnel-hil keys init --folder {keys.path}`"
+    authority = read_certificate(keys.authority, remedy)
+    authority_key = _read_key(keys.authority_key, remedy)
     key = ec.generate_private_key(ec.SECP256R1())
-    subject, issuer = _name(role), authority.certificate.subject
-    until = authority.certificate.not_valid_after_utc
     builder = (
-        _builder(subject, issuer, key, days, until)
+        _builder(_name(role), authority.subject, key, days, authority.not_valid_after_utc)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(digital_signature=True), critical=True)
         .add_extension(x509.ExtendedKeyUsage(_purposes(role)), critical=False)
         .add_extension(
-            x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()),
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key.public_key()),
             critical=False,
         )
     )
     if role is not Role.RECORDER:
         names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
         builder = builder.add_extension(names, critical=False)
-    certificate = _sign(builder, authority.key)
+    certificate = builder.sign(authority_key, hashes.SHA256())
     try:
-        _write(keys.certificate(role), keys.key(role), Credential(certificate, key))
+        _write(keys.certificate(role), certificate, keys.key(role), key)
     except OSError as error:
         raise ScenarioError(f"--folder {keys.path}: {error.strerror}") from error
     return certificate
@@ -203,12 +189,6 @@ def _read(path: Path, remedy: str) -> bytes:
         raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _read_authority(keys: KeyFolder) -> Credential:
-    remedy = f"run `funnel-hil keys init --folder {keys.path}`"
-    certificate = read_certificate(keys.authority, remedy)
-    return Credential(certificate, _read_key(keys.authority_key, remedy))
-
-
 def _purposes(role: Role) -> list[x509.ObjectIdentifier]:
     """A recorder only ever connects to others; nobody should take it for a server."""
     return [_CLIENT] if role is Role.RECORDER else [_CLIENT, _SERVER]
@@ -260,13 +240,14 @@ def _usage(**allowed: bool) -> x509.KeyUsage:
     return x509.KeyUsage(**{use: allowed.get(use, False) for use in uses})
 
 
-def _sign(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> x509.Certificate:
-    return builder.sign(key, hashes.SHA256())
-
-
-def _write(certificate_file: Path, key_file: Path, credential: Credential) -> None:
+def _write(
+    certificate_file: Path,
+    certificate: x509.Certificate,
+    key_file: Path,
+    key: ec.EllipticCurvePrivateKey,
+) -> None:
     """Write both files; the key's is created with its mode, so that it is never open to others."""
-    pem = credential.key.private_bytes(
+    pem = key.private_bytes(
         serialization.Encoding.PEM,
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
@@ -275,4 +256,4 @@ def _write(certificate_file: Path, key_file: Path, credential: Credential) -> No
     descriptor = os.open(key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "wb") as file:
         file.write(pem)
-    certificate_file.write_bytes(credential.certificate.public_bytes(serialization.Encoding.PEM))
+    certificate_file.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))

@@ -1,11 +1,21 @@
-"""What a machine must have for a scenario's link, checked before anything starts."""
+"""What a machine must have for a scenario's link, checked before anything starts.
+
+And where the processes of `run` listen: where the scenario says, and else where nobody else does.
+"""
 
 from __future__ import annotations
 
-from bus_schema.configuration import ConfigurationError
+import contextlib
+import socket
+from collections.abc import Iterator
+from dataclasses import replace
+
 from bus_schema.messages.topics import Role
 from deploy.scenario.scenario import Setup
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError, naming
+
+_KEYS = ("plant_endpoint", "controller_endpoint")
+_DATAGRAM_PROTOCOLS = ("udp", "quic")
 
 
 def check_link(setup: Setup, *, one_process: bool) -> None:
@@ -14,10 +24,8 @@ def check_link(setup: Setup, *, one_process: bool) -> None:
     Raises:
         ScenarioError: it has not.
     """
-    try:
+    with naming(setup.source):
         setup.link_kind.check_machine(setup.scenario.link, one_process=one_process)
-    except ConfigurationError as error:
-        raise ScenarioError(f"{setup.source}: {error}") from error
 
 
 def require_keys(setup: Setup, *roles: Role) -> None:
@@ -31,3 +39,66 @@ def require_keys(setup: Setup, *roles: Role) -> None:
         from deploy.processes.keys import check_keys  # needs libraries that no other run does
 
         check_keys(security.keys, roles)
+
+
+def with_free_endpoints(setup: Setup) -> Setup:
+    """A scenario with free TCP ports in place of the default endpoints.
+
+    Endpoints that the scenario or an override gives stay as they are.
+
+    Raises:
+        ScenarioError: one that is given cannot be listened at.
+    """
+    link = setup.scenario.link
+    given = [key for key in _KEYS if key in link.model_fields_set]
+    defaults = [key for key in _KEYS if key not in given]
+    with contextlib.ExitStack() as stack:
+        for key in given:
+            try:
+                stack.enter_context(_listening(getattr(link, key)))
+            except (OSError, OverflowError, UnicodeError) as error:
+                raise ScenarioError(
+                    f"{setup.source}: link.{key} = {getattr(link, key)!r}: must be an endpoint that"
+                    f" this machine can listen at: {error}"
+                ) from error
+        ports = zip(defaults, free_ports(len(defaults)), strict=True)
+        free = {key: f"{getattr(link, key).rpartition(':')[0]}:{port}" for key, port in ports}
+    scenario = setup.scenario.model_copy(update={"link": link.model_copy(update=free)})
+    return replace(setup, scenario=scenario)
+
+
+def free_ports(number: int) -> list[int]:
+    """TCP ports of this machine that nobody uses."""
+    with contextlib.ExitStack() as stack:
+        listeners = [stack.enter_context(socket.socket()) for _ in range(number)]
+        for listener in listeners:
+            listener.bind(("127.0.0.1", 0))
+        return [listener.getsockname()[1] for listener in listeners]
+
+
+@contextlib.contextmanager
+def _listening(endpoint: str) -> Iterator[None]:
+    """Occupy a Zenoh endpoint; one that is a file is left alone.
+
+    Raises:
+        OSError: it is in use, or not of this machine.
+        OverflowError: there is no such port.
+        UnicodeError: there is no such host.
+    """
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol == "unixsock-stream":
+        yield
+        return
+    if int(port) == 0:
+        raise OSError("nobody could connect to port 0")
+    is_datagram = protocol in _DATAGRAM_PROTOCOLS
+    kind = socket.SOCK_DGRAM if is_datagram else socket.SOCK_STREAM
+    family, _, _, _, place = socket.getaddrinfo(host.strip("[]"), None, type=kind)[0]
+    with socket.socket(family, kind) as listener:
+        if not is_datagram:  # else a port would stay taken for a while after its last user
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((place[0], int(port), *place[2:]))
+        if not is_datagram:
+            listener.listen()
+        yield

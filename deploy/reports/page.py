@@ -82,18 +82,13 @@ def write_page(
     write_whole(path, html)
 
 
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("deploy.reports"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.policies["json.dumps_function"] = lambda figure, **_: figure.to_json()
-    environment.tests["figure"] = lambda content: isinstance(content, go.Figure)
-    return environment
-
-
-_ENVIRONMENT = _environment()
+_ENVIRONMENT = Environment(
+    loader=PackageLoader("deploy.reports"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+_ENVIRONMENT.policies["json.dumps_function"] = lambda figure, **_: figure.to_json()
+_ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)

@@ -24,7 +24,6 @@ def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
         content.panels if summary["runs"] else (),
         Study(summary, folder.rerun_command),
         title=f"{summary['name']} · {content.verdict.headline}",
-        kind=content.kind,
         verdict=content.verdict,
         facts=[
             *content.facts,
@@ -32,12 +31,9 @@ def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
             Fact("Failed runs", str(summary["runs_failed"])),
             Fact("Seeds", _shortened(summary["seeds"])),
         ],
-        results=content.results,
-        points=content.points,
-        rerun=folder.rerun_command,
-        seeds=summary["seeds"],
-        has_runs=summary["runs"] > 0,
-        rows_file=folder.rows_file.name,
+        study=content,
+        summary=summary,
+        folder=folder,
     )
 
 

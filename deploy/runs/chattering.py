@@ -6,6 +6,7 @@ Power spectra after Welch: Hann-windowed segments of one second that overlap by 
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from bus_schema.arrays import Matrix, Vector
 
@@ -25,25 +26,16 @@ def power_spectrum(torques_nm: Matrix, rate_hz: float) -> tuple[Vector, Matrix]:
     Returns:
         Frequencies in Hz, shape (frequencies,), and N² m² at each, shape (frequencies, joints).
     """
-    samples = len(torques_nm)
-    length = min(samples, max(2, round(_SEGMENT_S * rate_hz)))
+    length = min(len(torques_nm), max(2, round(_SEGMENT_S * rate_hz)))
     varying = torques_nm - torques_nm.mean(axis=0)
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
-    starts = range(0, samples - length + 1, max(1, length // 2))
-    power = np.mean(
-        [
-            np.abs(np.fft.rfft(window[:, None] * varying[start : start + length], axis=0)) ** 2
-            for start in starts
-        ],
-        axis=0,
-    )
-    both_sides = np.full(len(power), 2.0)
-    both_sides[0] = 1.0
-    if length % 2 == 0:
-        both_sides[-1] = 1.0
-    scale = both_sides[:, None] / (length * np.sum(window**2))
-    frequencies = np.arange(len(power)) * (rate_hz / length)
-    return np.asarray(frequencies, dtype=np.float64), np.asarray(scale * power)
+    segments = sliding_window_view(varying, length, axis=0)[:: max(1, length // 2)]
+    power = (np.abs(np.fft.rfft(window * segments)) ** 2).mean(axis=0).T
+    bins = np.arange(len(power))  # all but the first, and the last of an even length, stand for two
+    sides = np.where((bins == 0) | (2 * bins == length), 1.0, 2.0)
+    scale = sides[:, None] / (length * np.sum(window**2))
+    frequencies = np.asarray(bins * (rate_hz / length), dtype=np.float64)
+    return frequencies, np.asarray(scale * power)
 
 
 def chatter_shares(torques_nm: Matrix, rate_hz: float) -> list[float] | None:

@@ -71,12 +71,8 @@ def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[
     settled: list[float | None] = []
     for error, band in zip(errors.T, band_rad, strict=True):
         outside = np.flatnonzero(np.abs(error) > band)
-        if not outside.size:
-            settled.append(float(times_s[0]) if len(times_s) else None)
-        elif outside[-1] + 1 < len(times_s):
-            settled.append(float(times_s[outside[-1] + 1]))
-        else:
-            settled.append(None)
+        entered = outside[-1] + 1 if outside.size else 0
+        settled.append(float(times_s[entered]) if entered < len(times_s) else None)
     return settled
 
 
@@ -104,21 +100,27 @@ def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]
     truth = run.tables[topics.PLANT_TRUTH.name]
     missed = truth["deadline_met"] == 0
     misses = int(missed.sum())
-
-    def in_us(values_ns: NDArray[np.int64]) -> dict[str, float | None]:
-        return percentiles(values_ns[values_ns >= 0] * 1e-3)  # below 0: there is none
-
     return {
-        "round_trip_us": in_us(truth["round_trip_ns"]),
-        "command_age_us": in_us(truth["command_age_ns"]),
-        "state_age_us": in_us(truth["state_age_ns"]),
-        "control_step_us": in_us(run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"]),
-        "wakeup_lateness_us": in_us(truth["timing.lateness_ns"]),
+        **{name: percentiles(values_us) for name, values_us in times_us(run).items()},
         "deadline_misses": misses,
         "deadline_miss_longest_run": _longest_run(missed),
         "success_rate": 1.0 - misses / ticks if ticks else None,
         "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
     }
+
+
+def times_us(run: RunData) -> dict[str, Vector]:
+    """All values of every time that was ever measured, µs, by its name in the summary."""
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    in_nanoseconds = {
+        "round_trip_us": truth["round_trip_ns"],
+        "command_age_us": truth["command_age_ns"],
+        "state_age_us": truth["state_age_ns"],
+        "control_step_us": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
+        "wakeup_lateness_us": truth["timing.lateness_ns"],
+    }
+    # below 0: there is none
+    return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> int:

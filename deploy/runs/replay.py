@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import zip_longest
 
 from bus_schema.arrays import Vector
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
@@ -69,14 +70,12 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     if not contents.complete or process_faults(setup.scenario.faults):
         whole = min(len(recorded), len(replayed))
         recorded, replayed = recorded[:whole], replayed[:whole]
-    pairs = zip(recorded, replayed, strict=False)
+    pairs = zip_longest(recorded, replayed)
     differing = (index for index, (a, b) in enumerate(pairs) if a != b)
-    shorter = min(len(recorded), len(replayed))
-    first = next(differing, None if len(recorded) == len(replayed) else shorter)
     return Replay(
         recorded=len(recorded),
         replayed=len(replayed),
-        first_difference=first,
+        first_difference=next(differing, None),
         digest=digest(states, replayed),
         recorded_digest=digest(states, recorded),
     )

@@ -45,16 +45,13 @@ def row(summary: dict[str, Any], seed: int) -> Row:
         summary: the run's ``summary.json``.
         seed: the scenario's seed.
     """
-    bounds, tracking, torque = (summary[name] for name in ("bounds", "tracking", "torque"))
-    values = {**bounds, **tracking, **torque, "bounds_kept": bounds["kept"]}
-    values |= {name: summary[name] for name in ("scenario", "law", "duration_s", "ticks")}
-    values |= {name: summary[name] for name in ("completed", "digest")}
-    values["seed"] = seed
-    values["error"] = "; ".join(summary["faults"]) or None
-    values["deadline_misses"] = summary["timing"]["deadline_misses"]
-    bound = tracking["settling_bound_s"]
+    error = "; ".join(summary["faults"]) or None
+    values = summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
+    for section in ("bounds", "tracking", "torque", "timing"):
+        values |= summary[section]
+    bound = values["settling_bound_s"]
     if bound is not None and not isinstance(bound, list):
-        values["settling_bound_s"] = [bound] * len(tracking["joint_names"])
+        values["settling_bound_s"] = [bound] * len(values["joint_names"])
     return {name: values[name] for name in _COLUMNS}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import count, islice
 
 import numpy as np
 
@@ -42,17 +43,10 @@ def spread_positions(robot: RobotDescription) -> Matrix:
     """
     lower = np.where(np.isfinite(robot.lower_rad), robot.lower_rad, -math.pi)
     upper = np.where(np.isfinite(robot.upper_rad), robot.upper_rad, math.pi)
-    steps = np.sqrt(_primes(robot.joints))
+    primes = (
+        number for number in count(2) if all(number % divisor for divisor in range(2, number))
+    )
+    steps = np.sqrt(list(islice(primes, robot.joints)))
     spread = np.outer(np.arange(_POSITIONS), steps) % 1.0
     straight = np.clip(np.zeros(robot.joints), lower, upper)
     return np.vstack([straight, lower + spread * (upper - lower)])
-
-
-def _primes(count: int) -> Vector:
-    found: list[int] = []
-    number = 2
-    while len(found) < count:
-        if all(number % prime for prime in found):
-            found.append(number)
-        number += 1
-    return np.array(found, dtype=np.float64)

@@ -36,7 +36,7 @@ from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import Reference, sample_positions
 from controller.reference_configuration import ReferenceConfiguration
 from deploy.link_kinds.kind import LinkKind, LinkRun
-from deploy.link_kinds.table import kind_of
+from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.referenced_files import find_delay_files, find_urdf
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -169,23 +169,14 @@ class Setup:
     @property
     def link_kind(self) -> LinkKind[Any]:
         """What there is to know of the scenario's kind of link."""
-        return kind_of(self.scenario.link)
+        return LINK_KINDS.build(self.scenario.link.kind)
 
     def link_run(
         self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
     ) -> LinkRun:
         """What the link has to know of the run; the arguments are those of `LinkRun`."""
-        return LinkRun(
-            robot=self.robot,
-            link=self.scenario.link,
-            plant=self.scenario.plant,
-            grid=self.grid,
-            ticks=self.ticks,
-            seed=self.scenario.seed,
-            lockstep=lockstep,
-            bus=bus,
-            can_log=can_log,
-        )
+        task = self.plant_task(lockstep=lockstep)
+        return LinkRun(**vars(task), bus=bus, can_log=can_log)
 
     def arm(self) -> ArmPlant:
         """A fresh arm at its start, of the type that the link needs."""
@@ -266,7 +257,7 @@ def check(scenario: Scenario, source: Path) -> Setup:
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:
-    link_kind = kind_of(scenario.link)
+    link_kind = LINK_KINDS.build(scenario.link.kind)
     PROTOCOLS.check(scenario.link.can.protocol)
     robot = load_robot(find_urdf(scenario.robot.urdf, source.parent))
     reference = scenario.reference.build(robot)

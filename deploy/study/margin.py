@@ -15,16 +15,9 @@ from controller.laws import LAWS
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
 from deploy.scenario.yaml_files import naming, override, validated
-from deploy.study.definition import (
-    Different,
-    Name,
-    Seeds,
-    StudyDefinition,
-    scenario_name,
-)
 from deploy.study.margin_search import MarginSearch
 from deploy.study.statistics import held, spread_of_runs
-from deploy.study.study import Run, Study
+from deploy.study.study import Different, Name, Run, Seeds, Study, StudyDefinition, scenario_name
 
 
 @dataclass(frozen=True)
@@ -112,11 +105,6 @@ class Case:
     overrides: tuple[str, ...]
     search: MarginSearch
     rows: dict[int, list[Row]] = field(default_factory=dict)
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """What tells it from other cases, by column."""
-        return {"arm": self.base.scenario.name, "compensation": self.compensation}
 
 
 class Margin(Study):
@@ -215,7 +203,8 @@ class Margin(Study):
             return []
         value, runs = self._value(steps), []
         for start, scale in enumerate(self.definition.offsets):
-            columns = {**case.columns, "quantity": self.definition.quantity, "value": value,
+            columns = {"arm": case.base.scenario.name, "compensation": case.compensation,
+                       "quantity": self.definition.quantity, "value": value,
                        "offset_scale": scale}  # fmt: skip
             overrides = self._overrides(case, value, scale)
             runs += [

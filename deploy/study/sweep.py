@@ -22,9 +22,15 @@ from deploy.scenario.yaml_files import (
     read_yaml,
     validated,
 )
-from deploy.study.definition import SHIPPED, StudyDefinition, require_different, scenario_name
 from deploy.study.statistics import spread_of_runs
-from deploy.study.study import Run, Study
+from deploy.study.study import (
+    SHIPPED,
+    Run,
+    Study,
+    StudyDefinition,
+    require_different,
+    scenario_name,
+)
 
 _MOST_VALUES = 10_000
 
@@ -64,11 +70,6 @@ class SweepDefinition(StudyDefinition):
     scenario: str
     grid: dict[str, Values]
 
-    @property
-    def axes(self) -> dict[tuple[str, ...], list[Any]]:
-        """Values by the keys that take them together."""
-        return {tuple(key.strip() for key in keys.split(",")): v for keys, v in self.grid.items()}
-
 
 class Sweep(Study):
     """The runs of a sweep.
@@ -82,7 +83,7 @@ class Sweep(Study):
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         given = validated(values, SweepDefinition, source)
-        self.axes = given.axes
+        self.axes = {tuple(map(str.strip, keys.split(","))): v for keys, v in given.grid.items()}
         self.columns = {k: _kind(values) for keys, values in self.axes.items() for k in keys}
         with naming(source):
             _check_keys(self.axes, given.fixed)

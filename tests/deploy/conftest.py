@@ -11,7 +11,6 @@ import pytest
 from deploy import cli
 from deploy.cli import processes as cli_processes
 from deploy.cli import run as cli_run
-from deploy.cli import simulate as cli_simulate
 
 
 @pytest.fixture(scope="session")
@@ -40,6 +39,6 @@ def nothing_starts(monkeypatch):
         pytest.fail("something was started")
 
     monkeypatch.setattr(cli_run, "Launcher", start)
-    monkeypatch.setattr(cli_simulate, "simulate_setup", start)
+    monkeypatch.setattr(cli_run, "simulate_setup", start)
     for name in ("run_controller", "run_plant", "run_recorder"):
         monkeypatch.setattr(cli_processes, name, start)

@@ -37,11 +37,3 @@ def answer(address: str, messages: Messages) -> None:
         while True:
             if far.recv(_LARGEST) == messages.state:
                 far.send(messages.command)
-
-
-def free_port() -> int:
-    """A TCP port that nobody uses."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port

@@ -11,7 +11,7 @@ from bus_schema.messages import topics
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.benchmarks.echo import Messages, TryingNearEnd
-from deploy.benchmarks.transports.udp import free_port
+from deploy.processes.links import free_ports
 
 _ATTACHMENT = Attachment(1, 0, bytes(16)).encode()
 _DOMAIN = 0
@@ -23,7 +23,7 @@ class Near(TryingNearEnd):
     def __init__(
         self, messages: Messages, protocol: str = "tcp", security: Mapping[str, Any] | None = None
     ) -> None:
-        self.address = f"{protocol}/127.0.0.1:{free_port()}"
+        self.address = f"{protocol}/127.0.0.1:{free_ports(1)[0]}"
         self._replies: queue.SimpleQueue[Delivery] = queue.SimpleQueue()
         self._session = ZenohSession([self.address], [], low_latency=True, security=security)
         carried = {topics.PLANT_STATUS: messages.status, topics.JOINT_STATES: messages.state}

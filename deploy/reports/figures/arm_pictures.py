@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from contextlib import closing
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,19 +28,13 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    arm = PybulletArm(run.setup.robot, run.setup.grid.substep_s)
-    try:
+    size_px = (_OVERSAMPLING * _WIDTH_PX, _OVERSAMPLING * _HEIGHT_PX)
+    with closing(PybulletArm(run.setup.robot, run.setup.grid.substep_s)) as arm:
         extent = arm.extent(positions)
-        pictures = [
-            arm.render(position, _OVERSAMPLING * _WIDTH_PX, _OVERSAMPLING * _HEIGHT_PX, extent)
-            for position in positions
+        return [
+            Picture(float(times_s[tick]), _png(arm.render(position, *size_px, extent)))
+            for tick, position in zip(ticks, positions, strict=True)
         ]
-    finally:
-        arm.close()
-    return [
-        Picture(float(times_s[tick]), _png(pixels))
-        for tick, pixels in zip(ticks, pictures, strict=True)
-    ]
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import plotly.graph_objects as go
 
 from deploy.comparison.comparison import Comparison
-from deploy.comparison.settling import LONGEST_S, SettlingRow
+from deploy.comparison.settling import LONGEST_S, Start
 from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_law_legend, joint_bars, law_colour, law_group
 from deploy.reports.quantities import SETTLING_BOUND, SETTLING_TIME
@@ -41,13 +41,13 @@ def settling_from_afar(comparison: Comparison) -> go.Figure | None:
     top_s = min(LONGEST_S, comparison.runs[0].data.setup.scenario.duration_s)
     for test in reversed(comparison.settling):  # the first law lies on top
         colour, group = law_colour(comparison, test.law), law_group(comparison, test.law)
-        distances = [row.distance_rad for row in test.rows]
-        times = [row.settling_time_s for row in test.rows]
+        distances = [start.distance_rad for start in test.starts]
+        times = [start.settling_time_s for start in test.starts]
         figure.add_scatter(
             x=distances, y=[top_s if time is None else time for time in times],
             name=style.plain(test.law), legendgroup=group, mode="lines+markers",
             line={"color": colour, "width": 1.6},
-            marker={"symbol": [_symbol(row) for row in test.rows], "size": 9, "color": colour,
+            marker={"symbol": [_symbol(start) for start in test.starts], "size": 9, "color": colour,
                     "line": {"color": colour, "width": 2}},
             text=[" (not settled)" if time is None else "" for time in times],
             hovertemplate="%{x:.3g} rad: %{y:.3g} s%{text}",
@@ -69,8 +69,8 @@ def settling_from_afar(comparison: Comparison) -> go.Figure | None:
     return figure
 
 
-def _symbol(row: SettlingRow) -> str:
+def _symbol(start: Start) -> str:
     """A cross (at the top) for a start from which a law did not settle."""
-    if row.settling_time_s is None:
+    if start.settling_time_s is None:
         return "x-thin-open"
-    return "circle" if row.bounds_kept else "circle-open"
+    return "circle" if start.bounds_kept else "circle-open"

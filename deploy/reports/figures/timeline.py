@@ -65,12 +65,8 @@ def timeline(run: RunData) -> go.Figure | None:
 
 def mode_spans(run: RunData, role: Role) -> list[tuple[Mode, float, float]]:
     """Mode, start and end in s of all that a side told of."""
-    told = [event for event in run.events if event.source == role]
-    changes = [
-        (mode, event.stamp_ns * 1e-9)
-        for event in told
-        if event.kind == EventKind.MODE and (mode := mode_in(event.detail)) is not None
-    ]
+    told = [e for e in run.events if e.source == role and e.kind == EventKind.MODE]
+    changes = [(mode, e.stamp_ns * 1e-9) for e in told if (mode := mode_in(e.detail)) is not None]
     if not changes:
         return []
     ends = [start_s for _, start_s in changes[1:]]

@@ -12,6 +12,7 @@ from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from deploy.reports.figures import style
 from deploy.reports.quantities import TIMES
+from deploy.runs.metrics import times_us
 from deploy.runs.run_data import RunData
 
 _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 99.9999)
@@ -21,7 +22,7 @@ _BARS = 200
 
 def timing_percentiles(run: RunData) -> go.Figure | None:
     """Every timing quantity as a curve over its percentiles, spaced by 1 / (1 − p)."""
-    quantities = timing_quantities_us(run)
+    quantities = {TIMES[key]: values for key, values in times_us(run).items() if len(values)}
     longest = max((len(values) for values in quantities.values()), default=0)
     if not longest:
         return None
@@ -63,20 +64,6 @@ def deadline_misses(run: RunData) -> go.Figure | None:
     figure.update_xaxes(title_text="time (s)", range=[0.0, edges[-1]])
     figure.update_yaxes(title_text="missed ticks (%)", rangemode="tozero")
     return figure
-
-
-def timing_quantities_us(run: RunData) -> dict[str, Vector]:
-    """All values of every timing quantity that was ever measured, µs, by readable name."""
-    truth = run.tables[topics.PLANT_TRUTH.name]
-    in_nanoseconds = {
-        "round_trip_us": truth["round_trip_ns"],
-        "command_age_us": truth["command_age_ns"],
-        "state_age_us": truth["state_age_ns"],
-        "control_step_us": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
-        "wakeup_lateness_us": truth["timing.lateness_ns"],
-    }
-    known = {TIMES[key]: values[values >= 0] * 1e-3 for key, values in in_nanoseconds.items()}
-    return {name: values for name, values in known.items() if len(values)}
 
 
 def _percentile_curve(name: str, values: Vector, colour: str) -> go.Scatter:

@@ -9,7 +9,7 @@ from rich.console import Console
 from deploy.cli import progress as progress_module
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
-from deploy.cli.show_study import RunCounter
+from deploy.cli.studies import RunCounter
 from deploy.processes.status import StatusMessage
 
 

@@ -4,13 +4,12 @@ import re
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
-from deploy.comparison.settling import SettlingRow, SettlingTest
+from deploy.comparison.settling import SettlingTest, Start
 from deploy.reports.compare_report import write_comparison_report
 from deploy.reports.compare_tables import verdict_on_laws
 from deploy.reports.figures.end_effector import tip_paths
@@ -40,8 +39,8 @@ def law_run(law):
 @pytest.fixture(scope="module")
 def comparison():
     runs = [law_run("fixed_time_neural"), law_run("pid")]
-    rows = [SettlingRow(np.full(3, 0.1), 0.4, bounds_kept=True),
-            SettlingRow(np.full(3, 1.0), None, bounds_kept=False)]  # fmt: skip
+    rows = [Start([0.1] * 3, 0.4, bounds_kept=True),
+            Start([1.0] * 3, None, bounds_kept=False)]  # fmt: skip
     bounds = (2.5, None)
     return Comparison(
         runs, [SettlingTest(run.law, bound, rows) for run, bound in zip(runs, bounds, strict=True)]

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from deploy.cli.show_study import show_study
+from deploy.cli.studies import show_study
 from deploy.reports.study_report import write_study_report
 
 HOSTILE = "</script><script>alert(1)</script>"

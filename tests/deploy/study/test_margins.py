@@ -13,9 +13,9 @@ from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.conduct import retrace
-from deploy.study.definition import SHIPPED
 from deploy.study.folder import create_folder
 from deploy.study.margin import Margin, MarginDefinition
+from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
 
