@@ -159,13 +159,11 @@ class Dynamics(Protocol):
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
         """M(q) a + C(q, q̇) q̇ + G(q), N m, in a fresh array."""
-        ...
 
     def torque_along(
         self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
     ) -> Vector:
         """M(q) a + C(q, q̇) v + G(q) for a velocity v that need not be q̇, N m, in a fresh array."""
-        ...
 
 
 class ControlLaw(Protocol):
@@ -178,8 +176,6 @@ class ControlLaw(Protocol):
 
     def torque(self, tracking: Tracking) -> Vector:
         """Joint torques in N m, shape (joints,); the array may be reused by the next call."""
-        ...
 
     def reset(self) -> None:
         """Forget everything since construction."""
-        ...

@@ -23,11 +23,9 @@ class CanCodec(Protocol):
 
     def sampling_frames(self) -> Sequence[CanFrame]:
         """Frames by which the master has all drives sample their joints."""
-        ...
 
     def is_sampling(self, frame: CanFrame) -> bool:
         """Whether a frame is one of those."""
-        ...
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         """Decode the state of a joint, rad and rad/s; the joint, None for any other frame.
@@ -37,11 +35,9 @@ class CanCodec(Protocol):
             position: where its position is written, shape (joints,).
             velocity: where its velocity is written, shape (joints,).
         """
-        ...
 
     def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
         """Frames with a torque for each joint, shape (joints,)."""
-        ...
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         """Decode the torque for a joint, as rounded for the wire; the joint, None if it has none.
@@ -50,7 +46,6 @@ class CanCodec(Protocol):
             frame: any frame.
             torque_nm: where the torque is written, shape (joints,).
         """
-        ...
 
 
 def as_delivered(codec: CanCodec, torque_nm: Vector) -> Vector:

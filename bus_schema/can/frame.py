@@ -43,12 +43,9 @@ class CanBus(Protocol):
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame."""
-        ...
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         """The next frame that another node sent; None if none came within `timeout_s`."""
-        ...
 
     def close(self) -> None:
         """Leave the bus."""
-        ...

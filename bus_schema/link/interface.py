@@ -38,7 +38,6 @@ class Link(Protocol):
 
     def publish(self, topic: Topic, payload: bytes) -> int:
         """Send a message; for a command, its number, from 1."""
-        ...
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -48,15 +47,12 @@ class Link(Protocol):
         Raises:
             PeerSilentError: none came within `timeout_s`, wall time.
         """
-        ...
 
     def await_recorded(self) -> None:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
-        ...
 
     def close(self) -> None:
         """Leave the bus."""
-        ...
 
 
 class Telemetry(Link, Protocol):
@@ -64,7 +60,6 @@ class Telemetry(Link, Protocol):
 
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""
-        ...
 
 
 class PlantLink(Link, Protocol):
@@ -78,19 +73,15 @@ class PlantLink(Link, Protocol):
         Raises:
             PeerSilentError: nobody came within `timeout_s`, wall time.
         """
-        ...
 
     def send_state(self, state: bytes, status: bytes) -> None:
         """Send a joint state with the plant status that belongs to it."""
-        ...
 
     def await_command(self, timeout_s: float) -> bool:
         """Wait for a command that was not yet taken; whether there is one."""
-        ...
 
     def take_commands(self) -> list[CommandArrival]:
         """All commands that arrived since the last call, in order of arrival."""
-        ...
 
     def overflow(self) -> int:
         """How many commands were left out, because too many waited to be taken."""
@@ -98,11 +89,9 @@ class PlantLink(Link, Protocol):
 
     def controller_has_left(self) -> bool:
         """Whether the controller was on the bus and is there no longer."""
-        ...
 
     def sender_has_left(self, sender: bytes) -> bool:
         """Whether the session that sends commands as `sender` was on the bus and is gone."""
-        ...
 
     def fault(self) -> str | None:
         """Why the arm must stop now, as the bus or a drive on it reports; None if all is well."""
@@ -122,11 +111,9 @@ class ControllerLink(Link, Protocol):
 
     def serve(self, on_state: StateHandler) -> None:
         """Have `on_state` called for each joint state that arrives, one at a time."""
-        ...
 
     def activate(self) -> None:
         """Announce that states will be answered from now on, which lets the plant start."""
-        ...
 
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
         """Answer joint states to the end of the run, or until asked to stop.
@@ -135,4 +122,3 @@ class ControllerLink(Link, Protocol):
             BusError: the plant never came or went silent, a drive failed, or the bus was lost.
             Exception: whatever the handler of states raised.
         """
-        ...

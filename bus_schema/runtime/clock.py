@@ -11,22 +11,18 @@ class Clock(Protocol):
 
     def start(self) -> None:
         """The run starts now: time is 0."""
-        ...
 
     def anchor(self, ago_ns: int) -> None:
         """Note that the run began `ago_ns` ago, by a sign from outside: `start` sets time 0 there.
 
         Until `start`, time goes on as before. Virtual time begins with `start` whatever was noted.
         """
-        ...
 
     def now_ns(self) -> int:
         """Time since the start of the run."""
-        ...
 
     def wait_until(self, instant_ns: int) -> int:
         """Return at `instant_ns` or as soon after it as possible; the lateness in ns."""
-        ...
 
 
 class VirtualClock:

@@ -18,7 +18,6 @@ from deploy.cli.common import (
 )
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import status_handler
-from deploy.processes.command_process import prepare
 from deploy.processes.launcher import Launcher, RunOutcome
 from deploy.processes.links import check_link, require_keys, with_free_endpoints
 from deploy.runs.run_folder import RunFolder
@@ -33,7 +32,6 @@ def run(
     require_bounds: RequireBounds = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
-    prepare()
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_keys(setup, *Role)

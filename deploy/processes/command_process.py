@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import runpy
 import sys
-from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -26,11 +25,6 @@ class CommandProcess(NamedTuple):
     stdin: IO[str]
     stdout: IO[str]
     stderr: IO[str]
-
-
-def prepare() -> None:
-    """Have the fork server load the program meanwhile, which takes it a second or two."""
-    forkserver.ensure_running()
 
 
 def start(words: list[str]) -> CommandProcess:

@@ -49,11 +49,9 @@ class ConditionFault(Protocol):
 
     def is_active(self, now_ns: int) -> bool:
         """Whether it does so now."""
-        ...
 
     def changed(self, conditions: Conditions) -> Conditions:
         """The conditions while it does so."""
-        ...
 
 
 class _Change(NamedTuple):

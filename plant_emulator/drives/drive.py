@@ -112,26 +112,21 @@ class Drive(Protocol):
     @property
     def targets(self) -> int:
         """Targets (torques) accepted so far."""
-        ...
 
     @property
     def samplings(self) -> int:
         """Times the values were sampled for the controller: on SYNC, or on its request."""
-        ...
 
     @property
     def status(self) -> str:
         """The drive's state in the protocol's own word."""
-        ...
 
     @property
     def fault(self) -> str | None:
         """What is wrong, None if nothing is."""
-        ...
 
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show from now on."""
-        ...
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         """Take a classical data or remote frame; whether it was for this drive.
@@ -139,32 +134,24 @@ class Drive(Protocol):
         Raises:
             InvalidMessageError: it was, and makes no sense. Nothing has changed.
         """
-        ...
 
     def advance(self, now_ns: int) -> None:
         """Do what is due: boot, cyclic frames, timeouts, the end of a slow-down."""
-        ...
 
     def demand(self) -> JointDemand:
         """What the drive does to its joint as things are."""
-        ...
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         """Let ``DRIVE`` or ``OVER_TEMPERATURE`` happen."""
-        ...
 
     def heal(self, fault: DriveFault, now_ns: int) -> None:
         """Take a lasting fault's cause away; its consequences stay until they are reset."""
-        ...
 
     def lose_bus(self, now_ns: int) -> None:
         """The drive's CAN controller went bus-off."""
-        ...
 
     def regain_bus(self, now_ns: int) -> None:
         """The drive's CAN controller is back on the bus."""
-        ...
 
     def describe(self, frame: CanFrame) -> str | None:
         """A frame in words, None if it is not between a master and this drive."""
-        ...

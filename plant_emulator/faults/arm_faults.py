@@ -15,7 +15,6 @@ class ArmHardware(Protocol):
 
     def drop_payload(self) -> None:
         """Take the payload off for good."""
-        ...
 
 
 class EncoderReading(NamedTuple):
