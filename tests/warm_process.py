@@ -1,7 +1,7 @@
 """Commands as processes of their own that have their libraries from the first.
 
 To import them costs a process more than most of what it does in a test. So one process imports them
-and does nothing else: it opens no session and runs nothing. Every command is forked from it, with
+and does little else: it opens no session and runs nothing. Every command is forked from it, with
 process id, signals, output and end of its own. That the command line starts from nothing too is
 tested where it is looked at as a whole.
 """
@@ -139,6 +139,7 @@ def _serve(requests: socket.socket) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for module in IMPORTED:
         import_module(module)
+    import_module("deploy.scenario.scenario").load_setup("paper_arm")  # loads compiled kernels
     gc.freeze()
     while True:
         request, handles, *_ = socket.recv_fds(requests, _LARGEST, 2)
