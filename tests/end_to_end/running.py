@@ -7,11 +7,10 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,10 +28,14 @@ from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy import cli
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
-
-ROOT = Path(__file__).resolve().parents[2]
-HANG_S = 120.0
-"""Longer than anything here takes on a slow machine; only a hang lasts so long."""
+from tests.warm_process import (
+    FUNNEL_HIL,
+    HANG_S,
+    ROOT,
+    WITHOUT_REPORT,
+    WarmProcess,
+    no_report,
+)
 
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
 _ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400"}
@@ -83,16 +86,14 @@ def settings(**values: Any) -> list[str]:
     ]
 
 
-def funnel_hil(*words: str, out: Path | None) -> Finished:
+def funnel_hil(*words: str, out: Path | None, with_report: bool = False) -> Finished:
     """Run a command to its end, in a process of its own."""
-    ended = subprocess.run(
-        _command(*words, out=out),
-        cwd=ROOT, env=_ENVIRONMENT, capture_output=True, text=True, timeout=HANG_S, check=False,
-    )  # fmt: skip
-    return Finished(out or Path(), ended.returncode, ended.stdout + ended.stderr)
+    process = _process(*words, out=out, with_report=with_report)
+    output, _ = process.communicate()
+    return Finished(out or Path(), process.wait(), output)
 
 
-def funnel_hil_here(*words: str, out: Path | None) -> Finished:
+def funnel_hil_here(*words: str, out: Path | None, with_report: bool = False) -> Finished:
     """Run a command to its end in this process, which has its libraries already.
 
     Plant, controller and recorder of a run are processes of their own all the same.
@@ -103,11 +104,12 @@ def funnel_hil_here(*words: str, out: Path | None) -> Finished:
 
     said = io.StringIO()
     with (
-        mock.patch.object(sys, "argv", _command(*words, out=out)[2:]),
+        mock.patch.object(sys, "argv", ["funnel-hil", *_command(*words, out=out)]),
         mock.patch.dict(os.environ, _ENVIRONMENT),
         _signal_handlers_restored(),
         redirect_stdout(said),
         redirect_stderr(said),
+        nullcontext() if with_report else no_report(),
     ):
         signal.signal(signal.SIGALRM, hangs)
         signal.alarm(round(HANG_S))
@@ -134,7 +136,7 @@ def _signal_handlers_restored() -> Iterator[None]:
 class Running:
     """A command under way."""
 
-    def __init__(self, folder: Path, process: subprocess.Popen[str]) -> None:
+    def __init__(self, folder: Path, process: WarmProcess) -> None:
         self.folder = folder
         self.process = process
 
@@ -149,21 +151,19 @@ class Running:
         os.kill(self.process.pid if role is None else processes_of(self.folder)[role], number)
 
     def end(self) -> Finished:
-        output, _ = self.process.communicate(timeout=HANG_S)
-        return Finished(self.folder, self.process.returncode, output)
+        output, _ = self.process.communicate()
+        return Finished(self.folder, self.process.wait(), output)
 
 
 @contextmanager
-def started(*words: str, out: Path) -> Iterator[Running]:
+def started(*words: str, out: Path, with_report: bool = False) -> Iterator[Running]:
     """A command under way; whatever is left of it at the end is killed."""
-    process = subprocess.Popen(
-        _command(*words, out=out),
-        cwd=ROOT, env=_ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+    process = _process(*words, out=out, with_report=with_report)
     try:
         yield Running(out, process)
     finally:
-        for pid in [process.pid, *processes_of(out).values()]:
+        process.kill()
+        for pid in processes_of(out).values():
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         process.wait()
@@ -225,6 +225,10 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
 
 
+def _process(*words: str, out: Path | None, with_report: bool) -> WarmProcess:
+    main = FUNNEL_HIL if with_report else WITHOUT_REPORT
+    return WarmProcess(*_command(*words, out=out), main=main, environment=_ENVIRONMENT)
+
+
 def _command(*words: str, out: Path | None) -> list[str]:
-    command = [sys.executable, "-m", "deploy.cli", *words]
-    return command if out is None else [*command, "--out", str(out)]
+    return list(words) if out is None else [*words, "--out", str(out)]

@@ -28,13 +28,13 @@ def on_free_port() -> list[str]:
 
 
 def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> None:
-    run = funnel_hil(
-        "run", "paper_arm_can", *on_free_port(), *settings(duration_s=1), out=tmp_path / "run"
-    )
+    words = ["run", "paper_arm_can", *on_free_port(), *settings(duration_s=1)]
+    run = funnel_hil(*words, out=tmp_path / "run", with_report=True)
     assert run.code == 0, run.output
     virtual = load_setup("paper_arm_can", ["duration_s=1", "link.can.interface=virtual"])
     assert run.digest == simulate(virtual).data().digest
     assert run.summary["transport"]["can"]["frames_by_identifier"]["080"] == 500
+    assert (run.folder / "report.html").is_file()
     assert "identical" in funnel_hil_here("replay", str(run.folder), out=None).output
 
 

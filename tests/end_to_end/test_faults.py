@@ -28,7 +28,7 @@ from running import (
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.runtime.modes import Mode
 
-DISRUPTED_AT_S = 1.0
+DISRUPTED_AT_S = 0.5
 PERIOD_S = 0.001
 # In real time a busy machine may well hold up a loop for the 200 ms that are the default.
 COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 1.0}
@@ -64,14 +64,18 @@ class DisruptedRun:
 
 
 def disrupt(
-    tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str
-) -> DisruptedRun:
+    tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str,
+    at_s: float = DISRUPTED_AT_S, with_report: bool = False,
+) -> DisruptedRun:  # fmt: skip
     """Send a signal to a process of a run, or to the run itself, in the middle of it."""
     timeout_ms = 1e3 * COMMAND_TIMEOUT_S[clock]
     plant = settings(clock=clock, plant__command_timeout_ms=timeout_ms)
     words = ["run", "paper_arm", *LONG, *plant, *more]
-    with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
-        watcher.await_time(DISRUPTED_AT_S, run)
+    with (
+        started(*words, out=tmp_path / "run", with_report=with_report) as run,
+        Watcher(run.plant_endpoint()) as watcher,
+    ):
+        watcher.await_time(at_s, run)
         disrupted_s = watcher.last_stamp_ns * 1e-9
         run.send(number, role)
         ended = run.end()
@@ -131,7 +135,7 @@ def test_run_ends_when_the_plant_is_killed(tmp_path: Path, clock: str) -> None:
 
 @both_clocks
 def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> None:
-    disrupted = disrupt(tmp_path, clock, signal.SIGKILL, "recorder")
+    disrupted = disrupt(tmp_path, clock, signal.SIGKILL, "recorder", at_s=1.5)
     assert disrupted.run.code == 1
     assert disrupted.causes == ["the recorder was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
@@ -141,7 +145,8 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
     assert not (disrupted.run.folder / "run.mcap").exists()  # there is no whole recording
     assert disrupted.run.summary["recorder"]["lost"] is None  # nobody counted to the end
     for command in ("report", "replay") if clock == "lockstep" else ():
-        looked_at = funnel_hil_here(command, str(disrupted.run.folder), out=None)
+        words = command, str(disrupted.run.folder)
+        looked_at = funnel_hil_here(*words, out=None, with_report=True)
         assert looked_at.code == 0, looked_at.output
         assert "The recording is partial" in looked_at.output
 
@@ -183,7 +188,7 @@ def test_interrupted_run_leaves_complete_files(
     tmp_path: Path, clock: str, number: signal.Signals
 ) -> None:
     patient = settings(plant__command_timeout_ms=5000)  # a busy machine is another matter
-    disrupted = disrupt(tmp_path, clock, number, None, *patient)
+    disrupted = disrupt(tmp_path, clock, number, None, *patient, with_report=True)
     assert disrupted.run.code == 130
     assert disrupted.run.summary["completed"] is False
     assert disrupted.run.summary["faults"] == []

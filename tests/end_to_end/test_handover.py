@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from running import (
-    HANG_S,
-    ROOT,
     Watcher,
     await_true,
     free_endpoint,
@@ -22,27 +17,24 @@ from running import (
 )
 
 from bus_schema.messages.run_event import EventKind
+from tests.warm_process import WarmProcess
 
 LONG = settings(clock="lockstep", duration_s=40, link__connect_timeout_s=60)
 
 
 @contextmanager
-def another_controller(plant_endpoint: str) -> Iterator[subprocess.Popen[str]]:
+def another_controller(plant_endpoint: str) -> Iterator[WarmProcess]:
     """A controller that has begun to answer the states of a run under way."""
     endpoints = settings(
         link__plant_endpoint=plant_endpoint, link__controller_endpoint=free_endpoint()
     )
-    process = subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", "controller", "paper_arm", *LONG, *endpoints],
-        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout is not None
+    process = WarmProcess("controller", "paper_arm", *LONG, *endpoints)
     try:
-        assert any("error_mrad" in line for line in process.stdout), "it never got so far"
+        await_true(lambda: "error_mrad" in process.said(), "it answers")
         yield process
     finally:
         process.kill()
-        process.communicate()
+        process.wait()
 
 
 def test_second_controller_is_not_heard_before_the_first_has_left(tmp_path: Path) -> None:
@@ -56,7 +48,7 @@ def test_second_controller_is_not_heard_before_the_first_has_left(tmp_path: Path
                 watcher.await_time(watcher.last_stamp_ns * 1e-9 + 0.5, run)  # the run goes on
                 run.send(signal.SIGINT)
                 ended = run.end()
-                assert successor.wait(HANG_S) == 0
+                assert successor.wait() == 0
     assert ended.code == 130, ended.output
     assert ended.summary["faults"] == []
     assert ended.summary["transport"]["downlink"]["rejected"]["other_commander"] > 0

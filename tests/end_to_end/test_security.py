@@ -15,7 +15,7 @@ from bus_schema.zenoh.access import secure_settings
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes.keys import create_authority, issue
 
-DURATION_S = 3
+DURATION_S = 1.5
 WORDS = ["paper_arm", *settings(clock="lockstep", duration_s=DURATION_S)]
 
 

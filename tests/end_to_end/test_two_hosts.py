@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from running import HANG_S, ROOT, Finished, funnel_hil_here, settings
+from running import Finished, funnel_hil_here, settings
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.processes.keys import create_authority, issue
+from tests.warm_process import WarmProcess
 
 PLANT_HOST, CONTROLLER_HOST = "192.0.2.10", "192.0.2.11"
 RUN = ["paper_arm", *settings(clock="lockstep", duration_s=1)]
@@ -57,18 +57,16 @@ def hand_out(keys: KeyFolder, folder: Path, *roles: Role) -> Path:
     return folder
 
 
-def start(host: str, verb: str, keys: Path, *words: str) -> subprocess.Popen[str]:
+def start(host: str, verb: str, keys: Path, *words: str) -> WarmProcess:
     secured = settings(
         link__security__enabled=True, link__security__folder=str(keys),
         link__plant_endpoint=f"tcp/{PLANT_HOST}:7451",
         link__controller_endpoint=f"tcp/{CONTROLLER_HOST}:7452",
         link__connect_timeout_s=60,
     )  # fmt: skip
-    return subprocess.Popen(
-        ["ip", "netns", "exec", host, sys.executable, "-m", "deploy.cli", verb, *RUN, *secured,
-         *words],
-        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    return WarmProcess(
+        verb, *RUN, *secured, *words,
+        main="tests.end_to_end.at_host:main", environment={**os.environ, "HOST": host},
     )  # fmt: skip
 
 
@@ -87,7 +85,7 @@ def test_plant_and_controller_on_two_hosts_under_tls(hosts: dict[str, str], tmp_
         start(hosts[CONTROLLER_HOST], "controller", at_controller, "--await-recorder"),
     ]
     try:
-        outputs = [process.communicate(timeout=HANG_S)[0] for process in processes]
+        outputs = [process.communicate()[0] for process in processes]
     finally:
         for process in processes:
             process.kill()

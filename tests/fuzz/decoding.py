@@ -6,6 +6,7 @@ import contextlib
 import logging
 import struct
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ NEWEST_NS = 10**15
 COMMANDER = b"commander_123456"
 _NS = 1_000_000_000
 _SHOTS_PER_GATE = 5
+_layout = cache(topics.layout)
 
 
 class Target:
@@ -165,7 +167,7 @@ class Target:
     def _payload(self, topic: topics.Topic, stamp_ns: int = 0) -> bytes:
         if topic is topics.RUN_EVENTS:
             return RunEvent(0, Role.PLANT, EventKind.COUNTS, '{"a": [1, {"b": 2}]}').encode()
-        record = Record(topics.layout(topic, self._names))
+        record = Record(_layout(topic, self._names))
         record.stamp_ns = stamp_ns
         if topic is topics.JOINT_COMMANDS:
             record.fields["effort"][:] = (1.5, -2.5, 3.5)

@@ -25,9 +25,8 @@ NO_LIMITS = np.full(JOINTS, np.inf)
 SETTINGS = settings(max_examples=60)
 all_laws = pytest.mark.parametrize("name", LAWS)
 laws_with_memory = pytest.mark.parametrize("name", ["fixed_time_neural", "pid"])
-model_based_laws = pytest.mark.parametrize(
-    "name", ["fixed_time_model_based", "smc", "tsmc", "ftsmc"]
-)
+MODEL_BASED = ("fixed_time_model_based", "smc", "tsmc", "ftsmc")
+model_based_laws = pytest.mark.parametrize("name", MODEL_BASED)
 laws_with_a_switch = pytest.mark.parametrize("name", ["smc", "tsmc", "ftsmc"])
 
 
@@ -85,30 +84,33 @@ def per_joint(largest):
     return st.tuples(values, values, values)
 
 
-@all_laws
+# To draw an example takes longer than to try it, so that each is tried with every law.
+
+
 @SETTINGS
 @given(
     errors=per_joint(1e30), error_rates=per_joint(1e30),
     time_s=st.floats(0.0, 1e3), step_s=st.floats(0.0, 0.1),
 )  # fmt: skip
-def test_torque_is_finite_for_any_error(name, errors, error_rates, time_s, step_s):
+def test_torque_is_finite_for_any_error(errors, error_rates, time_s, step_s):
     # 1e30 rad is far outside any funnel; its power of 1.4 is still a number.
-    torque = law_of(name).torque(situation(errors, error_rates, time_s, step_s))
-    assert torque.shape == (JOINTS,)
-    assert np.isfinite(torque).all()
+    for name in LAWS:
+        torque = law_of(name).torque(situation(errors, error_rates, time_s, step_s))
+        assert torque.shape == (JOINTS,), name
+        assert np.isfinite(torque).all(), name
 
 
-@all_laws
 @SETTINGS
 @given(
     motion=st.lists(st.tuples(per_joint(1e3), per_joint(1e4)), min_size=1, max_size=30),
     step_s=st.floats(1e-4, 1e-2),
 )
-def test_torque_stays_finite_over_a_wild_motion(name, motion, step_s):
-    law = law_of(name)
-    for tick, (errors, error_rates) in enumerate(motion):
-        tracking = situation(errors, error_rates, tick * step_s, step_s)
-        assert np.isfinite(law.torque(tracking)).all()
+def test_torque_stays_finite_over_a_wild_motion(motion, step_s):
+    for name in LAWS:
+        law = law_of(name)
+        for tick, (errors, error_rates) in enumerate(motion):
+            tracking = situation(errors, error_rates, tick * step_s, step_s)
+            assert np.isfinite(law.torque(tracking)).all(), name
 
 
 @all_laws
@@ -127,18 +129,18 @@ def test_torque_opposes_an_error_on_either_side_and_outside(name, sign, size):
     assert (torque * sign < 0.0).all()
 
 
-@all_laws
 @SETTINGS
 @given(
     motion=st.lists(st.tuples(per_joint(0.5), per_joint(5.0)), min_size=2, max_size=8),
     order=st.permutations(range(JOINTS)),
 )
-def test_relabelling_the_joints_relabels_the_torques(name, motion, order):
-    law, relabelled = law_of(name), law_of(name, order)
-    for tick, (errors, error_rates) in enumerate(motion):
-        expected = law.torque(situation(errors, error_rates, 1e-3 * tick))[list(order)]
-        torque = relabelled.torque(situation(errors, error_rates, 1e-3 * tick, order=order))
-        assert torque.tolist() == expected.tolist()
+def test_relabelling_the_joints_relabels_the_torques(motion, order):
+    for name in LAWS:
+        law, relabelled = law_of(name), law_of(name, order)
+        for tick, (errors, error_rates) in enumerate(motion):
+            expected = law.torque(situation(errors, error_rates, 1e-3 * tick))[list(order)]
+            torque = relabelled.torque(situation(errors, error_rates, 1e-3 * tick, order=order))
+            assert torque.tolist() == expected.tolist(), name
 
 
 @all_laws
@@ -147,22 +149,21 @@ def test_gains_differ_between_joints_so_that_relabelling_can_fail(name):
     assert len(set(torque.tolist())) == JOINTS
 
 
-@all_laws
 @SETTINGS
 @given(motion=st.lists(st.tuples(per_joint(1.0), per_joint(10.0)), min_size=1, max_size=10))
-def test_reset_law_repeats_itself_bit_for_bit(name, motion):
-    def run():
+def test_reset_law_repeats_itself_bit_for_bit(motion):
+    def run(law):
         return [
             law.torque(situation(errors, error_rates, 1e-3 * tick)).tobytes()
             for tick, (errors, error_rates) in enumerate(motion)
         ]
 
-    law = law_of(name)
-    first = run()
-    law.reset()
-    assert run() == first
-    law = law_of(name)
-    assert run() == first
+    for name in LAWS:
+        law = law_of(name)
+        first = run(law)
+        law.reset()
+        assert run(law) == first, name
+        assert run(law_of(name)) == first, name
 
 
 @laws_with_memory
@@ -189,28 +190,25 @@ def test_law_does_not_write_into_the_situation(name):
         np.testing.assert_array_equal(value, before[key], err_msg=key)
 
 
-@model_based_laws
 @SETTINGS
 @given(errors=per_joint(1e30), error_rates=per_joint(1e30), time_s=st.floats(0.0, 1e3))
-def test_torque_is_finite_on_a_real_model_too(name, errors, error_rates, time_s):
-    law = law_of(name, model=ManipulatorModel(ROBOT, scale=0.9))
-    assert np.isfinite(law.torque(situation(errors, error_rates, time_s))).all()
+def test_torque_is_finite_on_a_real_model_too(errors, error_rates, time_s):
+    for name in MODEL_BASED:
+        law = law_of(name, model=ManipulatorModel(ROBOT, scale=0.9))
+        assert np.isfinite(law.torque(situation(errors, error_rates, time_s))).all(), name
 
 
-@all_laws
 @SETTINGS
 @given(motion=st.lists(st.tuples(per_joint(1e6), per_joint(1e6)), min_size=1, max_size=10))
-def test_torque_stays_within_the_limits_behind_the_guard(name, motion):
+def test_torque_stays_within_the_limits_behind_the_guard(motion):
     limits = np.array([400.0, 700.0, 300.0])
-    law, guard = (
-        law_of(name),
-        TorqueGuard(
-            name, JointLimits.of_torques(limits, np.full(JOINTS, np.inf)), np.zeros((2, JOINTS))
-        ),
-    )
-    for tick, (errors, error_rates) in enumerate(motion):
-        torque = law.torque(situation(errors, error_rates, 1e-3 * tick))
-        assert (np.abs(guard.admit(torque, tick, 1e-3)) <= limits).all()
+    rates = np.full(JOINTS, np.inf)
+    for name in LAWS:
+        law = law_of(name)
+        guard = TorqueGuard(name, JointLimits.of_torques(limits, rates), np.zeros((2, JOINTS)))
+        for tick, (errors, error_rates) in enumerate(motion):
+            torque = law.torque(situation(errors, error_rates, 1e-3 * tick))
+            assert (np.abs(guard.admit(torque, tick, 1e-3)) <= limits).all(), name
 
 
 @model_based_laws

@@ -3,7 +3,6 @@
 import re
 import signal
 import socket
-import subprocess
 import sys
 import time
 
@@ -14,6 +13,7 @@ from canopen.profiles.p402 import BaseNode402
 
 from bus_schema.link.can_configuration import CIA402_EDS
 from deploy.cli import main
+from tests.warm_process import WarmProcess
 
 GROUP = "239.74.163.9"
 PATIENCE_S = 30.0
@@ -33,10 +33,7 @@ def on_bus(port):
 
 
 def started(*options):
-    command = [sys.executable, "-u", "-m", "deploy.cli", "drives", "paper_arm", *options]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8"
-    )
+    return WarmProcess("drives", "paper_arm", *options)
 
 
 def refused(capsys, monkeypatch, *options):
@@ -92,7 +89,7 @@ def test_it_ends_by_itself_and_names_each_identifier_it_hears_once():
             bus.send(can.Message(arbitration_id=1 << 5 | 0x02, is_extended_id=False))
             bus.send(can.Message(arbitration_id=0x7FF, data=bytes(8), is_extended_id=False))
             time.sleep(0.05)
-    said = process.stdout.read()
+    said, _ = process.communicate()
     assert process.returncode == 0, said
     assert len(re.findall(r"heard 022 .*axis 1 Estop", said)) == 1
     assert len(re.findall(r"heard 7FF .*not for these drives", said)) == 1

@@ -8,9 +8,12 @@ import pytest
 from pyarrow import parquet
 
 from controller.laws import LAWS
+from controller.laws.fixed_time_model_based import FixedTimeModelBased
 from controller.laws.pid import Pid
+from controller.laws.sliding_mode import SlidingMode
 from deploy.cli.common import parse_laws
 from deploy.comparison.comparison import load_setups
+from deploy.reports import compare_report
 from deploy.runs.run_folder import load_run
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import attempt, simulate
@@ -111,29 +114,29 @@ def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
     assert "holds no run.mcap" in output
 
 
-@pytest.mark.parametrize(
-    "failing",
-    [lambda: np.full(3, np.nan), lambda: np.zeros(2), lambda: [][1]],
-    ids=["not finite", "wrong shape", "raises"],
-)
-def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, funnel_hil, tmp_path, failing):
-    working = Pid.torque
+def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, funnel_hil, tmp_path):
+    def fail(law, failing):
+        working = law.torque
 
-    def torque(law, tracking):
-        return failing() if tracking.time_s >= 0.1 else working(law, tracking)
+        def torque(law, tracking):
+            return failing() if tracking.time_s >= 0.1 else working(law, tracking)
 
-    monkeypatch.setattr(Pid, "torque", torque)
-    code, output = funnel_hil(
-        "compare", "--laws", "pid,fixed_time_neural", *SHORT, "--out", tmp_path
-    )
+        monkeypatch.setattr(law, "torque", torque)
+
+    fail(Pid, lambda: np.full(3, np.nan))
+    fail(SlidingMode, lambda: np.zeros(2))
+    fail(FixedTimeModelBased, lambda: [][1])
+    laws = "pid,smc,fixed_time_model_based,fixed_time_neural"
+    code, output = funnel_hil("compare", "--laws", laws, *SHORT, "--out", tmp_path)
     assert code == 1
-    first, second = parquet.read_table(tmp_path / "comparison.parquet").to_pylist()
-    assert first["error"]
-    assert not first["completed"]
-    assert second["error"] is None
-    assert second["completed"]
-    assert "fault" in output
-    assert "did not finish" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    *failed, last = parquet.read_table(tmp_path / "comparison.parquet").to_pylist()
+    for one, reason in zip(failed, ("nan", "shape", "IndexError"), strict=True):
+        assert reason in one["error"]
+        assert not one["completed"]
+    assert last["error"] is None
+    assert last["completed"]
+    assert output.count("fault") >= 3
+    assert "3 did not finish" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_law_that_fails_before_the_first_tick_is_a_row_with_its_error(monkeypatch, tmp_path):
@@ -143,7 +146,9 @@ def test_a_law_that_fails_before_the_first_tick_is_a_row_with_its_error(monkeypa
     assert "IndexError" in data.faults()[0]
 
 
-def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_path):
+def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_path, monkeypatch):
+    panels = [panel for panel in compare_report.PANELS if panel.id == "settling-from-afar"]
+    monkeypatch.setattr(compare_report, "PANELS", panels)
     short = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
     words = ["compare", "--laws", "pid", "--settling", *short, "--out", tmp_path]
     code, output = funnel_hil(*words)
@@ -156,7 +161,8 @@ def test_settling_from_near_and_far_is_kept_and_judged_again(funnel_hil, tmp_pat
     assert 'id="settling-from-afar"' in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path):
+def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path, monkeypatch):
+    monkeypatch.setattr(compare_report, "PANELS", [])
     narrow = ["--set", "funnel.rate_per_s=200", "--require-bounds"]
     code, _ = funnel_hil("compare", "--laws", "pid", *SHORT, *narrow, "--out", tmp_path)
     assert code == 3

@@ -61,6 +61,22 @@ def test_fixed_time_laws_keep_their_bounds_and_the_pid_does_not(shipped, tuned):
     assert not tuned["pid"].kept
 
 
+def test_paper_arm_keeps_its_promise(shipped):
+    assert load_setup("paper_arm").scenario.duration_s == 20.0
+    assert shipped[PROPOSED].kept
+    assert (shipped[PROPOSED].rms_mrad <= [0.02, 0.05, 0.04]).all()
+    # 1 % of what a switching law needs on this arm: 155, 440 and 46 N m per millisecond
+    assert (shipped[PROPOSED].variation_nm_per_s <= [1550, 4400, 460]).all()
+
+
+def test_iiwa_keeps_its_promise():
+    setup = load_setup("iiwa")
+    assert setup.scenario.duration_s == 20.0
+    judged = evaluate(setup)
+    assert judged.kept
+    assert (judged.rms_mrad <= 0.5).all()
+
+
 @pytest.mark.parametrize("rival", RIVALS)
 def test_neural_law_has_at_most_half_the_error_of_each_rival_as_shipped(shipped, rival):
     assert (shipped[PROPOSED].rms_mrad <= 0.5 * shipped[rival].rms_mrad).all()
@@ -114,7 +130,7 @@ def test_nor_do_moderate_changes_of_the_neural_laws_gains(brief, seed):
 
 @pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
 def test_settling_time_stays_below_one_bound_from_near_and_far(law):
-    result = settling_test(setup_of(law, 4), offsets_rad=(0.01, 0.1, 0.5, 1.0))
+    result = settling_test(setup_of(law, 2.5), offsets_rad=(0.01, 0.1, 0.5, 1.0))
     assert result.holds, result
     assert all(row.bounds_kept for row in result.rows)
     assert max(row.settling_time_s for row in result.rows) < 1.0 < result.bound_s < 5.0
@@ -124,7 +140,7 @@ def test_settling_time_stays_below_one_bound_from_near_and_far(law):
 @pytest.mark.parametrize("scenario", ["iiwa", "panda"])
 def test_arms_with_weaker_actuators_settle_below_it_too(scenario, law):
     # On the way they leave the funnel, which then opens again.
-    setup = load_setup(scenario, [f"controller.law={law}", "duration_s=4"])
+    setup = load_setup(scenario, [f"controller.law={law}", "duration_s=3"])
     result = settling_test(setup, offsets_rad=(0.1, 1.0))
     assert result.holds, result
 
@@ -132,8 +148,9 @@ def test_arms_with_weaker_actuators_settle_below_it_too(scenario, law):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("scenario", ["paper_arm", "iiwa", "panda"])
 def test_every_law_runs_on_every_arm_with_derived_gains(scenario, law):
-    overrides = [f"controller.law={law}", f"controller.gains.{law}=null", "duration_s=3"]
-    summary = summarise(simulate(load_setup(scenario, overrides)).data())
+    overrides = [f"controller.law={law}", f"controller.gains.{law}=null"]
+    brief = ["duration_s=2", "metrics.from_s=1.5"]
+    summary = summarise(simulate(load_setup(scenario, [*overrides, *brief])).data())
     assert summary["completed"]
     assert not summary["faults"]
     rms_rad = max(summary["tracking"]["rms_rad"])

@@ -10,6 +10,7 @@ from plotly.offline import get_plotlyjs
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest, Start
+from deploy.reports import compare_report
 from deploy.reports.compare_report import write_comparison_report
 from deploy.reports.compare_tables import verdict_on_laws
 from deploy.reports.figures.end_effector import tip_paths
@@ -47,12 +48,19 @@ def comparison():
     )
 
 
-@pytest.fixture
-def page_of(tmp_path):
+@pytest.fixture(scope="module")
+def page_of(tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    pages = []
+
     def write(comparison):
-        path = tmp_path / "report.html"
+        """The report without plotly.js, which is not ours; that of a comparison is written once."""
+        for subject, page in pages:
+            if subject is comparison:
+                return page
         write_comparison_report(comparison, path)
-        return path.read_text(encoding="utf-8").replace(get_plotlyjs(), "")
+        pages.append((comparison, path.read_text(encoding="utf-8").replace(get_plotlyjs(), "")))
+        return pages[-1][1]
 
     return write
 
@@ -116,7 +124,8 @@ def test_the_headline_counts_who_kept_the_bounds(comparison, kept, level, headli
     assert (verdict.level, verdict.headline) == (level, headline)
 
 
-def test_a_law_that_faulted_is_neither_kept_nor_best(comparison, page_of):
+def test_a_law_that_faulted_is_neither_kept_nor_best(comparison, page_of, monkeypatch):
+    monkeypatch.setattr(compare_report, "PANELS", compare_report.PANELS[:1])
     first, second = (with_bounds(run, kept=True) for run in comparison.runs)
     broken = Comparison([faulted(first), second])
     verdict = verdict_on_laws(broken)

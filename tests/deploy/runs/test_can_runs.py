@@ -79,16 +79,21 @@ def cansimple(tmp_path_factory: pytest.TempPathFactory) -> CanRun:
     return run_over_can(folder, "duration_s=1", "link.can.protocol=cansimple")
 
 
+@pytest.fixture(scope="module")
+def in_process() -> RunData:
+    setup = load_setup("paper_arm_can", ["duration_s=1", "link.kind=in_process"])
+    return simulate(setup).data()
+
+
 @pytest.mark.parametrize("protocol", ["cia402", "cansimple"])
 def test_bounds_are_kept_and_quantisation_is_all_that_differs(
-    protocol: str, request: pytest.FixtureRequest
+    protocol: str, in_process: RunData, request: pytest.FixtureRequest
 ) -> None:
     run: CanRun = request.getfixturevalue(protocol)
-    in_process = simulate(load_setup("paper_arm_can", ["duration_s=1", "link.kind=in_process"]))
     over_can = summarise(run.data)
     assert over_can["completed"]
     assert over_can["bounds"]["kept"]
-    errors = run.data.true_errors_rad[250:], in_process.data().true_errors_rad[250:]
+    errors = run.data.true_errors_rad[250:], in_process.true_errors_rad[250:]
     ours, reference = (np.sqrt((each**2).mean(axis=0)) for each in errors)
     assert (ours <= 1.5 * reference).all()
 

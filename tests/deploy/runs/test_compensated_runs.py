@@ -30,7 +30,7 @@ def judged(*overrides, **settings):
     [(24, 24), (48, 0), (0, 48), (40, 8), (16, 16), (11.3, 9.4), (0.5, 0.5)],
 )
 def test_compensated_neural_law_keeps_its_bounds(up_ms, down_ms):
-    summary = judged(ON, up_ms=up_ms, down_ms=down_ms)
+    summary = judged(ON, "metrics.from_s=1", up_ms=up_ms, down_ms=down_ms, duration_s=2.5)
     assert summary["bounds"]["kept"]
     if up_ms + down_ms <= 32:
         assert max(summary["tracking"]["rms_rad"]) <= 1e-3
@@ -61,7 +61,7 @@ def test_from_other_offsets_too():
 @pytest.mark.parametrize("law", [law for law in LAWS if law not in ("fixed_time_neural", "pid")])
 def test_every_law_that_keeps_its_bounds_keeps_them_at_48_ms(law):
     overrides = [f"controller.law={law}"]
-    assert judged(ON, *overrides, up_ms=24, down_ms=24, duration_s=3)["bounds"]["kept"]
+    assert judged(ON, *overrides, up_ms=24, down_ms=24, duration_s=2.5)["bounds"]["kept"]
     assert not judged(*overrides, up_ms=24, down_ms=24, duration_s=1)["bounds"]["kept"]
 
 

@@ -17,7 +17,7 @@ SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 
 
 class PinocchioArm:
-    """What `ArmPlant` asks of its physics, by RK4 (pybullet: semi-implicit Euler)."""
+    """What `ArmPlant` asks of its physics, by the midpoint rule (pybullet: semi-implicit Euler)."""
 
     def __init__(self, robot, grid, torques, *, payload_kg=0.0, gui=False):
         self._model = ManipulatorModel(robot, payload_kg=payload_kg)
@@ -40,17 +40,12 @@ class PinocchioArm:
             self._step(torques.tables.torques_nm[TOTAL])
 
     def _step(self, torque_nm):
-        def rate(state):
-            acceleration = self._model.forward_dynamics(state[0], state[1], torque_nm)
-            return np.stack([state[1], acceleration])
-
-        step_s, state = self._grid.substep_s, np.stack([self.position, self.velocity])
-        k_1 = rate(state)
-        k_2 = rate(state + 0.5 * step_s * k_1)
-        k_3 = rate(state + 0.5 * step_s * k_2)
-        k_4 = rate(state + step_s * k_3)
-        state += step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
-        self.position[:], self.velocity[:] = state
+        acceleration, step_s = self._model.forward_dynamics, self._grid.substep_s
+        at_start = acceleration(self.position, self.velocity, torque_nm)
+        halfway = self.position + 0.5 * step_s * self.velocity
+        velocity = self.velocity + 0.5 * step_s * at_start
+        self.position += step_s * velocity
+        self.velocity += step_s * acceleration(halfway, velocity, torque_nm)
 
     def advance_braked(self, substeps):
         self.velocity[:] = 0.0

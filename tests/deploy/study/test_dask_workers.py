@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import sys
 import time
 
@@ -19,6 +18,7 @@ from deploy.study.dask_workers import DaskWorkers
 from deploy.study.folder import StudyFolder
 from deploy.study.sweep import load_sweep
 from tests.deploy.study.studies import Here, Silent
+from tests.warm_process import ROOT, WarmProcess
 
 DEADLY_LAW = """
 import os
@@ -53,36 +53,24 @@ def cluster(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cluster")
     (folder / "deadly.py").write_text(DEADLY_LAW)
     place = folder / "scheduler.json"
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([*sys.path, str(folder)]),
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0",
-    }
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(folder)])}
 
     def start_part(part, *words):
-        command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *words]
-        with (folder / f"{part}.log").open("a") as log:
-            return subprocess.Popen(
-                [*command, "--scheduler-file", str(place), "--no-dashboard"],
-                env=environment, cwd=folder, stdout=log, stderr=log,
-            )  # fmt: skip
+        return WarmProcess(
+            *words, "--scheduler-file", place, "--no-dashboard",
+            main=f"tests.deploy.study.dask_parts:{part}", cwd=folder, environment=environment,
+        )  # fmt: skip
 
     processes = [start_part("scheduler", "--host", "127.0.0.1", "--port", "0")]
     wait_for(place.exists)
     wait_for(lambda: place.read_text().endswith("}"))
     processes += [
-        start_part("worker", "--nthreads", "1"),
-        start_part("worker", "--nthreads", "1", "--no-nanny"),
+        start_part(part, "--nthreads", "1", "--no-nanny") for part in ("lasting_worker", "worker")
     ]
     yield json.loads(place.read_text())["address"], processes[-1]
     for process in reversed(processes):
-        process.terminate()
-    for process in processes:
-        try:
-            process.wait(20.0)
-        except subprocess.TimeoutExpired:  # a nanny that asks in vain whether its worker is there
-            process.kill()
-            process.wait()
+        process.kill()
+        process.wait()
 
 
 @pytest.fixture
@@ -98,13 +86,11 @@ def write_sweep(file, grid, **more):
     return file
 
 
-def start(definition, out, *words, cwd=None):
+def start(definition, out, *words, cwd=ROOT):
     """`sweep` in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.Popen(
-        [sys.executable, "-m", "deploy.cli", "sweep", definition, "--out", out, *words],
-        env=environment, cwd=cwd, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    words = ["sweep", definition, "--out", out, *words]
+    return WarmProcess(*words, cwd=cwd, environment=environment)
 
 
 def parts_of(out):

@@ -1,0 +1,191 @@
+"""Commands as processes of their own that have their libraries from the first.
+
+To import them costs a process more than most of what it does in a test. So one process imports them
+and does little else: it opens no session and runs nothing. Every command is forked from it, with
+process id, signals, output and end of its own. That the command line starts from nothing too is
+tested where it is looked at as a whole.
+"""
+
+from __future__ import annotations
+
+import atexit
+import gc
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import IO, cast
+from unittest import mock
+
+ROOT = Path(__file__).resolve().parents[1]
+HANG_S = 120.0
+"""Longer than anything here takes on a slow machine; only a hang lasts so long."""
+
+IMPORTED = (
+    "deploy.cli.experiments", "deploy.cli.processes", "deploy.cli.run", "deploy.cli.studies",
+    "deploy.reports.run_report", "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
+)  # fmt: skip
+FUNNEL_HIL = "deploy.cli:main"
+WITHOUT_REPORT = "tests.warm_process:without_report"
+_LARGEST = 100_000
+
+
+class WarmProcess:
+    """A command under way: as much of `subprocess.Popen` as tests ask for.
+
+    Args:
+        words: its command line, without the name of the program.
+        main: function that it calls.
+        cwd: folder that it works in.
+        environment: its environment variables.
+    """
+
+    def __init__(
+        self,
+        *words: object,
+        main: str = FUNNEL_HIL,
+        cwd: Path = ROOT,
+        environment: Mapping[str, str] = os.environ,
+    ) -> None:
+        self.returncode: int | None = None
+        self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with its last reader)
+        status, its_status = os.pipe()
+        self._status = os.fdopen(status, "rb", buffering=0)
+        command = [list(map(str, words)), main, str(cwd), dict(environment)]
+        handles = [self._output.fileno(), its_status]
+        socket.send_fds(_server(), [json.dumps(command).encode()], handles)
+        os.close(its_status)
+        self.pid = int(self._status.readline())
+
+    def poll(self) -> int | None:
+        """Its exit code, as soon as it has one; negative: the signal that ended it."""
+        return self._ended(0.0)
+
+    def wait(self, timeout: float = HANG_S) -> int:
+        """Wait for its exit code."""
+        code = self._ended(timeout)
+        if code is None:
+            raise TimeoutError(f"process {self.pid} takes longer than {timeout} s")
+        return code
+
+    def said(self) -> str:
+        """What it has said so far to stdout and stderr."""
+        handle = self._output.fileno()
+        return os.pread(handle, os.fstat(handle).st_size, 0).decode()
+
+    def communicate(self, timeout: float = HANG_S) -> tuple[str, None]:
+        """Wait for its end; what it said."""
+        self.wait(timeout)
+        return self.said(), None
+
+    def send_signal(self, number: signal.Signals) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+    def _ended(self, timeout_s: float) -> int | None:
+        if self.returncode is None and select.select([self._status], [], [], timeout_s)[0]:
+            self.returncode = int(self._status.readline())
+        return self.returncode
+
+
+@contextmanager
+def no_report() -> Iterator[None]:
+    """Runs are judged and leave all files but the report: to draw it costs more than to judge."""
+    with mock.patch("deploy.reports.run_report.write_report"):
+        yield
+
+
+def without_report() -> None:
+    """The command line with `no_report`."""
+    with no_report():
+        cast("Callable[[], None]", import_module("deploy.cli").main)()
+
+
+@cache
+def _server() -> socket.socket:
+    """The process that all are forked from, started when it is first asked for."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.warm_process", str(theirs.fileno())],
+        cwd=ROOT, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()],
+    )  # fmt: skip
+    theirs.close()
+
+    def stop() -> None:
+        ours.close()
+        process.wait(HANG_S)
+
+    atexit.register(stop)
+    return ours
+
+
+def _serve(requests: socket.socket) -> None:
+    """Fork a process for each request, until nobody is left to ask."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for module in IMPORTED:
+        import_module(module)
+    import_module("deploy.scenario.scenario").load_setup("paper_arm")  # loads compiled kernels
+    gc.freeze()
+    while True:
+        request, handles, *_ = socket.recv_fds(requests, _LARGEST, 2)
+        if not request:
+            break
+        if os.fork() == 0:
+            requests.close()
+            _look_after(request, *handles)
+            return
+        for handle in handles:
+            os.close(handle)
+    while True:
+        try:
+            os.wait()
+        except ChildProcessError:
+            return
+
+
+def _look_after(request: bytes, output: int, status: int) -> None:
+    """Fork the command proper, tell its process id, and how it ended."""
+    pid = os.fork()
+    if pid == 0:
+        os.close(status)
+        _be(*json.loads(request), output)
+        return
+    os.close(output)
+    os.write(status, b"%d\n" % pid)
+    _, how = os.waitpid(pid, 0)
+    os.write(status, b"%d\n" % os.waitstatus_to_exitcode(how))
+    os._exit(0)
+
+
+def _be(words: list[str], main: str, cwd: str, environment: dict[str, str], output: int) -> None:
+    """Do what ``python -m`` does with this command line, in this folder."""
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    os.close(output)
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.path[:0] = [cwd, *filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))]
+    sys.argv = [main, *words]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    module, _, function = main.partition(":")
+    getattr(import_module(module), function)()
+
+
+if __name__ == "__main__":
+    _serve(socket.socket(fileno=int(sys.argv[1])))
