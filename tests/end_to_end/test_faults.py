@@ -6,13 +6,19 @@ run and the end of the plant is known from outside the recording.
 
 from __future__ import annotations
 
+import json
+import os
 import signal
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from running import (
+    HANG_S,
+    ROOT,
     Finished,
     Running,
     Watcher,
@@ -214,6 +220,20 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
     assert ended.code == 130, ended.output
     assert ended.summary["completed"] is False
     assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
+
+
+def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path) -> None:
+    """`timeout` sends one, for example. What the processes of a run are forked from stays alive."""
+    folder = tmp_path / "run"
+    words = ["run", "paper_arm", *LONG, *settings(clock="lockstep"), "--out", str(folder)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", *words],
+        cwd=ROOT, start_new_session=True, stdout=subprocess.DEVNULL,
+    ) as run:  # fmt: skip
+        await_true((folder / "run.partial.mcap").is_file, "recording has begun")
+        os.killpg(run.pid, signal.SIGTERM)
+        assert run.wait(HANG_S) == 130
+    assert json.loads((folder / "summary.json").read_text())["faults"] == []
 
 
 @pytest.mark.parametrize("frozen", [None, "recorder", "plant"])
