@@ -25,12 +25,13 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_path import CommandPath, Watchdog
+from plant_emulator.command_path import CommandPath
 from plant_emulator.faults.channel_faults import channel_faults
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
 from plant_emulator.telemetry import PlantTelemetry
+from plant_emulator.watchdog import Watchdog
 
 logger = logging.getLogger(__name__)
 

@@ -96,7 +96,7 @@ class ZenohSession:
             to that peer is closed (it may come back).
         low_latency: use the transport without queues: least delay, but a peer that stops reading
             holds up the sender. Both ends must want it.
-        security: settings that restrict who is spoken to (`zenoh_access`); by default, anybody.
+        security: settings that restrict who is spoken to (`access.py`); by default, anybody.
 
     Raises:
         SessionError: an endpoint cannot be served or is malformed.

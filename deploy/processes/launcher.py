@@ -1,6 +1,7 @@
 """`run`: recorder, plant and controller as child processes, watched until none is left.
 
-Each child is `funnel-hil record`, `plant` or `controller`; what it does is in `processes.py`.
+Each child is `funnel-hil record`, `plant` or `controller`; what it does is in `processes.py` beside
+this file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant_emulator.command_path import Watchdog
+from plant_emulator.watchdog import Watchdog
 
 
 def test_first_command_has_until_its_own_instant():
