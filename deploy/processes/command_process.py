@@ -55,6 +55,9 @@ def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
     for number, stream in enumerate(streams):
         os.dup2(stream.fileno(), number)
         stream.close()
+    # As with a new program, no other file is handed down: the fork server, on whose end this
+    # process leaves, ends itself when nobody has the files of its clients open any longer.
+    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
     sys.stdin = open(0, closefd=False)  # noqa: SIM115
     sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115

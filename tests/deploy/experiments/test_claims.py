@@ -132,8 +132,8 @@ def test_nor_do_moderate_changes_of_the_neural_laws_gains(brief, seed):
 def test_settling_time_stays_below_one_bound_from_near_and_far(law):
     result = settling_test(setup_of(law, 2.5), offsets_rad=(0.01, 0.1, 0.5, 1.0))
     assert result.holds, result
-    assert all(row.bounds_kept for row in result.rows)
-    assert max(row.settling_time_s for row in result.rows) < 1.0 < result.bound_s < 5.0
+    assert all(row.bounds_kept for row in result.starts)
+    assert max(row.settling_time_s for row in result.starts) < 1.0 < result.bound_s < 5.0
 
 
 @pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
