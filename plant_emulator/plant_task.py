@@ -17,6 +17,10 @@ class PlantTask:
     """What the plant has to do.
 
     Attributes:
+        robot: description of the arm.
+        plant: section ``plant`` of the scenario.
+        link: its section ``link``.
+        grid: ticks and physics steps of the run.
         lockstep: wait for the reply to every state that is delivered.
         ticks: length of the run.
         seed: seed of everything random on the link.

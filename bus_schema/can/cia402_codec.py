@@ -60,7 +60,6 @@ class Cia402Codec:
         rated_nm: rated torques, shape (joints,); drives know them in whole mN m.
 
     Attributes:
-        controlword: what goes with each torque.
         rated_mnm: rated torques as object 0x6076 has them, shape (joints,).
     """
 
@@ -70,7 +69,7 @@ class Cia402Codec:
         self.rated_mnm: NDArray[np.int64] = np.rint(rated_nm * 1000.0).astype(np.int64)
         self._nm_per_mille = self.rated_mnm * _NM_PER_MILLE_MNM
         self._rad_per_count = 2.0 * math.pi / counts_per_turn
-        self.controlword = ENABLE_OPERATION
+        self._controlword = ENABLE_OPERATION
         self._rpdos = [RPDO_1 + node_id for node_id in node_ids]
         self._joint_of_tpdo = {TPDO_1 + node: joint for joint, node in enumerate(node_ids)}
         self._joint_of_rpdo = {rpdo: joint for joint, rpdo in enumerate(self._rpdos)}
@@ -94,9 +93,13 @@ class Cia402Codec:
         words = np.rint(torque_nm / self._nm_per_mille)
         within_range = np.clip(words, _WORD.min, _WORD.max).tolist()
         return [
-            CanFrame(rpdo, _COMMAND.pack(self.controlword, int(word)))
+            CanFrame(rpdo, _COMMAND.pack(self._controlword, int(word)))
             for rpdo, word in zip(self._rpdos, within_range, strict=True)
         ]
+
+    def begin_quick_stop(self) -> None:
+        """From now on the controlword that goes with each torque asks for a quick stop."""
+        self._controlword = QUICK_STOP
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_rpdo.get(frame.identifier)

@@ -20,7 +20,7 @@ from canopen.emcy import EmcyError
 from canopen.profiles.p402 import BaseNode402, State402
 from canopen.sdo.exceptions import SdoError
 
-from bus_schema.can.cia402_codec import QUICK_STOP, Cia402Codec
+from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError
@@ -80,7 +80,7 @@ class Cia402Master(CanMaster):
 
     def begin_stop(self) -> None:
         super().begin_stop()
-        self._codec.controlword = QUICK_STOP
+        self._codec.begin_quick_stop()
 
     def leave(self) -> None:
         self._network.nmt.state = "PRE-OPERATIONAL"

@@ -83,7 +83,8 @@ class Child:
     def send(self, number: signal.Signals) -> None:
         """Send a signal."""
         if self._process.pid is not None and self.is_running():
-            os.kill(self._process.pid, number)
+            with contextlib.suppress(ProcessLookupError):  # it has ended just now
+                os.kill(self._process.pid, number)
 
     def confirm(self) -> None:
         """Tell a child that waits for it that what it asked for is done."""

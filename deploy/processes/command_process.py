@@ -5,7 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import runpy
+import signal
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -15,7 +20,10 @@ from setproctitle import setproctitle
 
 _PROGRAM = "deploy.cli"
 _CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload([f"{_PROGRAM}.processes", "deploy.processes.fork_server"])
+_CONTEXT.set_forkserver_preload(["deploy.processes.fork_server", f"{_PROGRAM}.processes"])
+_STOPS = (signal.SIGINT, signal.SIGTERM)
+_LONG_PATH = 60
+"""Of the 107 characters that the path of a socket may have, 32 are Python's own."""
 
 
 class CommandProcess(NamedTuple):
@@ -28,7 +36,7 @@ class CommandProcess(NamedTuple):
 
 
 def start(words: list[str]) -> CommandProcess:
-    """Start `funnel-hil` with these words, in this folder.
+    """Start `funnel-hil` with these words, in this folder; from the main thread.
 
     It ends with this process, and no signal of the terminal reaches it.
     """
@@ -37,10 +45,29 @@ def start(words: list[str]) -> CommandProcess:
     )
     theirs = [stdin, stdout, stderr]
     process = _CONTEXT.Process(target=_be, args=(words, Path.cwd(), theirs), daemon=True)
-    process.start()
+    with _fork_server_survives():
+        process.start()
     for end in theirs:
         end.close()
     return CommandProcess(process, _file(to_it, "w"), _file(from_it, "r"), _file(errors, "r"))
+
+
+@contextmanager
+def _fork_server_survives() -> Iterator[None]:
+    """For a fork server to be started: nothing that is meant for this process ends it.
+
+    It is in the process group that a terminal, or `timeout`, tells to stop; and the path of its
+    socket must be short, which not every TMPDIR is.
+    """
+    resource_tracker.ensure_running()  # which would let the signals through
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    folder = tempfile.gettempdir()
+    tempfile.tempdir = folder if len(folder) < _LONG_PATH else "/tmp"
+    try:
+        yield
+    finally:
+        tempfile.tempdir = folder
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
 
 
 def _file(end: Connection, mode: str) -> IO[str]:
@@ -51,17 +78,18 @@ def _file(end: Connection, mode: str) -> IO[str]:
 def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
     """Be the command."""
     os.setsid()
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
     os.chdir(folder)
     for number, stream in enumerate(streams):
         os.dup2(stream.fileno(), number)
         stream.close()
-    # As with a new program, no other file is handed down: the fork server, on whose end this
-    # process leaves, ends itself when nobody has the files of its clients open any longer.
-    os.closerange(3, os.sysconf("SC_OPEN_MAX"))
     sys.stdin = open(0, closefd=False)  # noqa: SIM115
     sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
-    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     words = [*words, "--to-parent", str(os.getppid())]
-    setproctitle(" ".join([sys.executable, "-m", _PROGRAM, *words]))  # for `ps` and the like
-    sys.argv[1:] = words
-    runpy.run_module(_PROGRAM, run_name="__main__", alter_sys=True)
+    title = " ".join([sys.executable, "-m", _PROGRAM, *words])
+    setproctitle(title.encode(errors="replace").decode())  # for `ps` and the like
+    launcher = multiprocessing.parent_process()
+    if launcher is not None and launcher.is_alive():  # from here on its end is noticed
+        sys.argv[1:] = words
+        runpy.run_module(_PROGRAM, run_name="__main__", alter_sys=True)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from bus_schema.messages.topics import Role
+from deploy.processes.free_ports import free_ports
 from deploy.scenario.scenario import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
 
@@ -65,15 +66,6 @@ def with_free_endpoints(setup: Setup) -> Setup:
         free = {key: f"{getattr(link, key).rpartition(':')[0]}:{port}" for key, port in ports}
     scenario = setup.scenario.model_copy(update={"link": link.model_copy(update=free)})
     return replace(setup, scenario=scenario)
-
-
-def free_ports(number: int) -> list[int]:
-    """TCP ports of this machine that nobody uses."""
-    with contextlib.ExitStack() as stack:
-        listeners = [stack.enter_context(socket.socket()) for _ in range(number)]
-        for listener in listeners:
-            listener.bind(("127.0.0.1", 0))
-        return [listener.getsockname()[1] for listener in listeners]
 
 
 @contextlib.contextmanager

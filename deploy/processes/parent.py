@@ -8,7 +8,7 @@ import signal
 import sys
 from types import FrameType
 
-_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 _LEAVE_WITHIN_S = 30
 """Longer than any process takes to leave in order."""
 
@@ -31,5 +31,5 @@ def end_with_parent(parent_pid: int) -> None:
 
     signal.signal(signal.SIGCONT, leave_without_parent)
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
     leave_without_parent()

@@ -45,10 +45,11 @@ def row(summary: dict[str, Any], seed: int) -> Row:
         summary: the run's ``summary.json``.
         seed: the scenario's seed.
     """
-    error = "; ".join(summary["faults"]) or None
-    values = summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
+    values: Row = {}
     for section in ("bounds", "tracking", "torque", "timing"):
         values |= summary[section]
+    error = "; ".join(summary["faults"]) or None
+    values |= summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
     bound = values["settling_bound_s"]
     if bound is not None and not isinstance(bound, list):
         values["settling_bound_s"] = [bound] * len(values["joint_names"])

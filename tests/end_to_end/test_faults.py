@@ -223,16 +223,30 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
     assert ended.summary["faults"] == []  # that a user stops a run is nobody's fault
 
 
-def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path) -> None:
-    """`timeout` sends one, for example. What the processes of a run are forked from stays alive."""
-    folder = tmp_path / "run"
+@pytest.mark.parametrize("moment", ["fork server has started", "recording has begun"])
+def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path, moment: str) -> None:
+    """A terminal or `timeout` sends one. What the processes of a run are forked from stays alive.
+
+    It listens at a path that must have less than 108 characters, wherever TMPDIR is.
+    """
+    folder, temporary = tmp_path / "run", tmp_path / ("of_a_job" * 12)
+    temporary.mkdir()
     words = ["run", "paper_arm", *LONG, *settings(clock="lockstep"), "--out", str(folder)]
     with subprocess.Popen(
         [sys.executable, "-m", "deploy.cli", *words],
-        cwd=ROOT, start_new_session=True, stdout=subprocess.DEVNULL,
+        cwd=ROOT, env={**os.environ, "TMPDIR": str(temporary)},
+        start_new_session=True, stdout=subprocess.DEVNULL,
     ) as run:  # fmt: skip
-        await_true((folder / "run.partial.mcap").is_file, "recording has begun")
-        os.killpg(run.pid, signal.SIGTERM)
+
+        def has_come() -> bool:
+            if moment == "recording has begun":
+                return (folder / "run.partial.mcap").is_file()
+            children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+            lines = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children]
+            return any("multiprocessing.forkserver" in line for line in lines)
+
+        await_true(has_come, moment)
+        os.killpg(run.pid, signal.SIGINT)
         assert run.wait(HANG_S) == 130
     assert json.loads((folder / "summary.json").read_text())["faults"] == []
 

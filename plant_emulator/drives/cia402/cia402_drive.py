@@ -9,7 +9,6 @@ from plant_emulator.drives.cia402.errors import SENTENCES, ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.motor import Motor
 from plant_emulator.drives.cia402.network_state import (
     HEARTBEAT,
-    STATE_AFTER,
     NetworkState,
     NmtCommand,
     NmtState,
@@ -17,7 +16,7 @@ from plant_emulator.drives.cia402.network_state import (
 from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
 from plant_emulator.drives.cia402.process_data import ProcessData
 from plant_emulator.drives.cia402.state_machine import State
-from plant_emulator.drives.drive import DriveFault, DriveSettings, Send
+from plant_emulator.drives.drive import DriveFault, DriveSettings, JointDemand, JointReading, Send
 
 _NMT = 0x000
 _NMT_BYTES = 2
@@ -39,8 +38,6 @@ class Cia402Drive:
             self._node, self._send_if_on_bus, self._on_heartbeat_lost, self._on_heartbeat_back
         )
         self._motor = Motor(self._node, self._errors, settings)
-        # Between motor and joint there is no bus.
-        self.measure, self.demand = self._motor.measure, self._motor.demand
         self._process_data = ProcessData(
             self._node, self._errors, self._send_if_on_bus, self._on_rpdo_timeout
         )
@@ -66,6 +63,12 @@ class Cia402Drive:
     def fault(self) -> str | None:
         code = self._motor.error_code
         return None if code is ErrorCode.NONE else f"{SENTENCES[code]} (0x{code:04X})"
+
+    def measure(self, reading: JointReading) -> None:
+        self._motor.measure(reading)
+
+    def demand(self) -> JointDemand:
+        return self._motor.demand()
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or self._network.state is NmtState.INITIALISING:
@@ -172,7 +175,7 @@ class Cia402Drive:
         else:
             if command is NmtCommand.STOP:
                 self._motor.abort_connection(ErrorCode.STOPPED)
-            self._network.state = STATE_AFTER[command]
+            self._network.obey(command)
             self._process_data.rest()
 
     def _restart(self) -> None:

@@ -37,12 +37,11 @@ class NmtCommand(IntEnum):
     RESET_COMMUNICATION = 130
 
 
-STATE_AFTER = {
+_STATE_AFTER = {
     NmtCommand.START: NmtState.OPERATIONAL,
     NmtCommand.STOP: NmtState.STOPPED,
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
-"""What a command does to the state; resets are for the drive as a whole to do."""
 
 
 class NetworkState:
@@ -89,6 +88,10 @@ class NetworkState:
         self._lost.clear()
         self._watch([self._node.value(0x1016, subindex) for subindex in _CONSUMED])
         self._on_period(0, self._node.value(0x1017))
+
+    def obey(self, command: NmtCommand) -> None:
+        """Change the state; resets are for the drive as a whole to do."""
+        self.state = _STATE_AFTER[command]
 
     def note_heartbeat(self, node_id: int) -> None:
         """A heartbeat of a watched node has come."""

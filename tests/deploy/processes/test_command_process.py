@@ -5,19 +5,24 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pytest
+
 from deploy.processes.command_process import start
 
 
-def test_command_has_streams_session_folder_and_exit_code_of_its_own(tmp_path, monkeypatch):
-    """It is refused (exit code 2) what this process would be refused, there and not here."""
+@pytest.mark.parametrize("name", ["here.yaml", os.fsdecode(b"h\xe9re.yaml")])
+def test_command_has_streams_folder_and_exit_code_of_its_own(tmp_path, monkeypatch, name):
+    """It is refused (exit code 2) what this process would be refused, there and not here.
+
+    A file's name need not be text: Python shows what is none as an escape.
+    """
     monkeypatch.chdir(tmp_path)
-    Path("here.yaml").write_text("rate_hz: fast\n")
-    command = start(["plant", "here.yaml"])
-    assert os.getsid(command.process.pid) != os.getsid(0)  # a terminal's signals are not for it
+    Path(name).write_text("rate_hz: fast\n")
+    command = start(["plant", name])
     assert command.stdout.read() == ""
     said = command.stderr.read()
     assert said.startswith("error: ")
-    assert "here.yaml: rate_hz = 'fast'" in said
+    assert f"{name}: rate_hz = 'fast'".encode(errors="backslashreplace").decode() in said
     command.process.join()
     assert command.process.exitcode == 2
 
@@ -28,6 +33,8 @@ def test_command_is_told_by_its_command_line(tmp_path):
     command = start(words)
     assert command.stdout.readline()  # its first message: it has begun
     line = Path(f"/proc/{command.process.pid}/cmdline").read_bytes().decode()
+    session = os.getsid(command.process.pid)
     command.process.terminate()
     command.process.join()
     assert f"-m deploy.cli {' '.join(words)} --to-parent " in line
+    assert session == command.process.pid  # a terminal's signals are not for it

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes.links import free_ports, with_free_endpoints
+from deploy.processes.free_ports import free_ports
+from deploy.processes.links import with_free_endpoints
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
