@@ -56,7 +56,7 @@ class ControlStatus:
         if self._law.diagnostics is not self._diagnostics:
             self._bind(self._law.diagnostics)
         self._take_diagnostics()
-        scalars.network_norm = self._diagnostics.network_norm[0]
+        scalars.network_norm = self._network_norm[0]
         if self._compensation is not None:
             self._take_prediction(self._compensation)
         self._cycle_started_ns = started_ns
@@ -65,7 +65,7 @@ class ControlStatus:
 
     def _bind(self, diagnostics: Diagnostics) -> None:
         """Publish these from now on; a law may have new ones after a reset."""
-        self._diagnostics = diagnostics
+        self._diagnostics, self._network_norm = diagnostics, diagnostics.network_norm
         # One bound copy of a table: a quarter of what a copy per array takes, in every cycle.
         self._take_diagnostics = copying(
             diagnostics.published, self._record.rows(*Diagnostics.PUBLISHED)

@@ -47,7 +47,6 @@ class CommandPath:
         self._arm, self._telemetry, self._announce = arm, telemetry, announce
         self._unused: Counter[str] = Counter()
         self._stamp_ns = -1
-        self._newest_sent_ns = -1
         self.sequence = 0
         self.delay_ns = -1
 
@@ -60,15 +59,16 @@ class CommandPath:
         """Age of the state that the command in force answers; -1 before the first."""
         return now_ns - self._stamp_ns if self._stamp_ns >= 0 else -1
 
-    def note_delivered(self, stamp_ns: int) -> None:
-        """The state of this stamp was delivered: it can be answered."""
-        self._newest_sent_ns = max(self._newest_sent_ns, stamp_ns)
+    def take_in(self, arrivals: Iterable[CommandArrival], newest_state_ns: int) -> None:
+        """Send what passes the gate on its way to the joints.
 
-    def take_in(self, arrivals: Iterable[CommandArrival]) -> None:
-        """Send what passes the gate on its way to the joints."""
+        Args:
+            arrivals: what came off the bus.
+            newest_state_ns: stamp of the newest state that was delivered, and so can be answered.
+        """
         for arrival in arrivals:
             former = self._gate.commander
-            command = self._gate.admit(arrival, self._newest_sent_ns)
+            command = self._gate.admit(arrival, newest_state_ns)
             if command is not None:
                 if arrival.sender != former:
                     self._announce(EventKind.COMMANDER, _commander(arrival.sender, former))

@@ -79,6 +79,7 @@ class PlantLoop:
         self.tick = 0
         self._tick_ns = 0
         self._command_age_ns = -1
+        self._newest_state_ns = -1
 
     @property
     def deadline_misses(self) -> int:
@@ -179,7 +180,7 @@ class PlantLoop:
             self._begin_stop(reason)
 
     def _deliver(self, measurement: Measurement) -> None:
-        self._commands.note_delivered(measurement.stamp_ns)
+        self._newest_state_ns = max(self._newest_state_ns, measurement.stamp_ns)
         self._telemetry.note_delivered(self._clock.now_ns() - measurement.stamp_ns)
         self._link.send_state(measurement.state, measurement.status)
         self._telemetry.send(self._link)
@@ -220,7 +221,7 @@ class PlantLoop:
         if self._controller_is_lost:
             self._commands.reject(arrivals)
         elif arrivals:
-            self._commands.take_in(arrivals)
+            self._commands.take_in(arrivals, self._newest_state_ns)
 
     def _skip_to(self, tick: int) -> None:
         """Let the physics go through the ticks before this one, at which nothing is measured."""
