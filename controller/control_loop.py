@@ -122,7 +122,7 @@ class ControlLoop:
         try:
             if self._read(state, plant_status):
                 self._update()
-                sequence = self._write(self.stamp_ns)
+                sequence = self._write()
                 self._report(sequence, started_ns)
         except Exception as error:
             self.stop(reason_of(error))
@@ -168,7 +168,7 @@ class ControlLoop:
             self._start_ns = start_ns if self._start_ns is None else self._start_ns
         if stamp_ns <= self.stamp_ns:
             self.late += 1
-            self._write(stamp_ns)
+            self._write()
             return False
         step_ns = stamp_ns - self.stamp_ns if self.stamp_ns >= 0 else 0
         self.stamp_ns = stamp_ns
@@ -206,17 +206,19 @@ class ControlLoop:
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
         self._take_torque()
 
-    def _write(self, stamp_ns: int) -> int:
-        """Send the torque in force in answer to a state; its number."""
-        self._command.stamp_ns = stamp_ns
+    def _write(self) -> int:
+        """Send the torque in force in answer to the state that was read; its number."""
+        self._command.stamp[:] = self._state.stamp
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         if self._compensation is not None:
-            self._compensation.note_command(sequence, stamp_ns, self._command.fields["effort"])
+            self._compensation.note_command(
+                sequence, self._command.stamp_ns, self._command.fields["effort"]
+            )
         return sequence
 
     def _report(self, sequence: int, started_ns: int) -> None:
         """Publish the law's inner state and its timing; the torque is already on its way."""
-        payload = self._status.encode(self.stamp_ns, self.cycles, sequence, started_ns)
+        payload = self._status.encode(self._state, self.cycles, sequence, started_ns)
         self._link.publish(topics.CONTROL_STATUS, payload)
         self.cycles += 1
         if self.mode is Mode.READY:

@@ -39,16 +39,16 @@ class ControlStatus:
             self._record.fields[name][:] = np.nan
         self._cycle_started_ns = 0
 
-    def encode(self, stamp_ns: int, cycle: int, sequence: int, started_ns: int) -> bytes:
+    def encode(self, state: Record, cycle: int, sequence: int, started_ns: int) -> bytes:
         """The message for a cycle.
 
         Args:
-            stamp_ns: stamp of the state answered.
+            state: the state answered, whose stamp the message bears.
             cycle: number of the cycle.
             sequence: number of the command.
             started_ns: start of the cycle, by ``time.perf_counter_ns``.
         """
-        self._record.stamp_ns = stamp_ns
+        self._record.stamp[:] = state.stamp
         scalars = self._record.scalars
         scalars.timing_cycle = cycle
         scalars.timing_period_ns = started_ns - self._cycle_started_ns if cycle else 0

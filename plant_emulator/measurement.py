@@ -44,7 +44,8 @@ class Instruments:
             command_age_ns: age of the state that the command in force answers; -1 without one.
         """
         state, status, commands = self._state, self._status, self._commands
-        state.stamp_ns = status.stamp_ns = stamp_ns
+        state.stamp_ns = stamp_ns
+        status.stamp[:] = state.stamp
         self._arm.read_encoders(stamp_ns)
         self._take_motion()
         self._take_effort()
