@@ -18,7 +18,6 @@ from plant_emulator.arm.quiet import quiet
 
 with quiet():
     import pybullet
-    from pybullet_utils.bullet_client import BulletClient
 
 _CAMERA_FROM = np.array([0.55, -0.75, 0.36])
 _FIELD_OF_VIEW_DEG = 35.0
@@ -44,31 +43,31 @@ class PybulletArm:
     def __init__(
         self, robot: RobotDescription, substep_s: float, *, payload_kg: float = 0.0
     ) -> None:
-        self._server = server = BulletClient(pybullet.DIRECT)
-        # Looked up once: that costs what a benchmark of pybullet's own calls must not measure.
-        self._set_motors, self._get_states = server.setJointMotorControlArray, server.getJointStates
-        self._step = server.stepSimulation
+        self._client = pybullet.connect(pybullet.DIRECT)
         # One body that never touches anything: looking for contacts would be a tenth of a step.
-        server.resetSimulation(pybullet.RESET_USE_SIMPLE_BROADPHASE)
+        pybullet.resetSimulation(pybullet.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self._client)
         self._body = self._load(robot, payload_kg)
         self._joints = self._find_joints(robot.joint_names)
-        server.setGravity(0, 0, -GRAVITY_M_S2)
-        server.setTimeStep(substep_s)
-        for link in range(-1, server.getNumJoints(self._body)):
-            server.changeDynamics(
-                self._body, link, linearDamping=0, angularDamping=0, jointDamping=0
-            )
-        # Which every joint has at first.
-        self._set_motors(
-            self._body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * robot.joints
-        )
+        pybullet.setGravity(0, 0, -GRAVITY_M_S2, physicsClientId=self._client)
+        pybullet.setTimeStep(substep_s, physicsClientId=self._client)
+        for link in range(-1, pybullet.getNumJoints(self._body, physicsClientId=self._client)):
+            pybullet.changeDynamics(
+                self._body, link, linearDamping=0, angularDamping=0, jointDamping=0,
+                physicsClientId=self._client,
+            )  # fmt: skip
+        pybullet.setJointMotorControlArray(  # which every joint has at first
+            self._body, self._joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * robot.joints,
+            physicsClientId=self._client,
+        )  # fmt: skip
         self.position: Vector = np.zeros(robot.joints)
         self.velocity: Vector = np.zeros(robot.joints)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
         for joint, angle in zip(self._joints, position, strict=True):
-            self._server.resetJointState(self._body, joint, float(angle), 0.0)
+            pybullet.resetJointState(
+                self._body, joint, float(angle), 0.0, physicsClientId=self._client
+            )
         self._read()
 
     def step(self, torque_nm: Vector) -> None:
@@ -81,20 +80,28 @@ class PybulletArm:
         Returns:
             pybullet's joint states, one for each joint: position (rad), velocity (rad/s), …
         """
-        body, joints = self._body, self._joints
-        self._set_motors(body, joints, pybullet.TORQUE_CONTROL, forces=torque_nm)
-        self._step()
-        states: Sequence[Sequence[float]] = self._get_states(body, joints)
+        client, body, joints = self._client, self._body, self._joints
+        pybullet.setJointMotorControlArray(
+            body, joints, pybullet.TORQUE_CONTROL, forces=torque_nm, physicsClientId=client
+        )
+        pybullet.stepSimulation(physicsClientId=client)
+        states: Sequence[Sequence[float]] = pybullet.getJointStates(
+            body, joints, physicsClientId=client
+        )
         return states
 
     def advance(self) -> None:
         """One substep under the forces in force, and nothing else: the joints are not read."""
-        self._step()
+        pybullet.stepSimulation(physicsClientId=self._client)
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """Joint-space inertia at `position`, shape (joints, joints), kg m²."""
         order = np.argsort(self._joints)  # pybullet's own, which may differ from the URDF file's
-        full = np.array(self._server.calculateMassMatrix(self._body, position[order].tolist()))
+        full = np.array(
+            pybullet.calculateMassMatrix(
+                self._body, position[order].tolist(), physicsClientId=self._client
+            )
+        )
         inverse = np.argsort(order)
         return np.ascontiguousarray(full[np.ix_(inverse, inverse)])
 
@@ -107,11 +114,13 @@ class PybulletArm:
             positions: joint positions, rad, shape (poses, joints).
         """
         points = [np.zeros(3)]
-        links = range(self._server.getNumJoints(self._body))
+        links = range(pybullet.getNumJoints(self._body, physicsClientId=self._client))
         for position in positions:
             self.place(position)
             for link in links:
-                state = self._server.getLinkState(self._body, link, computeForwardKinematics=True)
+                state = pybullet.getLinkState(
+                    self._body, link, computeForwardKinematics=True, physicsClientId=self._client
+                )
                 points += [np.array(state[0]), np.array(state[4])]
         return np.min(points, axis=0), np.max(points, axis=0)
 
@@ -143,9 +152,9 @@ class PybulletArm:
         projection = pybullet.computeProjectionMatrixFOV(
             _FIELD_OF_VIEW_DEG, width_px / height_px, distance / 10, distance * 10
         )
-        _, _, colours, _, bodies = self._server.getCameraImage(
+        _, _, colours, _, bodies = pybullet.getCameraImage(
             width_px, height_px, view, projection, renderer=pybullet.ER_TINY_RENDERER,
-            lightDirection=[1, -2, 3], shadow=0,
+            lightDirection=[1, -2, 3], shadow=0, physicsClientId=self._client,
         )  # fmt: skip
         picture = np.array(colours, dtype=np.uint8).reshape(height_px, width_px, 4)[..., :3]
         picture[np.reshape(bodies, (height_px, width_px)) < 0] = 255
@@ -153,10 +162,10 @@ class PybulletArm:
 
     def close(self) -> None:
         """Free the physics server."""
-        self._server.disconnect()
+        pybullet.disconnect(physicsClientId=self._client)
 
     def _read(self) -> None:
-        self._take(self._get_states(self._body, self._joints))
+        self._take(pybullet.getJointStates(self._body, self._joints, physicsClientId=self._client))
 
     def _take(self, states: Sequence[Sequence[float]]) -> None:
         self.position[:], self.velocity[:] = ([state[row] for state in states] for row in range(2))
@@ -164,16 +173,18 @@ class PybulletArm:
     def _load(self, robot: RobotDescription, payload_kg: float) -> int:
         try:
             with loadable_file(robot.path, robot.resolved_urdf(payload_kg)) as file:
-                body: int = self._server.loadURDF(
-                    str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE
-                )
+                body: int = pybullet.loadURDF(
+                    str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                    physicsClientId=self._client,
+                )  # fmt: skip
         except pybullet.error as error:
             raise RobotDescriptionError(f"{robot.path}: pybullet: {error}") from error
         return body
 
     def _find_joints(self, names: tuple[str, ...]) -> list[int]:
+        count = pybullet.getNumJoints(self._body, physicsClientId=self._client)
         index_by_name = {
-            self._server.getJointInfo(self._body, link)[1].decode(): link
-            for link in range(self._server.getNumJoints(self._body))
+            pybullet.getJointInfo(self._body, i, physicsClientId=self._client)[1].decode(): i
+            for i in range(count)
         }
         return [index_by_name[name] for name in names]
