@@ -1,5 +1,6 @@
 """The arm of a run against pybullet's own Python functions."""
 
+import ctypes
 from pathlib import Path
 
 import numpy as np
@@ -106,3 +107,12 @@ def test_what_bullet_could_not_load_is_refused_every_time(tmp_path):
     for _ in range(2):
         with pytest.raises(RobotDescriptionError, match="pybullet cannot load it"):
             require_loadable(path, "<robot/>")
+
+
+def test_arms_say_nothing(capfd):
+    """What pybullet's C code prints would stand in the middle of a command's output."""
+    robot = load_robot(find_urdf("paper_arm", Path.cwd()))
+    PybulletArm(robot, GRID.substep_s).close()
+    BulletArm(robot, GRID, torques_of(robot)).close()
+    ctypes.CDLL(None).fflush(None)
+    assert capfd.readouterr() == ("", "")
