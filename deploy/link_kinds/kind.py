@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +32,7 @@ class LinkRun(PlantTask):
     can_log: Path | None = None
 
 
-class LinkKind(Generic[Arm]):
+class LinkKind(ABC, Generic[Arm]):
     """A kind of link. What it does not say otherwise is as it is over a network.
 
     Attributes:
@@ -78,6 +79,7 @@ class LinkKind(Generic[Arm]):
         """What the wire makes of torques, N m, shape (joints,); None if they arrive as sent."""
         return None
 
+    @abstractmethod
     def open_plant(self, run: LinkRun, arm: Arm, clock: Clock) -> PlantLink:
         """The plant's side.
 
@@ -89,12 +91,11 @@ class LinkKind(Generic[Arm]):
         Raises:
             BusError: the link cannot be opened.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def open_controller(self, run: LinkRun) -> ControllerLink:
         """The controller's side.
 
         Raises:
             BusError: the link cannot be opened.
         """
-        raise NotImplementedError

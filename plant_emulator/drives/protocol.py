@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import CanMaster
@@ -12,7 +14,7 @@ from bus_schema.robot_description import RobotDescription
 from plant_emulator.drives.drive import Drive
 
 
-class DriveProtocol:
+class DriveProtocol(ABC):
     """A protocol of motor drives; section ``link.can`` of a scenario says how it is used.
 
     Attributes:
@@ -27,13 +29,13 @@ class DriveProtocol:
     drive: type[Drive]
     drive_master: type[CanMaster]
 
+    @abstractmethod
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> CanCodec:
         """The frames of a control cycle.
 
         Raises:
             ConfigurationError: a value does not fit the robot.
         """
-        raise NotImplementedError
 
     def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> CanMaster:
         """A master of drives on `bus`.
@@ -44,7 +46,7 @@ class DriveProtocol:
         node_ids = self.node_ids(can, robot.joints)
         return self.drive_master(bus, can, node_ids, self.codec(can, robot))
 
-    def check(self, can: CanConfiguration) -> None:
+    def check(self, can: CanConfiguration) -> None:  # noqa: B027 (a protocol may have none)
         """Check values that concern this protocol alone.
 
         Raises:

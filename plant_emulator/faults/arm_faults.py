@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -60,17 +61,17 @@ class JointFault(ArmFault):
 class EncoderFault(JointFault):
     """A fault of the encoder of a joint."""
 
+    @abstractmethod
     def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
         """What the encoder shows while the fault lasts."""
-        raise NotImplementedError
 
 
 class ActuatorFault(JointFault):
     """A fault of the actuator of a joint."""
 
+    @abstractmethod
     def faulty_torque_nm(self, requested_nm: float) -> float:
         """What the actuator takes for the torque requested while the fault lasts."""
-        raise NotImplementedError
 
 
 class EncoderStuck(EncoderFault):

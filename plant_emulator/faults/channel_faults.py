@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable
 from typing import Literal
 
@@ -26,9 +27,9 @@ class ChannelFault(LinkFault):
 
     direction: Direction
 
+    @abstractmethod
     def changed(self, conditions: Conditions) -> Conditions:
         """The conditions of the channel while the fault lasts."""
-        raise NotImplementedError
 
 
 class LinkCut(ChannelFault):

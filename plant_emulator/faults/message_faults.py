@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator
 from typing import ClassVar, Literal
 
@@ -64,10 +65,11 @@ class MessageFault(LinkFault):
 
     happens_on_the_way: ClassVar[bool] = False
 
+    @abstractmethod
     def acts_on(self) -> Direction:
         """Which messages are faulty."""
-        raise NotImplementedError
 
+    @abstractmethod
     def changed(self, messages: tuple[bytes, ...], editor: MessageEditor) -> tuple[bytes, ...]:
         """What becomes of messages that are sent together while the fault lasts.
 
@@ -75,7 +77,6 @@ class MessageFault(LinkFault):
             messages: on the uplink a joint state and its plant status, on the downlink a command.
             editor: does it.
         """
-        raise NotImplementedError
 
 
 class LinkCorrupted(MessageFault):
