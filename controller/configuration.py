@@ -9,10 +9,13 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, PlainValidator, create_model, field_validator
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.configuration import PerJointPositive, Positive, StrictModel, expand, expand_fields
 from bus_schema.robot_description import RobotDescription
+from bus_schema.drive_feedback import no_drive_feedback
+from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
+from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
 from controller.laws import LAWS
 from controller.laws.custom import build_custom, is_custom
@@ -27,11 +30,14 @@ class DelayCompensationConfiguration(StrictModel):
         enabled: whether the law sees the predicted state instead of the measured one.
         observer_bandwidth_rad_s: how fast disturbances are learned that the nominal model misses.
         learn_friction: whether Coulomb friction is told apart from other disturbances.
+        identify_model: whether inertia, payload, viscous friction and the actuators' lag are
+            learned while the arm moves.
     """
 
     enabled: bool = False
     observer_bandwidth_rad_s: Positive = 60.0
     learn_friction: bool = True
+    identify_model: bool = True
 
 
 def _check_gains(given: Any) -> dict[str, Any]:
@@ -76,13 +82,13 @@ class ControllerConfiguration(StrictModel):
             raise ValueError(f"one of {', '.join(LAWS)}, or module:Class for a law of your own")
         return law
 
-    def build_gains(self, robot: RobotDescription, positions_rad: Matrix) -> Any:
+    def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
         """The gains of the configured law, expanded to the robot's joints.
 
         Args:
             robot: the arm.
-            positions_rad: joint positions on the planned motion, shape (samples, joints), by whose
-                inertia gains are sized that the scenario does not give.
+            inertia_kg_m2: nominal inertia that governs each joint, shape (joints,), by which gains
+                are sized that the scenario does not give.
 
         Raises:
             ConfigurationError: there are as many values of a gain as suits another arm.
@@ -91,8 +97,7 @@ class ControllerConfiguration(StrictModel):
             return self.gains["custom"]
         gains = self.gains.get(self.law)
         if gains is None:
-            inertia = self.nominal_model(robot).governing_inertia(positions_rad)
-            gains = LAWS[self.law].gains.from_inertia(inertia)
+            gains = LAWS[self.law].gains.from_inertia(inertia_kg_m2)
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 
     def build_law(self, gains: Any, robot: RobotDescription) -> ControlLaw:
@@ -111,21 +116,26 @@ class ControllerConfiguration(StrictModel):
         return ManipulatorModel(robot, scale=self.model_scale)
 
     def build_compensation(
-        self, robot: RobotDescription, least_horizon_ms: float
+        self, robot: RobotDescription, inertia_kg_m2: Vector, least_horizon_ms: float
     ) -> DelayCompensation | None:
         """The configured delay compensation; None for none.
 
         Args:
             robot: the arm.
+            inertia_kg_m2: nominal inertia that governs each joint, shape (joints,).
             least_horizon_ms: no torque acts sooner than this after the state it answers.
         """
         settings = self.delay_compensation
         if not settings.enabled:
             return None
+        loaded = ManipulatorModel(robot, scale=self.model_scale, payload_kg=1.0)
         return DelayCompensation(
-            self.nominal_model(robot),
+            nominal_arm(self.nominal_model(robot), loaded, robot.effort_limits_nm),
+            identification(
+                inertia_kg_m2, model=settings.identify_model, friction=settings.learn_friction
+            ),
+            no_drive_feedback(robot.joints),
             observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
-            learn_friction=settings.learn_friction,
             least_horizon_ns=round(least_horizon_ms * 1e6),
         )
 

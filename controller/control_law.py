@@ -30,6 +30,7 @@ class Tracking:
     Attributes:
         time_s: time of measurement since the start of the run.
         step_s: time since the previous measurement; 0 at the first.
+        horizon_s: how far this situation lies ahead of its measurement; 0 unless predicted.
         position: rad; velocity: rad/s; as measured.
         motion: both as rows, shape (2, joints).
         reference_position: rad; reference_velocity: rad/s; reference_acceleration: rad/s².
@@ -49,6 +50,7 @@ class Tracking:
     ) -> None:
         self.time_s = 0.0
         self.step_s = 0.0
+        self.horizon_s = 0.0
         self.motion: Matrix = np.zeros((2, joints)) if motion is None else motion
         self.position: Vector
         self.velocity: Vector

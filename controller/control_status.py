@@ -75,5 +75,5 @@ class ControlStatus:
         fields = self._record.fields
         self._record.scalars.horizon_ns = compensation.timeline.horizon_ns
         fields["foreseen_error"][:] = compensation.predicted.error
-        fields["learned_disturbance"][:] = compensation.missing.disturbance_nm
-        fields["learned_friction"][:] = compensation.missing.coulomb_nm
+        fields["learned_disturbance"][:] = compensation.belief.disturbance_nm
+        fields["learned_friction"][:] = compensation.belief.coulomb_nm

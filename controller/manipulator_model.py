@@ -9,6 +9,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
+from controller.rigid_bodies import RigidBodies
 
 
 class ManipulatorModel:
@@ -35,6 +36,7 @@ class ManipulatorModel:
                 scale * inertia.mass, inertia.lever, scale * inertia.inertia
             )
         self._data = self._model.createData()
+        self._names = robot.joint_names
         self._tip = self._model.getFrameId(robot.tip_link)
         self.joints = robot.joints
         # pinocchio may order the joints otherwise than the URDF file: the place of each one there.
@@ -47,6 +49,32 @@ class ManipulatorModel:
             np.minimum.outer(self._order, self._order),
             np.maximum.outer(self._order, self._order),
         )
+
+    def rigid_bodies(self) -> RigidBodies:
+        """The arm's structure, for compiled code."""
+        zero, joints = np.zeros(self.joints), range(self.joints)
+        numbers = [int(self._model.getJointId(name)) for name in self._names]
+        axes = np.empty((self.joints, 3))
+        for i in joints:
+            velocity = np.zeros(self.joints)
+            velocity[self._order[i]] = 1.0
+            pinocchio.forwardKinematics(self._model, self._data, zero, velocity)
+            axes[i] = self._data.v[numbers[i]].angular
+        carriers = [int(self._model.parents[number]) for number in numbers]
+        placements = [self._model.jointPlacements[number] for number in numbers]
+        return RigidBodies(
+            outwards=np.array(sorted(joints, key=numbers.__getitem__), dtype=np.int64),
+            parents=np.array([numbers.index(c) if c else -1 for c in carriers], dtype=np.int64),
+            rotations=np.array([placement.rotation for placement in placements]),
+            origins=np.array([placement.translation for placement in placements]),
+            axes=axes,
+            gravity=np.array(self._model.gravity.linear),
+        )
+
+    def inertia_table(self) -> Matrix:
+        """Inertia of every body, shape (joints, 10), as `RigidBodies` has it."""
+        numbers = (self._model.getJointId(name) for name in self._names)
+        return np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """M(q), shape (joints, joints), kg m²."""

@@ -35,28 +35,35 @@ class CommandFeedback(NamedTuple):
     delay_ns: int
 
 
-class TorqueSchedule(NamedTuple):
-    """Torques from an instant on, for compiled code; a command's place is number % `CAPACITY`.
+class Commands(NamedTuple):
+    """The commands sent, for compiled code; a command's place is its number % `CAPACITY`.
 
     Attributes:
         stamps_ns: stamp of the state that each command answers, shape (CAPACITY,).
         torques_nm: shape (CAPACITY, joints).
+        targets: for the drives: position as of that stamp, rad, and velocity, rad/s, as rows;
+            shape (CAPACITY, 2, joints).
+    """
+
+    stamps_ns: NDArray[np.int64]
+    torques_nm: Matrix
+    targets: NDArray[np.float64]
+
+
+class Flight(NamedTuple):
+    """Which commands act from an instant on.
+
+    Attributes:
         in_force: number of the command in force at first.
         upcoming: number of the command that acts next.
         newest: number of the last command.
         delay_ns: from a command's stamp to its coming into force.
     """
 
-    stamps_ns: NDArray[np.int64]
-    torques_nm: Matrix
     in_force: int
     upcoming: int
     newest: int
     delay_ns: int
-
-    def acts_ns(self, number: int) -> int:
-        """When a command comes into force."""
-        return int(self.stamps_ns[number % CAPACITY]) + self.delay_ns
 
 
 class CommandTimeline:
@@ -67,14 +74,19 @@ class CommandTimeline:
         least_horizon_ns: no torque acts sooner than this after the state it answers.
 
     Attributes:
+        commands: all that can be in flight.
         horizon_ns: expected time from a state to the acting of the torque that answers it.
     """
 
     def __init__(self, joints: int, least_horizon_ns: int) -> None:
         self._least_horizon_ns = least_horizon_ns
-        self._stamps_ns = np.zeros(CAPACITY, dtype=np.int64)
+        self.commands = Commands(
+            np.zeros(CAPACITY, dtype=np.int64),
+            np.zeros((CAPACITY, joints)),
+            np.zeros((CAPACITY, 2, joints)),
+        )
+        self._stamps_ns = self.commands.stamps_ns
         self._numbers = np.zeros(CAPACITY, dtype=np.int64)
-        self._torques_nm: Matrix = np.zeros((CAPACITY, joints))
         self.reset()
 
     def reset(self) -> None:
@@ -84,11 +96,15 @@ class CommandTimeline:
         self._in_force, self._mean_delay_ns, self._spread_ns = HELD, 0.0, 0.0
         self._expect(0)
 
-    def note(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
-        """A command was sent, whose number is above those of all before."""
+    def note(
+        self, number: int, stamp_ns: int, torque_nm: Vector, target: Matrix | None = None
+    ) -> None:
+        """A command was sent, whose number is above those of all before; see `Commands`."""
         slot = number % CAPACITY
         self._numbers[slot], self._stamps_ns[slot] = number, stamp_ns
-        self._torques_nm[slot] = torque_nm
+        self.commands.torques_nm[slot] = torque_nm
+        if target is not None:
+            self.commands.targets[slot] = target
         self._first = max(self._first or number, number - CAPACITY + 1)
         self._newest = number
 
@@ -115,11 +131,11 @@ class CommandTimeline:
             self._expect(round(self._mean_delay_ns))
         self._in_force = feedback.sequence
 
-    def between(self, in_force: int, then: CommandFeedback, from_ns: int) -> TorqueSchedule:
+    def between(self, in_force: int, then: CommandFeedback, from_ns: int) -> Flight:
         """What acted from an instant on, while the command in force gave way to another one."""
         return self._schedule(in_force, then.sequence, then.delay_ns, from_ns)
 
-    def ahead(self, in_force: int, now_ns: int) -> TorqueSchedule:
+    def ahead(self, in_force: int, now_ns: int) -> Flight:
         """What will act from now on.
 
         A command that should have come by now is just about to, or it is lost if it is overdue by
@@ -135,13 +151,11 @@ class CommandTimeline:
     def _expect(self, horizon_ns: int) -> None:
         self.horizon_ns = min(max(horizon_ns, self._least_horizon_ns), LONGEST_HORIZON_NS)
 
-    def _schedule(self, in_force: int, newest: int, delay_ns: int, from_ns: int) -> TorqueSchedule:
+    def _schedule(self, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Flight:
         upcoming = _first_after(
             self._stamps_ns, max(in_force + 1, self._first), newest, from_ns - delay_ns
         )
-        return TorqueSchedule(
-            self._stamps_ns, self._torques_nm, in_force, upcoming, newest, delay_ns
-        )
+        return Flight(in_force, upcoming, newest, delay_ns)
 
 
 @compiled

@@ -115,6 +115,7 @@ class Setup:
         funnel: the bounds that laws and judge share.
         gains: gains in use, expanded to the robot's joints.
         start_position_rad: joint positions at the start, shape (joints,).
+        governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
     """
 
     scenario: Scenario
@@ -124,6 +125,7 @@ class Setup:
     funnel: Funnel
     gains: Any
     start_position_rad: Vector
+    governing_inertia_kg_m2: Vector
     grid: TickGrid
 
     @property
@@ -142,7 +144,9 @@ class Setup:
             law=controller.build_law(self.gains, self.robot),
             law_name=controller.law,
             limits=limits,
-            compensation=controller.build_compensation(self.robot, self.scenario.link.playout_ms),
+            compensation=controller.build_compensation(
+                self.robot, self.governing_inertia_kg_m2, self.scenario.link.playout_ms
+            ),
         )
 
     def plant_task(
@@ -276,6 +280,8 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
     )
     check_faults(scenario.faults, context)
+    sized_by = motion[:: -(-len(motion) // _SIZED_BY)]
+    inertia = scenario.controller.nominal_model(robot).governing_inertia(sized_by)
     link = find_delay_files(scenario.link, source.parent)
     setup = Setup(
         scenario=scenario.model_copy(update={"link": link}),
@@ -283,8 +289,9 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         robot=robot,
         reference=reference,
         funnel=scenario.funnel.build(offset),
-        gains=scenario.controller.build_gains(robot, motion[:: -(-len(motion) // _SIZED_BY)]),
+        gains=scenario.controller.build_gains(robot, inertia),
         start_position_rad=start,
+        governing_inertia_kg_m2=inertia,
         grid=grid,
     )
     setup.control_task()

@@ -1,0 +1,91 @@
+"""What a controller believes about its arm while it runs: the nominal model, and what was learned.
+
+    (1 + α) (M̂ q̈ + ĥ) + m (M_t q̈ + h_t) = τ_a + f − c tanh(q̇ / v) − b q̇,    ℓ τ̇_a = τ − τ_a
+
+with an inertia factor 1 + α, a payload m at the tip, Coulomb and viscous friction c and b, a lag ℓ
+of the actuators, and a disturbance f for all the rest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.runtime.compiled import compiled
+from controller.manipulator_model import ManipulatorModel
+from controller.rigid_bodies import RigidBodies
+
+SMOOTHING_RAD_S = 0.02
+"""Velocity v at which dry friction has most of its size; below, it is all but viscous."""
+
+
+class NominalArm(NamedTuple):
+    """The model that a controller starts from.
+
+    Attributes:
+        bodies: structure of the arm.
+        inertia: nominal inertia table, shape (joints, 10).
+        tip_inertia: what 1 kg at the tip adds to it, shape (joints, 10).
+        limits_nm: largest torques of the actuators, shape (joints,); inf for none.
+    """
+
+    bodies: RigidBodies
+    inertia: Matrix
+    tip_inertia: Matrix
+    limits_nm: Vector
+
+
+class ArmBelief(NamedTuple):
+    """Model and state that are learned; arrays of shape (joints,) unless it says otherwise.
+
+    Attributes:
+        inertia: (1 + α) and m applied to the nominal table, shape (joints, 10).
+        disturbance_nm: f, driving.
+        coulomb_nm: c, braking.
+        viscous_nm_s: b, braking.
+        lag_s: ℓ, shape (1,).
+        actuator_nm: τ_a at the newest state.
+    """
+
+    inertia: Matrix
+    disturbance_nm: Vector
+    coulomb_nm: Vector
+    viscous_nm_s: Vector
+    lag_s: Vector
+    actuator_nm: Vector
+
+
+def nominal_arm(model: ManipulatorModel, loaded: ManipulatorModel, limits_nm: Vector) -> NominalArm:
+    """The arm that compiled code starts from.
+
+    Args:
+        model: the nominal model.
+        loaded: the same with 1 kg more at its tip.
+        limits_nm: largest torques of the actuators, shape (joints,).
+    """
+    inertia = model.inertia_table()
+    return NominalArm(model.rigid_bodies(), inertia, loaded.inertia_table() - inertia, limits_nm)
+
+
+def first_belief(nominal: NominalArm) -> ArmBelief:
+    """The nominal model, and nothing learned."""
+    joints = nominal.limits_nm.size
+    belief = ArmBelief(
+        np.empty_like(nominal.inertia),
+        np.zeros(joints), np.zeros(joints), np.zeros(joints), np.zeros(1), np.zeros(joints),
+    )  # fmt: skip
+    forget(nominal, belief)
+    return belief
+
+
+@compiled
+def forget(nominal: NominalArm, belief: ArmBelief) -> None:
+    """Go back to the nominal model."""
+    belief.inertia[:] = nominal.inertia
+    belief.disturbance_nm[:] = 0.0
+    belief.coulomb_nm[:] = 0.0
+    belief.viscous_nm_s[:] = 0.0
+    belief.lag_s[:] = 0.0
+    belief.actuator_nm[:] = 0.0

@@ -1,0 +1,253 @@
+"""The arm's model, identified while it runs: inertia, payload, friction and the actuators' lag.
+
+A Kalman filter takes in the equation of motion (see `arm_belief`), averaged over some 16 ms, in
+which encoder noise and a law's chattering mean out:
+
+    M̂ q̈ + ĥ − τ = f − c tanh(q̇ / v) − b q̇ − α (M̂ q̈ + ĥ) − m (M_t q̈ + h_t) − ℓ τ̇_a
+
+It is linear in θ = (α, m, ℓ, f, c, b), the last three with an entry for each joint. Here f takes up
+what is none of the others; prediction has an observer of its own for that, which is faster.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.runtime.compiled import compiled
+from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
+from controller.rigid_bodies import inverse_dynamics
+
+INERTIA, PAYLOAD, LAG, PER_JOINT = range(4)
+"""Places in θ; from `PER_JOINT` on, f, c and b of all joints."""
+WINDOW_S = 0.016
+
+# Standard deviations at the start, and how far each may walk in a second. Those of f, c and b are
+# per kg m² of the inertia that governs a joint. Ours, from three arms.
+_AT_START = {"inertia": 0.3, "payload_kg": 2.0, "lag_s": 2e-3, "f": 0.02, "c": 3.0, "b": 3.0}
+_PER_ROOT_S = {"inertia": 0.01, "payload_kg": 0.1, "lag_s": 1e-4, "f": 0.5, "c": 0.05, "b": 0.05}
+_NOISE_RAD_S2 = 1.0
+_LARGEST_FRICTION_RAD_S2 = 30.0
+"""No joint is believed to have more dry friction than this, nor more viscous friction per rad/s."""
+
+
+class Window(NamedTuple):
+    """Sums over the motion since the last update; arrays of shape (joints,).
+
+    Attributes:
+        elapsed_s: shape (1,); 0 for a window that has not begun.
+        impulse: ∫ τ dt.
+        sign: ∫ tanh(q̇ / v) dt.
+        angle: ∫ q̇ dt.
+        position: ∫ q dt.
+        first_velocity: q̇ at its start.
+        first_actuator: τ_a at its start.
+    """
+
+    elapsed_s: Vector
+    impulse: Vector
+    sign: Vector
+    angle: Vector
+    position: Vector
+    first_velocity: Vector
+    first_actuator: Vector
+
+
+class Identification(NamedTuple):
+    """State and settings of the filter, with n = 3 + 3 × joints.
+
+    Attributes:
+        is_active: whether there is anything to learn.
+        estimate: θ, shape (n,).
+        covariance: its covariance, shape (n, n).
+        at_start: standard deviations at the start, shape (n,); 0 for what is not to be learned.
+        per_root_s: how far θ may walk in a second, shape (n,).
+        lowest: shape (n,).
+        highest: shape (n,).
+        noise_nm: standard deviation of a window's average, shape (joints,).
+        window: what is being averaged.
+    """
+
+    is_active: bool
+    estimate: Vector
+    covariance: Matrix
+    at_start: Vector
+    per_root_s: Vector
+    lowest: Vector
+    highest: Vector
+    noise_nm: Vector
+    window: Window
+
+
+def identification(inertia_kg_m2: Vector, *, model: bool, friction: bool) -> Identification:
+    """A filter that knows nothing yet.
+
+    Args:
+        inertia_kg_m2: inertia that governs each joint, shape (joints,).
+        model: learn inertia, payload, lag and viscous friction.
+        friction: learn Coulomb friction.
+    """
+    i, one = inertia_kg_m2, np.ones_like(inertia_kg_m2)
+
+    def entries(inertia: float, payload: float, lag: float, per_joint: list[Vector]) -> Vector:
+        return np.concatenate([[inertia, payload, lag], *per_joint])
+
+    def deviations(values: dict[str, float]) -> Vector:
+        every = entries(
+            values["inertia"], values["payload_kg"], values["lag_s"],
+            [values["f"] * i, values["c"] * i, values["b"] * i],
+        )  # fmt: skip
+        wanted = entries(model, model, model, [(model or friction) * one, friction * one, model * one])
+        return every * wanted
+
+    highest = [np.inf * one, _LARGEST_FRICTION_RAD_S2 * i, _LARGEST_FRICTION_RAD_S2 * i]
+    at_start = deviations(_AT_START)
+    window = Window(np.zeros(1), *(np.zeros(i.size) for _ in Window._fields[1:]))
+    return Identification(
+        bool(at_start.any()), np.zeros(at_start.size), np.diag(at_start**2), at_start, deviations(_PER_ROOT_S),
+        entries(-0.6, 0.0, 0.0, [-np.inf * one, 0.0 * one, 0.0 * one]),
+        entries(1.5, np.inf, 8e-3, highest),
+        _NOISE_RAD_S2 * i, window,
+    )  # fmt: skip
+
+
+@compiled
+def start_again(filter_: Identification) -> None:
+    """Forget all that was learned."""
+    filter_.estimate[:] = 0.0
+    _forget_certainty(filter_)
+    filter_.window.elapsed_s[0] = 0.0
+
+
+@compiled
+def _forget_certainty(filter_: Identification) -> None:
+    filter_.covariance[:] = 0.0
+    for k in range(filter_.estimate.size):
+        filter_.covariance[k, k] = filter_.at_start[k] ** 2
+
+
+@compiled
+def take_in(
+    nominal: NominalArm, filter_: Identification, belief: ArmBelief, before: Matrix, after: Matrix,
+    actuator_before: Vector, impulse: Vector, step_s: float,
+) -> bool:  # fmt: skip
+    """Take in a step of motion; whether the belief was changed by it.
+
+    Args:
+        nominal: the nominal arm.
+        filter_: the filter.
+        belief: what is believed, changed in place when a window is full.
+        before: measured position and velocity at the start of the step, shape (2, joints).
+        after: the same at its end.
+        actuator_before: τ_a at its start, N m, shape (joints,).
+        impulse: ∫ τ dt over the step, N m s, shape (joints,).
+        step_s: its length.
+    """
+    window = filter_.window
+    if window.elapsed_s[0] == 0.0:
+        for sums in (window.impulse, window.sign, window.angle, window.position):
+            sums[:] = 0.0
+        window.first_velocity[:] = before[1]
+        window.first_actuator[:] = actuator_before
+    window.elapsed_s[0] += step_s
+    for i in range(impulse.size):
+        position = 0.5 * (before[0, i] + after[0, i])
+        velocity = 0.5 * (before[1, i] + after[1, i])
+        window.impulse[i] += impulse[i]
+        window.sign[i] += step_s * math.tanh(velocity / SMOOTHING_RAD_S)
+        window.angle[i] += step_s * velocity
+        window.position[i] += step_s * position
+    if window.elapsed_s[0] < WINDOW_S * (1.0 - 1e-9):
+        return False
+    _update(nominal, filter_, belief, after[1])
+    window.elapsed_s[0] = 0.0
+    return True
+
+
+@compiled
+def _update(
+    nominal: NominalArm, filter_: Identification, belief: ArmBelief, velocity: Vector
+) -> None:
+    """Take in a full window that ended with a velocity."""
+    window, joints = filter_.window, velocity.size
+    elapsed_s = window.elapsed_s[0]
+    position, mean_velocity = window.position / elapsed_s, window.angle / elapsed_s
+    acceleration = (velocity - window.first_velocity) / elapsed_s
+    nominal_torque, tip_torque = np.empty(joints), np.empty(joints)
+    motion = (position, mean_velocity, acceleration)
+    inverse_dynamics(nominal.bodies, nominal.inertia, *motion, nominal_torque)
+    inverse_dynamics(nominal.bodies, nominal.tip_inertia, *motion, tip_torque)
+    needed = np.empty(joints)
+    inverse_dynamics(nominal.bodies, belief.inertia, *motion, needed)
+
+    size = filter_.estimate.size
+    for k in range(size):
+        filter_.covariance[k, k] += elapsed_s * filter_.per_root_s[k] ** 2
+    row = np.zeros(size)
+    for i in range(joints):
+        row[:] = 0.0
+        row[INERTIA], row[PAYLOAD] = -nominal_torque[i], -tip_torque[i]
+        row[LAG] = -(belief.actuator_nm[i] - window.first_actuator[i]) / elapsed_s
+        row[PER_JOINT + i] = 1.0
+        row[PER_JOINT + joints + i] = -window.sign[i] / elapsed_s
+        row[PER_JOINT + 2 * joints + i] = -mean_velocity[i]
+        measured = nominal_torque[i] - window.impulse[i] / elapsed_s
+        _correct(filter_, row, measured, filter_.noise_nm[i])
+    _believe(nominal, filter_, belief)
+
+    changed = np.empty(joints)
+    inverse_dynamics(nominal.bodies, belief.inertia, *motion, changed)
+    for i in range(joints):
+        # what the model now explains is no disturbance any longer: prediction makes no jump
+        belief.disturbance_nm[i] += changed[i] - needed[i]
+
+
+@compiled
+def _correct(filter_: Identification, row: Vector, measured: float, noise: float) -> None:
+    """One scalar measurement, in Joseph's form, which keeps the covariance positive."""
+    theta, covariance = filter_.estimate, filter_.covariance
+    size = theta.size
+    spread = np.zeros(size)
+    total = noise * noise
+    surprise = measured
+    for k in range(size):
+        for j in range(size):
+            spread[k] += covariance[k, j] * row[j]
+        total += row[k] * spread[k]
+        surprise -= row[k] * theta[k]
+    if not (0.0 < total < 1e300 and -1e300 < surprise < 1e300):
+        _forget_certainty(filter_)
+        return
+    gain = spread / total
+    for k in range(size):
+        theta[k] += gain[k] * surprise
+    for k in range(size):
+        for j in range(k + 1):
+            value = (
+                covariance[k, j] - gain[k] * spread[j] - spread[k] * gain[j]
+                + gain[k] * gain[j] * total
+            )  # fmt: skip
+            covariance[k, j] = covariance[j, k] = value
+
+
+@compiled
+def _believe(nominal: NominalArm, filter_: Identification, belief: ArmBelief) -> None:
+    """Bring the belief up to date with the estimate, within its limits."""
+    theta, joints = filter_.estimate, belief.coulomb_nm.size
+    for k in range(theta.size):
+        theta[k] = min(max(theta[k], filter_.lowest[k]), filter_.highest[k])
+    belief.inertia[:] = (1.0 + theta[INERTIA]) * nominal.inertia
+    belief.inertia[:] += theta[PAYLOAD] * nominal.tip_inertia
+    belief.lag_s[0] = theta[LAG]
+    mean_sign = filter_.window.sign / filter_.window.elapsed_s[0]
+    mean_velocity = filter_.window.angle / filter_.window.elapsed_s[0]
+    for i in range(joints):
+        coulomb = theta[PER_JOINT + joints + i]
+        viscous = theta[PER_JOINT + 2 * joints + i]
+        belief.disturbance_nm[i] += (coulomb - belief.coulomb_nm[i]) * mean_sign[i]
+        belief.disturbance_nm[i] += (viscous - belief.viscous_nm_s[i]) * mean_velocity[i]
+        belief.coulomb_nm[i], belief.viscous_nm_s[i] = coulomb, viscous
