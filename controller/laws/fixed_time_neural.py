@@ -10,7 +10,7 @@ r of the error transformation, so that s = q̇ − q̇_r for a reference velocit
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,18 @@ from controller.laws.sliding_surface import sig, surface_pull
 
 
 class FixedTimeNeuralGains(NamedTuple):
-    """Gains, named as in the equations above; per joint where they carry torque."""
+    """Gains, named as in the equations above; per joint where they carry torque.
+
+    Over a delay that is compensated, a network with narrow nodes and fast adaptation is too steep a
+    spring: what the prediction gets wrong, it answers with a limit cycle. So gains follow the
+    horizon h, with the share (h / h_½)⁴ / (1 + (h / h_½)⁴) of the way to
+
+        delayed_node_width: the width of the nodes, by then,
+        delayed_adaptation: a factor on the adaptation rate,
+        delayed_k_2: a factor on k_2, whose power below 1 is infinitely steep at s = 0,
+
+    and half_way_s = h_½. Without delay they are the gains as given.
+    """
 
     k_1: PerJointNonNegative
     k_2: PerJointNonNegative
@@ -50,6 +61,10 @@ class FixedTimeNeuralGains(NamedTuple):
     kappa_1: NonNegative = 1e-6
     kappa_2: NonNegative = 1e-6
     node_width: Positive = 0.25
+    delayed_node_width: Positive = 1.5
+    delayed_adaptation: Positive = 1.0
+    delayed_k_2: NonNegative = 1.0
+    half_way_s: Positive = 0.024
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeNeuralGains:
@@ -105,7 +120,7 @@ class FixedTimeNeural:
     def torque(self, tracking: Tracking) -> Vector:
         if tracking is not self._tracking:
             self._bind(tracking)
-        self._kernel(tracking.step_s)
+        self._kernel(tracking.step_s, tracking.horizon_s)
         return self._memory.torque
 
     def _bind(self, tracking: Tracking) -> None:
@@ -117,7 +132,7 @@ class FixedTimeNeural:
             self._gains, self._torque_limits_nm, self._memory,
             inner.transformed_error, inner.sliding_variable,
             inner.network_output, inner.network_norm,
-            free=["float64"],
+            free=["float64", "float64"],
         )  # fmt: skip
 
 
@@ -132,13 +147,23 @@ def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
 
 
 @compiled
+def _delayed(g: Any, horizon_s: float) -> tuple[float, float, float]:
+    """Node width, and factors on adaptation rate and k_2, at a horizon."""
+    quartic = (horizon_s / g.half_way_s) ** 4
+    share = quartic / (1.0 + quartic)
+    width = g.node_width * (g.delayed_node_width / g.node_width) ** share
+    return width, g.delayed_adaptation**share, 1.0 + share * (g.delayed_k_2 - 1.0)
+
+
+@compiled
 def _torque(
     error: Vector, error_rate: Vector, bounds: Matrix,
     gains: NDArray[np.void], torque_limits: Vector, memory: _Memory,
     transformed: Vector, sliding: Vector, network_output: Vector, network_norm: Vector,
-    step_s: float,
+    step_s: float, horizon_s: float,
 ) -> None:  # fmt: skip
     g, (torque, opening, weights, activation) = gains[0], memory
+    width, slower, k_2_factor = _delayed(g, horizon_s)
     squared_norm = 0.0
     for i in range(error.size):
         upper, lower, opening[i] = working_bounds(error[i], bounds[:, i], step_s, opening[i])
@@ -148,18 +173,19 @@ def _torque(
         pull = surface_pull(epsilon, g.alpha_1, g.alpha_2, g.phi_1, g.phi_2, g.eta)
         s = (d_epsilon + pull) / r
 
-        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), g.node_width, activation)
+        activate(math.tanh(epsilon), math.tanh(0.1 * d_epsilon), width, activation)
         if may_accumulate(torque[i], s, torque_limits[i]):
             adapt(
                 weights[i], activation, s, step_s,
-                g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
+                slower * g.adaptation_rate[i], g.kappa_1, g.kappa_2, g.gamma_1, g.gamma_2,
             )  # fmt: skip
         output = 0.0
         for k in range(activation.size):
             output -= weights[i, k] * activation[k]
             squared_norm += weights[i, k] * weights[i, k]
 
-        reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_2[i] * sig(s, g.gamma_2) + g.k_3[i] * s
+        reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_3[i] * s
+        reaching += k_2_factor * g.k_2[i] * sig(s, g.gamma_2)
         torque[i] = output - reaching
         transformed[i], sliding[i], network_output[i] = epsilon, s, output
     network_norm[0] = math.sqrt(squared_norm)
