@@ -22,6 +22,7 @@ _COMMANDS = {
     "controller": "deploy.cli.processes:controller",
     "plant": "deploy.cli.processes:plant",
     "record": "deploy.cli.processes:record",
+    "relay": "deploy.cli.processes:relay",
     "keys": "deploy.cli.keys:app",
     "compare": "deploy.cli.experiments:compare",
     "sweep": "deploy.cli.studies:sweep",

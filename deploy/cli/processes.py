@@ -1,4 +1,4 @@
-"""The commands that are one of the processes of a run: `controller`, `plant` and `record`."""
+"""The commands that are one process of a run: `controller`, `plant`, `record` and `relay`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,18 @@ from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.links import check_link, require_keys
 from deploy.processes.parent import end_with_parent
-from deploy.processes.processes import StopRequest, run_controller, run_plant, run_recorder
+from deploy.processes.processes import (
+    StopRequest,
+    run_controller,
+    run_plant,
+    run_recorder,
+    run_relay,
+)
+from deploy.processes.real_delay import LONGEST_MS, RELAY
 from deploy.processes.status import StatusReporter
 from deploy.runs.run_folder import RunFolder
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
 
 ParentPid = Annotated[int | None, typer.Option("--to-parent", hidden=True)]
 """Process id of `run`: report to it, and end with it."""
@@ -80,7 +88,29 @@ def record(
     raise typer.Exit(code)
 
 
-def _reporter(role: Role, parent_pid: int | None) -> StatusReporter:
+def relay(
+    listen: Annotated[str, typer.Argument(help="HOST:PORT where connections come in.")],
+    connect: Annotated[str, typer.Argument(help="HOST:PORT that they are passed on to.")],
+    delay_ms: Annotated[
+        float, typer.Option("--delay", metavar="MS", help="Hold bytes back for so long, each way.")
+    ],
+    parent_pid: ParentPid = None,
+) -> None:
+    """Be a relay between two TCP peers: hold back every byte between controller and plant."""
+    reporter = _reporter(RELAY, parent_pid)
+    if not 0.0 <= delay_ms <= LONGEST_MS:
+        raise ScenarioError(f"--delay {delay_ms:g}: must be 0 to {LONGEST_MS:g} ms")
+    raise typer.Exit(run_relay(_address(listen), _address(connect), delay_ms, reporter))
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and 0 < int(port) < 1 << 16):
+        raise ScenarioError(f"{text!r}: must be HOST:PORT such as 127.0.0.1:7453")
+    return host.strip("[]"), int(port)
+
+
+def _reporter(role: str, parent_pid: int | None) -> StatusReporter:
     if parent_pid is not None:
         end_with_parent(parent_pid)
     return StatusReporter(role, to_parent=parent_pid is not None)

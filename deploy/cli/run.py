@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from typing import Annotated
 
+import typer
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
@@ -17,12 +19,23 @@ from deploy.cli.common import (
     watching,
 )
 from deploy.cli.progress import CommandProgress
-from deploy.cli.show_run import status_handler
+from deploy.cli.show_run import show_relay, status_handler
 from deploy.processes.launcher import Launcher, RunOutcome
 from deploy.processes.links import check_link, require_keys, with_free_endpoints
+from deploy.processes.real_delay import check_real_delay, real_delay, with_real_deadline
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
+
+RealDelayOption = Annotated[
+    float | None,
+    typer.Option(
+        "--real-delay",
+        metavar="MS",
+        help="Have a relay between controller and plant hold every byte back: the round trip, half"
+        " of it each way.",
+    ),
+]
 
 
 def run(
@@ -30,19 +43,29 @@ def run(
     overrides: Overrides = None,
     out: Out = None,
     require_bounds: RequireBounds = False,
+    real_delay_ms: RealDelayOption = None,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, overrides or [])
+    if real_delay_ms is not None:
+        check_real_delay(setup, real_delay_ms)
+        setup = with_real_deadline(setup, real_delay_ms)
     check_link(setup, one_process=False)
     require_keys(setup, *Role)
     setup = with_free_endpoints(setup)
+    delay = None if real_delay_ms is None else real_delay(setup, real_delay_ms)
     console = Console()
     folder = RunFolder.begin(setup, out)
-    launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
+    launcher = Launcher(
+        setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay
+    )
     on_interrupt(launcher.request_stop)
     with CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s") as progress:
         outcome = launcher.run(status_handler(progress))
-    folder.write_manifest(setup, outcome.realtime)
+    held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
+    folder.write_manifest(setup, outcome.realtime, held_back)
+    if held_back is not None:
+        show_relay(console, held_back)
     finish(console, folder, outcome, require_bounds=require_bounds)
 
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 from deploy.cli.progress import CommandProgress
 from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table
-from deploy.reports.tables import percent
+from deploy.reports.tables import number, percent
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import verdict_on_run
 from deploy.runs.run_data import RunData
@@ -58,6 +58,19 @@ def show_summary(console: Console, run: RunData, summary: dict[str, Any]) -> Non
         + (f", {percent(rate)} of the deadlines met" if rate is not None else "")
         + (f", real-time factor {factor:.2f}" if factor is not None else "")
         + f", digest {summary['digest'][:16]}"
+    )
+
+
+def show_relay(console: Console, held_back: dict[str, Any]) -> None:
+    """What the relay of a real delay did, as the manifest has it."""
+    late = held_back.get("lateness_us")
+    if late is None:
+        return  # it did not live to tell
+    shown = ", ".join(f"{name} {number(late[name])}" for name in ("p50", "p99", "max"))
+    console.print(
+        f"real delay {held_back['round_trip_ms']:g} ms: {held_back['chunks']} chunks of bytes left"
+        f" the relay later than due by {shown} µs",
+        highlight=False,
     )
 
 

@@ -10,7 +10,6 @@ import threading
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from bus_schema.messages.topics import Role
 from deploy.processes.command_process import start
 from deploy.processes.status import StatusMessage
 
@@ -34,7 +33,7 @@ class Child:
     """One child process. It ends with its parent, and no signal of the terminal reaches it.
 
     Args:
-        role: the process.
+        role: what it is called.
         arguments: words of its command line.
         inbox: takes the messages it sends.
 
@@ -43,7 +42,7 @@ class Child:
     """
 
     def __init__(
-        self, role: Role, arguments: list[str], inbox: queue.SimpleQueue[StatusMessage]
+        self, role: str, arguments: list[str], inbox: queue.SimpleQueue[StatusMessage]
     ) -> None:
         self.role = role
         self.has_started = threading.Event()

@@ -1,7 +1,7 @@
 """`run`: recorder, plant and controller as child processes, watched until none is left.
 
 Each child is `funnel-hil record`, `plant` or `controller`; what it does is in `processes.py` beside
-this file.
+this file. With a real delay there is a `relay` between plant and controller.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any
 from bus_schema.messages.topics import Role
 from deploy.processes.child import Child, Failure
 from deploy.processes.fault_injector import ProcessFaultInjector
+from deploy.processes.real_delay import RELAY, RealDelay
 from deploy.processes.status import StatusMessage
 from deploy.scenario.scenario import Setup
 
@@ -34,11 +35,13 @@ class RunOutcome:
         failures: one sentence for each process that failed; causes come before consequences.
         interrupted: the user stopped the run.
         realtime: real-time settings that were asked for, by role.
+        relay: what the relay of a real delay reports; empty without one.
     """
 
     failures: list[str] = field(default_factory=list)
     interrupted: bool = False
     realtime: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    relay: dict[str, Any] = field(default_factory=dict)
 
 
 class Launcher:
@@ -50,13 +53,23 @@ class Launcher:
         log: file for the recording. A recorder that is started in place of another one writes to
             a file beside it: run-2.mcap, run-3.mcap and so on.
         can_log: likewise for the frames of a CAN bus.
+        delay: a real delay between controller and plant; None for none.
     """
 
-    def __init__(self, setup: Setup, *, scenario: Path, log: Path, can_log: Path) -> None:
-        self._setup = setup
+    def __init__(
+        self,
+        setup: Setup,
+        *,
+        scenario: Path,
+        log: Path,
+        can_log: Path,
+        delay: RealDelay | None = None,
+    ) -> None:
+        self._setup, self._delay = setup, delay
         self._scenario_file, self._log, self._can_log = scenario, log, can_log
         self._inbox: queue.SimpleQueue[StatusMessage] = queue.SimpleQueue()
         self._children: dict[Role, Child] = {}
+        self._relay: Child | None = None
         self._starts: Counter[Role] = Counter()
         self._injector = ProcessFaultInjector(self._children, self._start)
         self._outcome = RunOutcome()
@@ -65,7 +78,7 @@ class Launcher:
     def request_stop(self) -> None:
         """End the run cleanly; a second request ends it at once."""
         if self._outcome.interrupted:
-            for child in self._children.values():
+            for child in self._all_children():
                 child.kill()
         self._stop_requested = True
 
@@ -76,6 +89,8 @@ class Launcher:
             on_message: called with what the children report.
         """
         try:
+            if self._delay is not None:
+                self._relay = Child(RELAY, self._delay.arguments, self._inbox)
             for role in (Role.RECORDER, Role.PLANT, Role.CONTROLLER):
                 self._start(role)
             self._watch(on_message)
@@ -103,6 +118,8 @@ class Launcher:
         arguments = [role.value, scenario, "--await-recorder"]
         if role is Role.PLANT and self._setup.link_kind.logs_frames:
             arguments += ["--can-log", str(_numbered(self._can_log, start))]
+        if role is Role.CONTROLLER and self._delay is not None:
+            arguments += self._delay.override
         return arguments
 
     def _watch(self, on_message: Callable[[StatusMessage], None]) -> None:
@@ -115,7 +132,7 @@ class Launcher:
             if self._stop_requested and not self._outcome.interrupted:
                 self._outcome.interrupted = True
                 plant.ask_to_stop()
-            if self._has_gone(Role.RECORDER) and plant.is_running():
+            if self._has_gone(Role.RECORDER) or self._relay_has_gone():
                 plant.ask_to_stop()
             if self._has_gone(Role.PLANT) or self._has_gone(Role.CONTROLLER):
                 leave_by_s = leave_by_s or time.monotonic() + self._time_to_leave_s()
@@ -134,9 +151,16 @@ class Launcher:
     def _has_gone(self, role: Role) -> bool:
         return not self._children[role].is_running() and role not in self._injector.removed
 
+    def _relay_has_gone(self) -> bool:
+        return self._relay is not None and not self._relay.is_running()
+
+    def _all_children(self) -> list[Child]:
+        return [*self._children.values(), *([] if self._relay is None else [self._relay])]
+
     def _clear_up(self) -> None:
         """No process is left over, and each one's end is accounted for."""
-        stuck = [child for child in self._children.values() if child.is_running()]
+        early = self._relay if self._relay_has_gone() else None  # it is to outlast the others
+        stuck = [child for child in self._all_children() if child.is_running()]
         frozen = [child for child in stuck if child.is_frozen()]
         for child in stuck:
             child.ask_to_stop()
@@ -145,7 +169,7 @@ class Launcher:
             if time.monotonic() > give_up_s:
                 break
             time.sleep(_POLL_S)
-        for child in self._children.values():
+        for child in self._all_children():
             was_running = child.is_running()
             child.kill()
             if child in frozen:
@@ -156,6 +180,9 @@ class Launcher:
                 self._note_failure(Failure(text, is_cause=False))
             else:
                 self._note_failure(child.failure())
+                if child is early and not child.failure():
+                    text = f"the {child.role} ended before the run did"
+                    self._note_failure(Failure(text, is_cause=True))
 
     def _note_failure(self, failure: Failure | None) -> None:
         if failure is not None:
@@ -167,9 +194,11 @@ class Launcher:
             message = self._inbox.get()
             if message.kind == "realtime":
                 self._outcome.realtime[message.role] = message.values["settings"]
+            elif message.kind == "result" and message.role == RELAY:
+                self._outcome.relay = message.values
             elif message.kind == "process_action":
                 self._injector.request(message.process_action())
-                self._children[message.role].confirm()
+                self._children[Role(message.role)].confirm()
             on_message(message)
 
 

@@ -1,10 +1,11 @@
-"""Controller, plant and recorder as processes: real-time setup, signals, progress, end."""
+"""Controller, plant, recorder and relay as processes: real-time setup, signals, progress, end."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -27,6 +28,7 @@ from bus_schema.runtime.realtime import (
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop
 from deploy.exit_codes import FAULT, FINISHED
+from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
 from deploy.scenario.scenario import Setup
@@ -177,6 +179,36 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
         "note", text=f"{recorder.messages} messages recorded, {lost.total()} lost{by_topic}"
     )
     return code
+
+
+def run_relay(
+    listen: tuple[str, int], target: tuple[str, int], delay_ms: float, reporter: StatusReporter
+) -> int:
+    """Be the relay between two TCP peers until asked to stop; the exit code.
+
+    Args:
+        listen: host and port where connections come in.
+        target: host and port that they are passed on to.
+        delay_ms: how long bytes are held back, each way.
+        reporter: where to report how late they left.
+    """
+    stop = StopRequest()
+    _report_settings(go_realtime(), reporter)
+    family = socket.AF_INET6 if ":" in listen[0] else socket.AF_INET
+    try:
+        listener = socket.create_server(listen, family=family)
+    except OSError as error:
+        reporter.report("fault", text=f"cannot listen at {listen[0]}:{listen[1]}: {error}")
+        return FAULT
+    with listener:
+        relay = DelayRelay(listener, target, round(delay_ms * 1e6))
+        reporter.report(
+            "note", text=f"holds back by {delay_ms:g} ms each way at {listen[0]}:{listen[1]}"
+        )
+        relay.run(lambda: stop.is_set)
+    _ignore_stop_requests()
+    reporter.report("result", chunks=relay.chunks, lateness_us=relay.lateness_us())
+    return FINISHED
 
 
 def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> None:

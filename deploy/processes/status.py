@@ -17,18 +17,18 @@ class StatusMessage(NamedTuple):
     """A message of a process about itself.
 
     Attributes:
-        role: the process.
+        role: the process: a `Role`, or the name of one that is not on the bus.
         kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action`` or
             ``result``.
         values: what belongs to the kind.
     """
 
-    role: Role
+    role: str
     kind: str
     values: dict[str, Any]
 
     @staticmethod
-    def parse(role: Role, line: str) -> StatusMessage:
+    def parse(role: str, line: str) -> StatusMessage:
         """A message from the JSON of a line.
 
         Raises:
@@ -52,7 +52,7 @@ class StatusReporter:
         to_parent: write JSON lines.
     """
 
-    def __init__(self, role: Role, *, to_parent: bool) -> None:
+    def __init__(self, role: str, *, to_parent: bool) -> None:
         self._role = role
         self._to_parent = to_parent
         self._console = Console(highlight=False)

@@ -9,6 +9,7 @@ from bus_schema.percentiles import PERCENTILES
 from deploy.reports import quantities
 from deploy.reports.tables import ABSENT, Column, Table, Value, scaled
 from deploy.runs.run_data import RunData
+from deploy.runs.stalls import STALL_MS
 
 _SHOWN_EVENTS = 200
 _PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
@@ -42,14 +43,21 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
 
 
 def timing_table(summary: dict[str, Any]) -> Table:
-    """Percentiles of every timing quantity."""
+    """Percentiles of every timing quantity; a stall of the host too, where there was a long one."""
+    stall_ms = summary["timing"]["longest_stall_ms"]
+    stalls: list[list[Value]] = (
+        [["Stall of the host", *[None] * (len(PERCENTILES) - 1), 1e3 * stall_ms]]
+        if stall_ms is not None and stall_ms > STALL_MS
+        else []
+    )
     return Table(
         "Timing",
         [Column("Time", is_text=True), *(Column(title, "µs") for title in _PERCENTILES.values())],
         [
             [title, *(summary["timing"][key][name] for name in _PERCENTILES)]
             for key, title in quantities.TIMES.items()
-        ],
+        ]
+        + stalls,
         "Control step and wake-up lateness are wall time, the others are on the run's clock.",
     )
 
@@ -63,6 +71,7 @@ def health_table(summary: dict[str, Any]) -> Table:
         "Ticks with a saturated actuator (%)": scaled(summary["torque"]["saturated_fraction"], 100),
         "Real-time factor": summary["real_time_factor"],
         "CPU time that a hypervisor took (ms)": timing["stolen_ms"],
+        "Longest stall of the host (ms)": timing["longest_stall_ms"],
         "Messages recorded": recorder["messages"],
         "Messages lost by the recorder": recorder["lost"],
         **{f"Lost of {topic}": count for topic, count in (recorder["lost_by_topic"] or {}).items()},

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from deploy.reports.tables import number
 from deploy.runs.run_data import RunData
+from deploy.runs.stalls import STALL_MS
 
 PARTIAL = "The recording is partial: it was not finished properly."
 
@@ -58,6 +59,12 @@ def _shortcomings(run: RunData, summary: dict[str, Any]) -> list[str]:
     if timing["deadline_misses"] and timing["stolen_ms"]:
         found.append(
             f"A hypervisor took {timing['stolen_ms']:.0f} ms of CPU time away during the run."
+        )
+    stall_ms = timing["longest_stall_ms"]
+    if stall_ms is not None and stall_ms > STALL_MS:
+        found.append(
+            f"A loop was held up for {stall_ms:.0f} ms, most likely by the host: what came of it"
+            " says little of the law."
         )
     return found
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
@@ -14,8 +13,10 @@ from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
 from deploy.runs.bounds import judge_bounds
 from deploy.runs.chattering import chatter_shares
+from deploy.runs.longest_run import longest_run
 from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.settling_bound import settling_bound_s
+from deploy.runs.stalls import longest_stall_ms
 
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
@@ -103,9 +104,10 @@ def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]
     return {
         **{name: percentiles(values_us) for name, values_us in times_us(run).items()},
         "deadline_misses": misses,
-        "deadline_miss_longest_run": _longest_run(missed),
+        "deadline_miss_longest_run": longest_run(missed),
         "success_rate": 1.0 - misses / ticks if ticks else None,
         "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
+        "longest_stall_ms": longest_stall_ms(run),
     }
 
 
@@ -121,11 +123,6 @@ def times_us(run: RunData) -> dict[str, Vector]:
     }
     # below 0: there is none
     return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
 
 
 def _limits(run: RunData) -> dict[str, Any]:

@@ -78,9 +78,18 @@ class RunFolder(ResultFolder):
         folder.write_manifest(setup, {})
         return folder
 
-    def write_manifest(self, setup: Setup, grants: Mapping[str, Any]) -> None:
-        """Write what was run, with what, and where; `grants`: real-time setup, by role."""
-        write_json(self.manifest, manifest_of([setup], grants))
+    def write_manifest(
+        self, setup: Setup, grants: Mapping[str, Any], real_delay: Mapping[str, Any] | None = None
+    ) -> None:
+        """Write what was run, with what, and where.
+
+        Args:
+            setup: the scenario.
+            grants: real-time setup, by role.
+            real_delay: a real delay of the link, and how exactly it was kept; None for none.
+        """
+        delay = {} if real_delay is None else {"real_delay": dict(real_delay)}
+        write_json(self.manifest, manifest_of([setup], grants) | delay)
 
 
 def new_folder(name: str, out: Path | None) -> Path:

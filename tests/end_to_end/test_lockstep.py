@@ -193,7 +193,7 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
     assert set(summary["timing"]) == {
         "round_trip_us", "command_age_us", "state_age_us", "control_step_us",
         "wakeup_lateness_us", "deadline_misses", "deadline_miss_longest_run", "success_rate",
-        "stolen_ms",
+        "stolen_ms", "longest_stall_ms",
     }  # fmt: skip
     assert all(set(value) == percentiles for value in summary["timing"].values()
                if isinstance(value, dict))  # fmt: skip

@@ -234,3 +234,48 @@ def test_digest_depends_on_every_byte_and_on_the_order(setup: Setup) -> None:
 
     assert digest(first, second) == digest(first, second)
     assert len({digest(first), digest(second), digest(first, second), digest(second, first)}) == 4
+
+
+def stall_ms(setup: Setup, truth: list[dict[str, Any]], status: list[dict[str, Any]]) -> Any:
+    """The longest stall of a run in real time."""
+    recorded = run_of(setup, truth, control_status=rows(CONTROL_STATUS, *status))
+    return summarise(replace(recorded, clock="realtime"))["timing"]["longest_stall_ms"]
+
+
+def answered(cycle: int, period_ms: float, **values: Any) -> dict[str, Any]:
+    return {"timing.cycle": cycle, "timing.period_ns": round(period_ms * 1e6), **values}
+
+
+def test_stall_is_the_worst_that_any_loop_met(setup: Setup) -> None:
+    late = {"timing.lateness_ns": 31_000_000}
+    slept = [at(0.0, **{"timing.lateness_ns": -1}) for _ in range(40)]
+    steady = [answered(0, 0.0), answered(1, 1.0)]
+    slow = [answered(0, 0.0, **{"timing.step_ns": 52_000_000}), answered(1, 1.0)]
+    assert stall_ms(setup, [at(0.0), at(0.0)], steady) == 0.0
+    assert stall_ms(setup, [at(0.0), at(0.0, **late)], steady) == pytest.approx(31.0)
+    assert stall_ms(setup, [at(0.0), *[dict(each) for each in slept], at(0.0)], steady) == (
+        pytest.approx(40.0)
+    )
+    assert stall_ms(setup, [at(0.0)], slow) == pytest.approx(52.0)
+
+
+def test_states_that_come_late_to_the_controller_are_a_stall(setup: Setup) -> None:
+    status = [answered(0, 0.0), answered(1, 1.2), answered(2, 101.0), answered(3, 0.1)]
+    assert stall_ms(setup, [at(0.0)], [dict(each) for each in status]) == pytest.approx(100.0)
+    jittery = [at(0.0, state_age_ns=2_000_000), at(0.0, state_age_ns=42_000_000)]
+    assert stall_ms(setup, jittery, status) == pytest.approx(60.0)
+
+
+def test_states_that_were_lost_are_no_stall(setup: Setup) -> None:
+    status = [answered(0, 0.0), answered(1, 80.0, stamp_ns=80_000_000)]
+    assert stall_ms(setup, [at(0.0)], status) == 0.0
+
+
+def test_controller_that_takes_over_is_no_stall(setup: Setup) -> None:
+    status = [answered(700, 1.0, stamp_ns=5_000_000), answered(0, 300.0, stamp_ns=6_000_000)]
+    assert stall_ms(setup, [at(0.0)], status) == 0.0
+
+
+def test_virtual_time_knows_no_stall(setup: Setup) -> None:
+    late = at(0.0, **{"timing.lateness_ns": 31_000_000})
+    assert judged(setup, [late])["timing"]["longest_stall_ms"] is None
