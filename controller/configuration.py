@@ -12,7 +12,7 @@ from pydantic import Field, PlainValidator, create_model, field_validator
 from bus_schema.arrays import Vector
 from bus_schema.configuration import PerJointPositive, Positive, StrictModel, expand, expand_fields
 from bus_schema.robot_description import RobotDescription
-from bus_schema.drive_feedback import no_drive_feedback
+from bus_schema.drive_feedback import DriveGains
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
@@ -38,6 +38,20 @@ class DelayCompensationConfiguration(StrictModel):
     observer_bandwidth_rad_s: Positive = 60.0
     learn_friction: bool = True
     identify_model: bool = True
+
+
+class DriveFeedbackConfiguration(StrictModel):
+    """Targets for drives that close a loop of their own; for any law.
+
+    Attributes:
+        enabled: whether commands carry targets beside their torques, and the emulated drives take
+            them.
+        bandwidth_rad_s: ω of the drives' loop, by which stiffness I ω² and damping 2 I ω follow
+            from the inertia I that governs a joint.
+    """
+
+    enabled: bool = False
+    bandwidth_rad_s: Positive = 50.0
 
 
 def _check_gains(given: Any) -> dict[str, Any]:
@@ -74,6 +88,7 @@ class ControllerConfiguration(StrictModel):
     model_scale: Positive = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
+    drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 
     @field_validator("law")
     @classmethod
@@ -116,13 +131,18 @@ class ControllerConfiguration(StrictModel):
         return ManipulatorModel(robot, scale=self.model_scale)
 
     def build_compensation(
-        self, robot: RobotDescription, inertia_kg_m2: Vector, least_horizon_ms: float
+        self,
+        robot: RobotDescription,
+        inertia_kg_m2: Vector,
+        drive: DriveGains,
+        least_horizon_ms: float,
     ) -> DelayCompensation | None:
         """The configured delay compensation; None for none.
 
         Args:
             robot: the arm.
             inertia_kg_m2: nominal inertia that governs each joint, shape (joints,).
+            drive: what the drives add of their own.
             least_horizon_ms: no torque acts sooner than this after the state it answers.
         """
         settings = self.delay_compensation
@@ -134,7 +154,7 @@ class ControllerConfiguration(StrictModel):
             identification(
                 inertia_kg_m2, model=settings.identify_model, friction=settings.learn_friction
             ),
-            no_drive_feedback(robot.joints),
+            drive,
             observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
             least_horizon_ns=round(least_horizon_ms * 1e6),
         )

@@ -44,6 +44,7 @@ class ControlTask:
         law_name: name of the law, for error messages.
         limits: what torques and motion are kept within.
         compensation: predicts the state in which a torque will act; None for none.
+        sends_targets: commands carry targets for drives that close a loop of their own.
     """
 
     robot: RobotDescription
@@ -53,6 +54,7 @@ class ControlTask:
     law_name: str
     limits: JointLimits
     compensation: DelayCompensation | None = None
+    sends_targets: bool = False
 
 
 class ControlLoop:
@@ -78,7 +80,9 @@ class ControlLoop:
         self._state = Record(self._state_layout)
         self._plant_status_layout = topics.layout(topics.PLANT_STATUS, names)
         self._plant_status = Record(self._plant_status_layout)
-        self._command = Record(topics.layout(topics.JOINT_COMMANDS, names))
+        self._command = Record(
+            topics.layout(topics.JOINT_COMMANDS, names, has_targets=task.sends_targets)
+        )
         self._status = ControlStatus(names, task.law, task.compensation)
         self.tracking = Tracking(
             task.robot.joints, self._state.rows("position", "velocity"), self._status.tracking_rows
@@ -209,12 +213,23 @@ class ControlLoop:
     def _write(self) -> int:
         """Send the torque in force in answer to the state that was read; its number."""
         self._command.stamp[:] = self._state.stamp
+        if self._task.sends_targets:
+            self._write_target()
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         if self._compensation is not None:
             self._compensation.note_command(
                 sequence, self._command.stamp_ns, self._command.fields["effort"]
             )
         return sequence
+
+    def _write_target(self) -> None:
+        """Where the drives are to be: on the way foreseen or, without foresight, the reference."""
+        target = self._command.rows("position", "velocity")
+        if self._compensation is not None:
+            target[:] = self._compensation.target
+        else:
+            target[0] = self.tracking.reference_position
+            target[1] = self.tracking.reference_velocity
 
     def _report(self, sequence: int, started_ns: int) -> None:
         """Publish the law's inner state and its timing; the torque is already on its way."""

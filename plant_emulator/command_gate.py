@@ -6,7 +6,9 @@ import logging
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bus_schema.arrays import Vector
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages import topics
@@ -25,11 +27,14 @@ class Command(NamedTuple):
         torque_nm: shape (joints,).
         sequence: number its sender gave it.
         stamp_ns: stamp of the state it answers.
+        target: for the drives, as of that stamp: position, rad, and velocity, rad/s, as rows, shape
+            (2, joints); None for none.
     """
 
     torque_nm: Vector
     sequence: int
     stamp_ns: int
+    target: Matrix | None = None
 
 
 class CommandGate:
@@ -41,6 +46,7 @@ class CommandGate:
     Args:
         joint_names: names of the joints.
         has_left: whether a sender was on the bus and is there no longer.
+        takes_targets: whether commands may bring targets for the drives.
 
     Attributes:
         rejections: what was kept out.
@@ -51,11 +57,18 @@ class CommandGate:
     """
 
     def __init__(
-        self, joint_names: tuple[str, ...], has_left: Callable[[bytes], bool] = lambda _: False
+        self,
+        joint_names: tuple[str, ...],
+        has_left: Callable[[bytes], bool] = lambda _: False,
+        *,
+        takes_targets: bool = False,
     ) -> None:
-        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names)
+        self._layout = topics.layout(
+            topics.JOINT_COMMANDS, joint_names, has_targets=takes_targets
+        )
         self._record = Record(self._layout)
         self._torque_nm = self._record.fields["effort"]
+        self._target = self._record.rows("position", "velocity") if takes_targets else None
         self._is_finite = bind(all_finite, self._torque_nm)
         self._has_left = has_left
         self.rejections = Rejections("command", logger)
@@ -94,6 +107,7 @@ class CommandGate:
         stamp_ns = self._layout.decode(arrival.payload, self._record)
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
+        target = self._target_given()
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
         self._require_commander(arrival)
@@ -104,7 +118,16 @@ class CommandGate:
         self.newest_ns = stamp_ns
         self._newest_sequence = arrival.sequence
         self.commander = arrival.sender
-        return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns)
+        return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target)
+
+    def _target_given(self) -> Matrix | None:
+        """The target for the drives; None if the sender gave none."""
+        target = self._target
+        if target is None or np.isnan(target).all():
+            return None
+        if not np.isfinite(target).all():
+            raise InvalidMessageError("not_finite", "a target for the drives is not finite")
+        return target.copy()
 
     def _require_commander(self, arrival: CommandArrival) -> None:
         """Refuse whoever is not the commander, and what the commander has sent before.

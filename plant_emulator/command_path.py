@@ -92,7 +92,7 @@ class CommandPath:
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
             is_first = self._arm.mode is Mode.READY
-            self._arm.command(command.torque_nm)
+            self._arm.command(command.torque_nm, command.target, command.stamp_ns)
             if is_first:
                 why = "first valid command, brakes released"
                 self._announce(EventKind.MODE, mode_event(self._arm.mode, why))

@@ -124,6 +124,24 @@ class ActuatorConfiguration(StrictModel):
     lag_ms: NonNegative = 0.0
 
 
+class DriveFeedbackConfiguration(StrictModel):
+    """A loop closed at the drives, around targets that come with the torques.
+
+    Attributes:
+        enabled: whether the drives take targets; they do, too, where the controller sends them
+            (``controller.drive_feedback.enabled``).
+        stiffness_nm_rad: torque per rad off the target; by default derived from the arm's inertia
+            and ``controller.drive_feedback.bandwidth_rad_s``.
+        damping_nm_s: torque per rad/s off it; likewise.
+        encoder: the drives' own encoders.
+    """
+
+    enabled: bool = False
+    stiffness_nm_rad: PerJointNonNegative | None = None
+    damping_nm_s: PerJointNonNegative | None = None
+    encoder: EncoderConfiguration = EncoderConfiguration()
+
+
 class PlantConfiguration(StrictModel):
     """The emulated arm.
 
@@ -149,3 +167,4 @@ class PlantConfiguration(StrictModel):
     disturbance: DisturbanceConfiguration = DisturbanceConfiguration()
     encoder: EncoderConfiguration = EncoderConfiguration()
     actuator: ActuatorConfiguration = ActuatorConfiguration()
+    drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()

@@ -54,7 +54,11 @@ class PlantLoop:
             task.link, task.seed, channel_faults(task.faults, "uplink")
         )
         downlink = open_downlink(task.link, task.seed, channel_faults(task.faults, "downlink"))
-        self._gate = CommandGate(names, lambda sender: link.sender_has_left(sender))
+        self._gate = CommandGate(
+            names,
+            lambda sender: link.sender_has_left(sender),
+            takes_targets=task.takes_targets,
+        )
         if task.faults or task.process_actions:
             self._link = FaultyLink(
                 link, clock, self._gate, names, task.faults, task.process_actions, task.seed

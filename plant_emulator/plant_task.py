@@ -24,6 +24,7 @@ class PlantTask:
         lockstep: wait for the reply to every state that is delivered.
         ticks: length of the run.
         seed: seed of everything random on the link.
+        takes_targets: the drives close a loop of their own, around targets that commands bring.
         faults: what breaks, and when.
         process_actions: what is asked for to be done to whole processes, and when.
     """
@@ -35,6 +36,7 @@ class PlantTask:
     ticks: int
     lockstep: bool
     seed: int
+    takes_targets: bool = False
     faults: tuple[Fault, ...] = ()
     process_actions: tuple[ScheduledAction, ...] = ()
 

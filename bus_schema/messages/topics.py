@@ -81,16 +81,21 @@ def topics_of(role: Role) -> list[Topic]:
     return [topic for topic in TOPICS if topic.sender in (role, None)]
 
 
-def layout(topic: Topic, joint_names: tuple[str, ...]) -> MessageLayout:
+def layout(
+    topic: Topic, joint_names: tuple[str, ...], *, has_targets: bool = False
+) -> MessageLayout:
     """Wire layout of a fixed-size topic for a robot with these joints.
 
-    A command carries torques alone; its positions and velocities are empty.
+    A command carries torques alone, its positions and velocities are empty, unless it `has_targets`
+    for drives that close a loop of their own (see `bus_schema.drive_feedback`).
     """
     if topic.type_name == message_types.RUN_EVENT:
         raise ValueError(f"{topic.name} has no fixed layout")
     return MessageLayout(
         topic.type_name,
         len(joint_names),
-        lengths={"position": 0, "velocity": 0} if topic is JOINT_COMMANDS else None,
+        lengths={"position": 0, "velocity": 0}
+        if topic is JOINT_COMMANDS and not has_targets
+        else None,
         strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
     )

@@ -110,7 +110,9 @@ def build_run_data(
         clock=clock,
         link=link,
         tables={
-            topic.name: topics.layout(topic, names).tabulate(payloads.get(topic.name, ()))
+            topic.name: topics.layout(
+                topic, names, has_targets=setup.drive.is_active
+            ).tabulate(payloads.get(topic.name, ()))
             for topic in topics.TOPICS
             if topic is not topics.RUN_EVENTS
         },

@@ -23,6 +23,7 @@ from bus_schema.configuration import (
     StrictModel,
     expand,
 )
+from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
@@ -135,7 +136,8 @@ class Setup:
     def control_task(self) -> ControlTask:
         """A fresh task for a controller."""
         controller = self.scenario.controller
-        own_rates = controller.torque_rate_limits(self.robot.joints)
+        joints = self.robot.joints
+        own_rates = controller.torque_rate_limits(joints)
         limits = self.scenario.limits.of_controller(self.robot, own_rates)
         return ControlTask(
             robot=self.robot,
@@ -145,8 +147,33 @@ class Setup:
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
-                self.robot, self.governing_inertia_kg_m2, self.scenario.link.playout_ms
+                self.robot,
+                self.governing_inertia_kg_m2,
+                self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
+                self.scenario.link.playout_ms,
             ),
+            sends_targets=controller.drive_feedback.enabled,
+        )
+
+    @property
+    def drive(self) -> DriveGains:
+        """What the drives add to torques of their own."""
+        wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
+        joints = self.robot.joints
+        if not (wanted.enabled or plant.enabled):
+            return no_drive_feedback(joints)
+        derived = critically_damped(self.governing_inertia_kg_m2, wanted.bandwidth_rad_s)
+        key = "plant.drive_feedback"
+        given = plant.stiffness_nm_rad, plant.damping_nm_s
+        stiffness, damping = given
+        return DriveGains(
+            True,
+            derived.stiffness_nm_rad
+            if stiffness is None
+            else expand(stiffness, joints, f"{key}.stiffness_nm_rad"),
+            derived.damping_nm_s
+            if damping is None
+            else expand(damping, joints, f"{key}.damping_nm_s"),
         )
 
     def plant_task(
@@ -166,6 +193,7 @@ class Setup:
             ticks=self.ticks,
             lockstep=lockstep,
             seed=self.scenario.seed,
+            takes_targets=self.drive.is_active,
             faults=plant_faults(self.scenario.faults),
             process_actions=process_actions,
         )
@@ -192,6 +220,7 @@ class Setup:
             self.scenario.seed,
             self.scenario.limits,
             plant_faults(self.scenario.faults),
+            self.drive,
         )
         return arm
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.drive_feedback import DriveGains, no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
@@ -34,6 +35,7 @@ class ArmPlant:
         seed: seed of everything random in the arm.
         limits: section ``limits`` of the scenario.
         faults: what breaks, and when.
+        drive: what its drives add of their own; None if they follow torques alone.
 
     Attributes:
         mode: what the arm does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
@@ -54,12 +56,16 @@ class ArmPlant:
         seed: int,
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
+        drive: DriveGains | None = None,
     ) -> None:
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
         randoms = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)]
         self._stop_damping = _stop_damping(configuration, robot)
-        self.torques = JointTorques(configuration, robot, grid.substep_s, randoms[0], limits)
+        gains = drive or no_drive_feedback(robot.joints)
+        self.torques = JointTorques(
+            configuration, robot, grid.substep_s, randoms[0], limits, gains
+        )
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
@@ -95,7 +101,8 @@ class ArmPlant:
             raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
         random = np.random.default_rng()
         _stop_damping(configuration, robot)
-        JointTorques(configuration, robot, grid.substep_s, random, limits)
+        gains = no_drive_feedback(robot.joints)
+        JointTorques(configuration, robot, grid.substep_s, random, limits, gains)
         Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
         require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg))
 
@@ -109,13 +116,24 @@ class ArmPlant:
         """Take part in a run: the brakes hold until the first torque."""
         self.mode = follow(self.mode, Trigger.BEGIN)
 
-    def command(self, torque_nm: Vector) -> None:
-        """Put a torque into force; the first one releases the brakes. Ignored once stopping."""
+    def command(
+        self, torque_nm: Vector, target: Matrix | None = None, stamp_ns: int = 0
+    ) -> None:
+        """Put a torque into force; the first one releases the brakes. Ignored once stopping.
+
+        Args:
+            torque_nm: shape (joints,).
+            target: for drives that close a loop of their own, see `DriveLoop`; None for none.
+            stamp_ns: stamp of the state that the command answers.
+        """
         if self.mode is Mode.READY:
             self._set_brakes(engaged=False)
             self.mode = follow(self.mode, Trigger.COMMAND)
         if self.mode is Mode.TRACKING:
             self._commanded[:] = torque_nm
+            if target is not None:
+                self.torques.drive.target[:] = target
+            self.torques.drive.stamp_s[0] = stamp_ns * 1e-9 if target is not None else np.nan
 
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
@@ -128,7 +146,7 @@ class ArmPlant:
     def stop(self) -> None:
         """Begin the configured safe stop. There is no way back."""
         self.mode = follow(self.mode, Trigger.FAIL)
-        self._commanded[:] = 0.0
+        self._clear_command()
         if self._safe_stop == "brake":
             self._set_brakes(engaged=True)
 
@@ -137,7 +155,7 @@ class ArmPlant:
         self.mode = follow(
             self.mode, Trigger.STOPPED if self.mode is Mode.STOPPING else Trigger.END
         )
-        self._commanded[:] = 0.0
+        self._clear_command()
         self._set_brakes(engaged=True)
 
     def advance(self, first: int, end: int) -> None:
@@ -162,6 +180,11 @@ class ArmPlant:
     def close(self) -> None:
         """Free the physics server."""
         self._arm.close()
+
+    def _clear_command(self) -> None:
+        """No torque, and no target that could still be chased."""
+        self._commanded[:] = 0.0
+        self.torques.drive.stamp_s[0] = np.nan
 
     def _apply_faults(self, faults: ArmFaults, now_ns: int) -> None:
         """Change what the actuators are asked for as the faults would."""

@@ -11,12 +11,14 @@ from bus_schema.arrays import Matrix, Records, Vector
 from bus_schema.limits import LimitsConfiguration, limit_torques
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
+from bus_schema.drive_feedback import DriveGains
 from plant_emulator.arm.disturbance import add_disturbance, disturbance_table
+from plant_emulator.arm.drive_loop import DriveLoop, add_drive_torques, drive_loop
 from plant_emulator.arm.friction import friction_table, friction_torque
 from plant_emulator.arm.joint_hardware import ActuatorLimits
 from plant_emulator.configuration import PlantConfiguration
 
-ACTUATOR, FRICTION, DISTURBANCE, TOTAL, LIMITED, ASKED = range(6)
+ACTUATOR, FRICTION, DISTURBANCE, TOTAL, LIMITED, WANTED, ASKED = range(7)
 """Rows of `TorqueTables.torques_nm`."""
 
 
@@ -30,8 +32,9 @@ class TorqueTables(NamedTuple):
         friction: `friction_table`.
         disturbance: `disturbance_table`.
         held: joints that their brakes hold, shape (joints,).
-        torques_nm: rows `ACTUATOR` to `ASKED` (the torques asked of the actuators, `LIMITED`: the
-            same within the limits), shape (6, joints).
+        drive: the loop that the drives close themselves.
+        torques_nm: rows `ACTUATOR` to `ASKED` (the torques asked of the actuators, `WANTED`: with
+            what the drives add, `LIMITED`: the same within the limits), shape (7, joints).
     """
 
     limits: Records
@@ -40,6 +43,7 @@ class TorqueTables(NamedTuple):
     friction: Records
     disturbance: Records
     held: NDArray[np.bool_]
+    drive: DriveLoop
     torques_nm: Matrix
 
 
@@ -53,6 +57,7 @@ class JointTorques:
         asked: what the actuators are asked for, N m.
         held: joints that their brakes hold: nothing else is felt there. All of shape (joints,).
         tables: what compiled code needs to work the torques out.
+        drive: the loop that the drives close themselves.
         acting: actuator, friction and disturbance as rows, shape (3, joints).
         saturated: whether the last command asked for all that an actuator has, or more.
         limit_hits: limits that commands or motion ran into since `take_limit_hits`: a sum of
@@ -66,16 +71,20 @@ class JointTorques:
         substep_s: float,
         random: np.random.Generator,
         limits: LimitsConfiguration,
+        drive: DriveGains,
     ) -> None:
         actuators = ActuatorLimits(configuration.actuator, robot, substep_s)
-        self._torques: Matrix = np.zeros((6, robot.joints))
+        self._torques: Matrix = np.zeros((7, robot.joints))
+        disturbance = disturbance_table(configuration.disturbance, robot.joint_names, random)
+        self.drive = drive_loop(drive, configuration.drive_feedback.encoder, random)
         self.tables = TorqueTables(
             limits.of_plant(robot).packed(substep_s),
             actuators.saturation_nm,
             actuators.lag_factor,
             friction_table(configuration.friction, robot.joints),
-            disturbance_table(configuration.disturbance, robot.joint_names, random),
+            disturbance,
             np.zeros(robot.joints, dtype=np.bool_),
+            self.drive,
             self._torques,
         )
         self.held = self.tables.held
@@ -114,13 +123,16 @@ def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[
     """
     torques, saturation = tables.torques_nm, tables.saturation_nm
     actuator, friction, disturbance = torques[ACTUATOR], torques[FRICTION], torques[DISTURBANCE]
-    total, limited, asked = torques[TOTAL], torques[LIMITED], torques[ASKED]
-    hits = limit_torques(asked, motion, tables.limits, limited, 1.0)
+    total, limited, wanted = torques[TOTAL], torques[LIMITED], torques[WANTED]
+    wanted[:] = torques[ASKED]
+    if tables.drive.gains.is_active:
+        add_drive_torques(motion, time_s, tables.drive, wanted)
+    hits = limit_torques(wanted, motion, tables.limits, limited, 1.0)
     add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
-    for i in range(asked.size):
+    for i in range(wanted.size):
         target = min(max(limited[i], -saturation[i]), saturation[i])
-        saturated = saturated or abs(asked[i]) >= saturation[i]
+        saturated = saturated or abs(wanted[i]) >= saturation[i]
         actuator[i] = target + tables.lag_factor * (actuator[i] - target)
         friction[i] = friction_torque(motion[1, i], tables.friction, i)
         total[i] = actuator[i] - friction[i] - disturbance[i]
