@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field, PlainValidator, create_model, field_validator
 
 from bus_schema.arrays import Vector
-from bus_schema.configuration import PerJointPositive, Positive, StrictModel, expand, expand_fields
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.configuration import NonNegative, PerJointPositive, Positive, StrictModel, expand, expand_fields
 from bus_schema.robot_description import RobotDescription
 from bus_schema.drive_feedback import DriveGains
 from controller.compensation.arm_belief import nominal_arm
@@ -32,12 +33,16 @@ class DelayCompensationConfiguration(StrictModel):
         learn_friction: whether Coulomb friction is told apart from other disturbances.
         identify_model: whether inertia, payload, viscous friction and the actuators' lag are
             learned while the arm moves.
+        expected_round_trip_ms: what is taken for the round trip until the first command has come
+            into force, as measured before the start; by default ``delay_ms`` of both directions of
+            the scenario's own link.
     """
 
     enabled: bool = False
     observer_bandwidth_rad_s: Positive = 60.0
     learn_friction: bool = True
     identify_model: bool = True
+    expected_round_trip_ms: NonNegative | None = None
 
 
 class DriveFeedbackConfiguration(StrictModel):
@@ -51,7 +56,7 @@ class DriveFeedbackConfiguration(StrictModel):
     """
 
     enabled: bool = False
-    bandwidth_rad_s: Positive = 50.0
+    bandwidth_rad_s: Positive = 100.0
 
 
 def _check_gains(given: Any) -> dict[str, Any]:
@@ -135,7 +140,7 @@ class ControllerConfiguration(StrictModel):
         robot: RobotDescription,
         inertia_kg_m2: Vector,
         drive: DriveGains,
-        least_horizon_ms: float,
+        link: LinkConfiguration,
     ) -> DelayCompensation | None:
         """The configured delay compensation; None for none.
 
@@ -143,7 +148,7 @@ class ControllerConfiguration(StrictModel):
             robot: the arm.
             inertia_kg_m2: nominal inertia that governs each joint, shape (joints,).
             drive: what the drives add of their own.
-            least_horizon_ms: no torque acts sooner than this after the state it answers.
+            link: no torque acts sooner than its play-out time after the state it answers.
         """
         settings = self.delay_compensation
         if not settings.enabled:
@@ -156,7 +161,10 @@ class ControllerConfiguration(StrictModel):
             ),
             drive,
             observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,
-            least_horizon_ns=round(least_horizon_ms * 1e6),
+            least_horizon_ns=link.playout_ns,
+            first_horizon_ns=link.emulated_round_trip_ns
+            if settings.expected_round_trip_ms is None
+            else round(settings.expected_round_trip_ms * 1e6),
         )
 
     def settling_bound_s(self, gains: Any, largest_inertia: LargestInertia) -> float | None:

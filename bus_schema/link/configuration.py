@@ -106,6 +106,11 @@ class LinkConfiguration(StrictModel, validate_default=True):
     def playout_ns(self) -> int:
         return round(self.playout_ms * 1e6)
 
+    @property
+    def emulated_round_trip_ns(self) -> int:
+        """What ``delay_ms`` of both directions come to, without jitter."""
+        return self.uplink.delay_ns + self.downlink.delay_ns
+
     def deadline_ns(self, period_ns: int, mean_round_trip_ns: int) -> int:
         """The deadline for this tick period and what a round trip takes on average."""
         if self.deadline_ms is not None:

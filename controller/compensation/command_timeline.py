@@ -72,14 +72,15 @@ class CommandTimeline:
     Args:
         joints: number of joints.
         least_horizon_ns: no torque acts sooner than this after the state it answers.
+        first_horizon_ns: what the horizon is taken for until a command has come into force.
 
     Attributes:
         commands: all that can be in flight.
         horizon_ns: expected time from a state to the acting of the torque that answers it.
     """
 
-    def __init__(self, joints: int, least_horizon_ns: int) -> None:
-        self._least_horizon_ns = least_horizon_ns
+    def __init__(self, joints: int, least_horizon_ns: int, first_horizon_ns: int = 0) -> None:
+        self._least_horizon_ns, self._first_horizon_ns = least_horizon_ns, first_horizon_ns
         self.commands = Commands(
             np.zeros(CAPACITY, dtype=np.int64),
             np.zeros((CAPACITY, joints)),
@@ -94,7 +95,7 @@ class CommandTimeline:
         self._numbers[:] = HELD
         self._first, self._newest = HELD, HELD
         self._in_force, self._mean_delay_ns, self._spread_ns = HELD, 0.0, 0.0
-        self._expect(0)
+        self._expect(self._first_horizon_ns)
 
     def note(
         self, number: int, stamp_ns: int, torque_nm: Vector, target: Matrix | None = None

@@ -64,6 +64,7 @@ class DelayCompensation:
         drive: what the drives add of their own.
         observer_bandwidth_rad_s: how fast disturbances are learned.
         least_horizon_ns: no torque acts sooner than this after the state it answers.
+        first_horizon_ns: what the horizon is taken for until a command has come into force.
 
     Attributes:
         timeline: the commands sent, and the horizon.
@@ -82,9 +83,10 @@ class DelayCompensation:
         *,
         observer_bandwidth_rad_s: float,
         least_horizon_ns: int,
+        first_horizon_ns: int,
     ) -> None:
         joints = nominal.limits_nm.size
-        self.timeline = CommandTimeline(joints, least_horizon_ns)
+        self.timeline = CommandTimeline(joints, least_horizon_ns, first_horizon_ns)
         self.belief = first_belief(nominal)
         self.identification = identification
         self.predicted = Tracking(joints)

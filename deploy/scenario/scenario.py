@@ -150,7 +150,7 @@ class Setup:
                 self.robot,
                 self.governing_inertia_kg_m2,
                 self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
-                self.scenario.link.playout_ms,
+                self.scenario.link,
             ),
             sends_targets=controller.drive_feedback.enabled,
         )
