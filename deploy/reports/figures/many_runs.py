@@ -31,6 +31,7 @@ class StudyQuantity:
         axis: title of its axis, with its unit.
         factor: from the summary's unit to that one.
         is_log: whether its axis is logarithmic.
+        more_is_worse: whether large values are bad ones.
     """
 
     key: str
@@ -38,6 +39,7 @@ class StudyQuantity:
     axis: str
     factor: float
     is_log: bool = False
+    more_is_worse: bool = True
 
 
 TICKS_OUTSIDE = StudyQuantity(
@@ -46,6 +48,16 @@ TICKS_OUTSIDE = StudyQuantity(
 WORST_RMS = StudyQuantity(
     "worst_rms_rad", "RMS error of the worst joint", "RMS error (mrad)", 1e3, is_log=True
 )
+PLANTS_KEPT = StudyQuantity(
+    "kept_share", "Plants that kept their bounds", "plants kept (%)", 100.0, more_is_worse=False
+)
+
+
+def share_spread(share: Mapping[str, Any]) -> dict[str, Any]:
+    """The share of plants kept and its interval, as a spread under the key of `PLANTS_KEPT`."""
+    low, high = share["wilson_95"] or (None, None)
+    spread = {"mean": share["fraction"], "lowest": low, "highest": high}
+    return {PLANTS_KEPT.key: spread}
 
 
 class Point(NamedTuple):

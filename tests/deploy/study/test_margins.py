@@ -14,7 +14,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.conduct import retrace
 from deploy.study.folder import create_folder
-from deploy.study.margin import Margin, MarginDefinition
+from deploy.study.margin import MarginDefinition
 from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
@@ -23,7 +23,7 @@ from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up
     ("words", "said"),
     [
         (["--laws", "pid,magic"], ["'magic'", "smc"]),
-        (["--quantity", "colour"], ["quantity", "'colour'", "'delay', 'jitter' or 'loss'"]),
+        (["--quantity", "colour"], ["quantity", "'colour'", "delay, jitter, loss, or the"]),
         (["--seeds", "0"], ["seeds", "0", "from 1"]),
         (["--offsets", "1,1"], ["offsets", "different"]),
         (["--offsets", "x"], ["offsets", "'x'", "number"]),
@@ -60,7 +60,7 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
 
 def test_half_of_a_round_trip_goes_each_way():
     run = next(iter(margin_of(limit=12, resolution=12).first()))
-    point = Margin._overrides(margin_of(), margin_of().cases[0], 12.0, 1.0)
+    point = margin_of().cases[0].setting.at(12.0)
     link = load_setup(run.scenario, point).scenario.link
     assert (link.uplink.delay_ms, link.downlink.delay_ms) == (6.0, 6.0)
 
@@ -95,6 +95,7 @@ def test_margins_as_a_table_for_documents(tmp_path):
         "| --- | --- |",
         "| `pid` | none |",
         "| `smc` | ≥ 8 ms |",
+        "| held-arm ceiling | 123 ms |",
     ]
 
 
@@ -133,3 +134,4 @@ def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compe
     assert definition.laws == list(LAWS)
     assert definition.scenarios == ["paper_arm", "iiwa"]
     assert definition.compensation == [False, True]
+    assert definition.duration_s == 8.0
