@@ -32,7 +32,8 @@ def share_text(share: dict[str, Any]) -> str:
 def kept_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
     """Up to where enough plants are kept."""
     if case["kept_up_to"] is None:
-        return "none" if case["values"][0]["total"] else "not known yet"
+        is_judged = case["values"][0]["total"] == summary["plants"]
+        return "none" if is_judged else "not known yet"
     return value_text(case["kept_up_to"], summary)
 
 

@@ -131,6 +131,8 @@ class LinkQuantity(Quantity):
         ]  # fmt: skip
 
     def steps(self, resolution: float | None, limit: float | None) -> Steps:
+        if limit is not None and limit <= 0.0:
+            raise ConfigurationError("limit", limit, f"must be above 0 for {self.title}")
         size = resolution or self._traits.resolution
         last = max(1, round((limit or self._traits.limit) / size))
         return Steps(0.0, size, min(max(1, round(self._traits.first / size)), last), last)

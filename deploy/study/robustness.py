@@ -169,17 +169,20 @@ class Robustness(Study):
             "kept_up_to": self._kept_up_to(found),
             "held_arm_ceiling_ms": min(_known(case.ceilings_ms), default=None),
             "values": found,
-            "losses": rank_losses(quantities, np.array(lost, dtype=bool).reshape(len(lost), -1)),
+            "losses": rank_losses(
+                quantities, np.array(lost, dtype=bool).reshape(-1, len(case.plants))
+            ),
         }
 
     def _is_judged(self, rows: list[Row]) -> bool:
         return len(rows) == len(self.definition.seeds)
 
     def _kept_up_to(self, found: list[dict[str, Any]]) -> float | None:
-        """The largest value up to which enough plants are kept at every value tried."""
+        """The largest value up to which enough plants are kept at every one, all plants judged."""
         largest = None
         for one in found:
-            if one["fraction"] is None or one["fraction"] < self.definition.kept_share:
+            enough = one["kept"] >= self.definition.kept_share * self.definition.plants
+            if one["total"] < self.definition.plants or not enough:
                 break
             largest = one["value"]
         return largest
