@@ -129,13 +129,15 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     fixed = dict(map(parse_override, options.overrides or []))
     if options.duration is not None and "duration_s" in fixed:
         raise ScenarioError("--duration and --set duration_s: must not be given together")
-    studys_own = dict(values.get("set") or {})
+    own = values.get("set") or {}
+    if not isinstance(own, dict):
+        return values  # which the schema refuses, with the reason
     if options.duration is not None:
-        studys_own.pop("duration_s", None)
+        own = {key: value for key, value in own.items() if key != "duration_s"}
     if "duration_s" in fixed:
         values = {key: value for key, value in values.items() if key != "duration_s"}
     values = values | {key: value for key, value in given.items() if value is not None}
-    return values | {"set": {**studys_own, **fixed}}
+    return values | {"set": {**own, **fixed}}
 
 
 def _listed(text: str | None) -> list[Any] | None:

@@ -10,6 +10,7 @@ from deploy.reports.figures import many_runs
 from deploy.reports.page import Fact, Panel
 from deploy.reports.study_content import Study, StudyContent, Summary
 from deploy.reports.study_tables import (
+    furthest,
     held_again,
     margin_figure,
     margin_table,
@@ -34,7 +35,7 @@ def margin_content(summary: Summary) -> StudyContent:
         kind=f"margins of {summary['quantity']}",
         verdict=Verdict(
             "mixed",
-            f"Largest {summary['title']} at which the bounds are kept",
+            f"{furthest(summary).capitalize()} {summary['title']} at which the bounds are kept",
             [*(_best(summary, arm) for arm in arms), *held_again(summary)],
         ),
         facts=[
@@ -127,7 +128,8 @@ def _best(summary: Summary, arm: str) -> str:
         return f"{arm}: no law keeps its bounds at all."
     best = max(known, key=lambda case: case["growth"] * case["margin"])
     others = [case_name(case) for case in known if case["margin"] == best["margin"]]
-    return f"{arm}: the largest margin is {margin_text(best, summary)}, of {' and '.join(others)}."
+    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
+    return f"{arm}: the {margin}, of {' and '.join(others)}."
 
 
 def _cases(summary: Summary, arm: str) -> list[dict[str, Any]]:

@@ -48,11 +48,16 @@ def held_again(summary: dict[str, Any]) -> list[str]:
     ]
 
 
+def furthest(summary: dict[str, Any]) -> str:
+    """What a margin is of the values that held: the largest, or where values shrink the least."""
+    return "smallest" if any(case["growth"] < 0 for case in summary["cases"]) else "largest"
+
+
 def margin_table(summary: dict[str, Any]) -> Table:
     """Margins, a row for each law on each arm."""
     more = _more_settings(summary)
     return Table(
-        f"{summary['name']} · largest {summary['title']} at which the bounds are kept",
+        f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
         [
             Column("Arm", is_text=True),
             Column("Law", is_text=True),
@@ -67,9 +72,9 @@ def margin_table(summary: dict[str, Any]) -> Table:
         ],
         [_margin_row(case, summary, list(more.values())) for case in summary["cases"]],
         "A value holds if the bounds are kept from every start with every seed; the margin is the"
-        " largest value up to which all that were probed held. Held-arm ceiling: until the first"
-        " command acts the brakes hold the arm, and from the worst start its error leaves the"
-        " funnel after this time; no law can start under a longer delay.",
+        f" {furthest(summary)} value up to which all that were probed held. Held-arm ceiling: until"
+        " the first command acts the brakes hold the arm, and from the worst start its error leaves"
+        " the funnel after this time; no law can start under a longer delay.",
     )
 
 

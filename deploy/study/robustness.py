@@ -200,7 +200,9 @@ def margin_study(values: Mapping[str, Any], source: Path) -> Study:
     """
     of_many = values.get("plants") is not None
     of_search, of_plants = (set(m.model_fields) for m in (MarginDefinition, RobustnessDefinition))
-    for key in values.keys() & (of_search - of_plants if of_many else of_plants - of_search):
+    for key in sorted(
+        values.keys() & (of_search - of_plants if of_many else of_plants - of_search)
+    ):
         allowed = f"must be left out {'with' if of_many else 'without'} plants"
         raise ScenarioError(f"{source}: {key} = {values[key]!r}: {allowed}")
     return Robustness(values, source) if of_many else Margin(values, source)

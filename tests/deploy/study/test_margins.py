@@ -7,6 +7,7 @@ import json
 import pytest
 
 from controller.laws import LAWS
+from deploy.cli.margin_options import MarginOptions, definition_with
 from deploy.reports.study_report import write_study_report
 from deploy.reports.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
@@ -34,6 +35,11 @@ from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up
         (["--study", "none"], ["none", "shipped studies", "delay_margin"]),
         (["--workers", "1", "--scheduler", "tcp://127.0.0.1:1"], ["--workers", "--scheduler"]),
         (["--workers", "0"], ["--workers"]),
+        (["--plants", "2", "--values", "8"], ["uncertainty: must be given", "--uncertainty"]),
+        (["--plants", "2", "--uncertainty", "half"], ["values: is missing"]),
+        (["--drive-feedback", "maybe"], ["drive_feedback", "'maybe'"]),
+        (["--running", "on", "--duration", "2"], ["duration_s", "2.0", "above 3 s"]),
+        (["--quantity", "plant.payload_kg"], ["limit", "must be given"]),
     ],
 )
 def test_impossible_margins_are_refused_with_the_reason(funnel_hil, tmp_path, words, said):
@@ -135,3 +141,18 @@ def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compe
     assert definition.scenarios == ["paper_arm", "iiwa"]
     assert definition.compensation == [False, True]
     assert definition.duration_s == 8.0
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "duration_s", "fixed"),
+    [
+        ({"duration_s": 8}, {"overrides": ["duration_s=20"]}, None, {"duration_s": 20}),
+        ({"duration_s": 8}, {"duration": 12.0}, 12.0, {}),
+        ({"set": {"duration_s": 8}}, {"duration": 12.0}, 12.0, {}),
+        ({"set": {"duration_s": 8, "seed": 2}}, {}, None, {"duration_s": 8, "seed": 2}),
+    ],
+)
+def test_options_take_precedence_over_a_study(values, options, duration_s, fixed):
+    found = definition_with(MarginOptions(**options), values)
+    assert found.get("duration_s") == duration_s
+    assert found["set"] == fixed
