@@ -67,6 +67,16 @@ def rank_losses(quantities: Sequence[Measured], lost: np.ndarray[Any, Any]) -> d
     least = min(int(which.any(axis=0).sum()) for which in (mixed, ~mixed))
     if least < _LEAST_EACH or not quantities:
         return {**counts, "chance_level": None, "effects": None}
+    effects, chance_level = _effects(quantities, mixed)
+    found = sorted(zip(quantities, effects, strict=True), key=lambda pair: -abs(pair[1]))
+    named = [{"quantity": quantity.name, "effect": effect} for quantity, effect in found]
+    return {**counts, "chance_level": chance_level, "effects": named}
+
+
+def _effects(
+    quantities: Sequence[Measured], mixed: np.ndarray[Any, Any]
+) -> tuple[list[float], float]:
+    """The effect of each quantity, and the chance level; `mixed`: values with lost and kept."""
     ranks = np.array([_midranks(quantity.values) for quantity in quantities])
     times_lost = mixed.sum(axis=0).astype(np.float64)
     each = mixed.sum(axis=1)
@@ -78,14 +88,7 @@ def rank_losses(quantities: Sequence[Measured], lost: np.ndarray[Any, Any]) -> d
 
     random = np.random.default_rng(_SHUFFLE_SEED)
     strongest = [np.abs(effects(random.permutation(times_lost))).max() for _ in range(_SHUFFLES)]
-    found = sorted(
-        zip(quantities, effects(times_lost).tolist(), strict=True), key=lambda pair: -abs(pair[1])
-    )
-    return {
-        **counts,
-        "chance_level": float(np.quantile(strongest, 0.95)),
-        "effects": [{"quantity": quantity.name, "effect": effect} for quantity, effect in found],
-    }
+    return effects(times_lost).tolist(), float(np.quantile(strongest, 0.95))
 
 
 def _midranks(values: Vector) -> Vector:

@@ -17,6 +17,12 @@ from deploy.scenario.yaml_files import override, plain
 RAMP_FROM_S, RAMP_FOR_S = 1.0, 2.0
 """When a loop that already runs meets what it is tried with: from then on, and in that time."""
 
+_UNITS = {
+    "_rad_s": "rad/s", "_m_s": "m/s", "_nm_s": "", "_per_s": "1/s", "_ms": "ms", "_kg": "kg",
+    "_rad": "rad", "_nm": "N m", "_hz": "Hz", "_s": "s", "_m": "m",
+}  # fmt: skip
+"""Units by the ends of keys, the longer ones first."""
+
 Direction = Literal["both", "uplink", "downlink"]
 
 
@@ -210,6 +216,5 @@ def _require_longer_than_ramp(duration_s: float) -> None:
 
 
 def _unit(key: str) -> str:
-    """The unit that the name of a key ends with, as far as it is a plain one."""
-    suffix = key.rpartition("_")[2]
-    return suffix if suffix in ("ms", "s", "kg", "rad", "nm", "hz") else ""
+    """The unit that the name of a key ends with; empty where it is none or ambiguous."""
+    return next((unit for suffix, unit in _UNITS.items() if key.endswith(suffix)), "")

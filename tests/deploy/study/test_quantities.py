@@ -81,6 +81,16 @@ def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, hol
     assert getattr(getattr(scenario, section), name) == 0.55
 
 
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [("plant.payload_kg", "kg"), ("plant.actuator.lag_ms", "ms"), ("reference.speed", ""),
+     ("funnel.rate_per_s", "1/s")],
+)  # fmt: skip
+def test_a_number_has_the_unit_of_its_name(key, unit):
+    study = margin_of(quantity=key, limit=5, resolution=1)
+    assert study.cases[0].setting.quantity.unit == unit
+
+
 def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
     study = margin_of(compensation=[True], running=[False, True], limit=64)
     _, folder = conduct(study, tmp_path / "out", Here(made_up))
