@@ -87,7 +87,7 @@ def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, hol
      ("funnel.rate_per_s", "1/s")],
 )  # fmt: skip
 def test_a_number_has_the_unit_of_its_name(key, unit):
-    study = margin_of(quantity=key, limit=5, resolution=1)
+    study = margin_of(quantity=key, limit=5, resolution=1, duration_s=2)
     assert study.cases[0].setting.quantity.unit == unit
 
 
