@@ -18,6 +18,7 @@ from deploy.scenario.uncertainty import (
     check_uncertainty,
     draw_plant,
     key_text,
+    number_at,
     split_keys,
 )
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, plain, read_yaml
@@ -156,33 +157,35 @@ def refused(plant: Plant, error: ScenarioError) -> ScenarioError:
 def measured(uncertainty: Uncertainty, plants: list[Plant], base: Setup) -> list[Measured]:
     """Everything that was drawn as one number of each plant, joint by joint.
 
-    A number that got a random sign counts as two: how large it is, and its sign. One that an arm
-    has between two ends also counts by how far it is from the middle of its range, as errors of
-    both signs may be what does harm.
+    A number that got a random sign counts as two: how large it is, and its sign. One for the whole
+    arm whose range lies on both sides of the scenario's own value also counts by how far it is from
+    the middle, as too little may do the same harm as too much.
     """
-    found = []
+    found, scenario = [], plain(base.scenario)
     for text, draw in uncertainty.items():
         name = key_text(text)
         rows = np.array([np.atleast_1d(plant.columns[name]) for plant in plants], dtype=np.float64)
+        own = 1.0 if draw.relative else number_at(scenario, split_keys(text)[0])
         for joint, values in enumerate(rows.T):
             where = f", {base.robot.joint_names[joint]}" if draw.per == "joint" else ""
-            found += _aspects(f"{name}{where}", draw, values)
+            found += _aspects(f"{name}{where}", draw, values, own)
     return found
 
 
-def _aspects(name: str, draw: Draw, values: Any) -> list[Measured]:
+def _aspects(name: str, draw: Draw, values: Any, own: Any) -> list[Measured]:
     if draw.random_sign:
         size = Measured(f"{name}, size", np.abs(values))
         return [size, Measured(f"{name}, sign", np.sign(values))]
-    aspects = [Measured(name, values)]
-    if draw.per == "arm" and draw.least is not None and draw.most is not None:
-        middle = _middle(draw.distribution, draw.least, draw.most)
-        aspects.append(Measured(f"{name}, distance from mid-range", np.abs(values - middle)))
-    return aspects
-
-
-def _middle(distribution: str, least: float, most: float) -> float:
-    return float(np.sqrt(least * most)) if distribution == "log_uniform" else 0.5 * (least + most)
+    least, most = draw.least, draw.most
+    if draw.per == "joint" or least is None or most is None:
+        return [Measured(name, values)]
+    if not least < np.min(own) <= np.max(own) < most:
+        return [Measured(name, values)]
+    if draw.distribution == "log_uniform":
+        distance = np.abs(np.log(values / np.sqrt(least * most)))
+    else:
+        distance = np.abs(values - 0.5 * (least + most))
+    return [Measured(name, values), Measured(f"{name}, distance from mid-range", distance)]
 
 
 def _require_free(uncertainty: Uncertainty, fixed: Mapping[str, Any], taken: Iterable[str]) -> None:

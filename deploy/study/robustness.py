@@ -12,6 +12,7 @@ from pydantic import Field
 
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.uncertainty import Uncertainty
 from deploy.scenario.yaml_files import ScenarioError, naming, plain, validated
 from deploy.study.cases import (
     CASE_COLUMNS,
@@ -59,9 +60,10 @@ class RobustnessDefinition(CasesDefinition, UncertainDefinition):
 
 @dataclass(frozen=True)
 class _Case:
-    """A setting with its plants, and how long each of their arms may be held at the start, ms."""
+    """A setting, what is drawn for it, its plants, and how long each may be held at first, ms."""
 
     setting: Setting
+    uncertainty: Uncertainty
     plants: list[Plant]
     ceilings_ms: list[float | None]
 
@@ -136,7 +138,8 @@ class Robustness(Study):
                 setups = [self._checked(setting, plant) for plant in plants]
                 ceilings[known] = [self._ceiling(setting, setup) for setup in setups]
             self._checked(setting, plants[0])
-            yield _Case(setting, plants, ceilings[known])
+            uncertainty = uncertainty_of(wanted, setting.base)
+            yield _Case(setting, uncertainty, plants, ceilings[known])
 
     def _checked(self, setting: Setting, plant: Plant) -> Setup:
         overrides = setting.at(self.definition.values[-1], plant.overrides)
@@ -160,9 +163,7 @@ class Robustness(Study):
             found.append({"value": value, **_value_summary(value, case, judged)})
             if len(judged) == len(points):
                 lost.append([not _is_kept(rows) for rows in judged])
-        quantities = measured(
-            uncertainty_of(self.definition, case.setting.base), case.plants, case.setting.base
-        )
+        quantities = measured(case.uncertainty, case.plants, case.setting.base)
         return {
             "law": case.setting.law,
             **case.setting.tags,

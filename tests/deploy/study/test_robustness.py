@@ -15,6 +15,7 @@ from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.folder import create_folder, read_study
+from deploy.study.plants import measured
 from deploy.study.robustness import Robustness, margin_study
 from deploy.study.study import SHIPPED
 from deploy.study.sweep import Sweep, load_sweep
@@ -112,6 +113,36 @@ def test_a_drawn_plant_is_certain(tmp_path):
     run = next(iter(study.first()))
     assert run.columns[PAYLOAD] == next(iter(robustness_of().first())).columns[PAYLOAD]
     assert load_setup(run.scenario, run.overrides).scenario.uncertainty == {}
+
+
+def test_draws_are_measured_joint_by_joint_and_to_both_sides():
+    ranges = {
+        "controller.model_scale": {"distribution": "uniform", "from": 0.7, "to": 1.3},
+        "plant.disturbance.scale": {"distribution": "log_uniform", "from": 0.5, "to": 2},
+        PAYLOAD: RANGES[PAYLOAD],
+        "robot.initial_offset_rad": {"distribution": "uniform", "from": 0.2, "to": 1,
+                                     "per": "joint", "relative": True, "random_sign": True},
+    }  # fmt: skip
+    (case,) = robustness_of(uncertainty=ranges).cases
+    found = {
+        one.name: one.values
+        for one in measured(case.uncertainty, case.plants, case.setting.base)
+    }  # fmt: skip
+    joints = ("base_yaw", "shoulder", "elbow")
+    # The scenario's own payload, 0, is an end of its range: there is one side only.
+    assert list(found) == [
+        "controller.model_scale", "controller.model_scale, distance from mid-range",
+        "plant.disturbance.scale", "plant.disturbance.scale, distance from mid-range", PAYLOAD,
+        *(f"robot.initial_offset_rad, {joint}, {what}"
+          for joint in joints for what in ("size", "sign")),
+    ]  # fmt: skip
+    scale = found["controller.model_scale"]
+    distance = found["controller.model_scale, distance from mid-range"]
+    np.testing.assert_allclose(distance, abs(scale - 1.0), rtol=1e-12)
+    factor = found["plant.disturbance.scale"]
+    distance = found["plant.disturbance.scale, distance from mid-range"]
+    np.testing.assert_allclose(distance, abs(np.log(factor)), atol=1e-12)
+    assert set(found["robot.initial_offset_rad, elbow, sign"]) == {-1.0, 1.0}
 
 
 def test_a_plant_counts_as_kept_with_every_seed_only(tmp_path):
