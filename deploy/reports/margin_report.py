@@ -62,7 +62,8 @@ def _panels(arm: str) -> list[Panel[Study]]:
             arm, f"margins-{arm}", f"Margins on {arm}",
             lambda study: _bars(study, arm),
             "The taller, the more a law takes. A click gives the command of the first value that"
-            " failed, from the start that fared worst.",
+            " failed, from the start that fared worst. Dashed: the held-arm ceiling; no loop can be"
+            " started beyond it.",
             is_clickable=True,
         ),
         Panel(
@@ -88,7 +89,9 @@ def _bars(study: Study, arm: str) -> go.Figure | None:
         command = study.rerun(probe["worst_point"]) if probe else ""
         text, group = margin_figure(case), setting_text(case) or _AS_IT_IS  # the axis has the unit
         shown.append(many_runs.Bar(group, case["law"], case["margin"], text, command))
-    return many_runs.bars(shown, _axis(study.summary))
+    ceilings = [case["held_arm_ceiling_ms"] for case in _cases(study.summary, arm)]
+    ceiling = min(filter(None, ceilings), default=None)
+    return many_runs.bars(shown, _axis(study.summary), ceiling)
 
 
 def _curves(study: Study, arm: str, quantity: many_runs.StudyQuantity) -> go.Figure | None:

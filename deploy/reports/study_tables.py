@@ -10,6 +10,9 @@ from deploy.reports.robustness_tables import interval_text, share_text
 from deploy.reports.study_text import COMPENSATION, case_name, ceiling_text, setting_text
 from deploy.reports.tables import ABSENT, Column, Table, Value, as_markdown, scaled
 
+CaseText = Callable[[dict[str, Any]], str | None]
+"""What a case has in a column."""
+
 
 def shown_value(value: Any) -> str:
     """A swept value; whole numbers without a decimal point."""
@@ -55,22 +58,21 @@ def furthest(summary: dict[str, Any]) -> str:
 
 def margin_table(summary: dict[str, Any]) -> Table:
     """Margins, a row for each law on each arm."""
-    more = _more_settings(summary)
+    more = _optional_columns(summary)
     return Table(
         f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
         [
             Column("Arm", is_text=True),
             Column("Law", is_text=True),
             Column("Compensation", brief="Compen-\nsation", is_text=True),
-            *(Column(heading, is_text=True) for heading in more),
+            *(column for column, _ in more),
             Column("Margin", brief="Held"),
             Column("First failure", brief="First\nfailure"),
-            Column("Held-arm ceiling", brief="Held-arm\nceiling"),
             Column("Ticks outside at first failure", "%", "Outside\nthere"),
             Column("RMS error of the worst joint at the margin", "mrad", None),
             Column("Held again at", brief=None),
         ],
-        [_margin_row(case, summary, list(more.values())) for case in summary["cases"]],
+        [_margin_row(case, summary, [text for _, text in more]) for case in summary["cases"]],
         "A value holds if the bounds are kept from every start with every seed; the margin is the"
         f" {furthest(summary)} value up to which all that were probed held. Held-arm ceiling: until"
         " the first command acts the brakes hold the arm, and from the worst start its error leaves"
@@ -78,27 +80,30 @@ def margin_table(summary: dict[str, Any]) -> Table:
     )
 
 
-def _more_settings(summary: dict[str, Any]) -> dict[str, Callable[[dict[str, Any]], str]]:
-    """Columns for settings of which some case has another than the usual one."""
-    cases = summary["cases"]
-    columns: dict[str, Callable[[dict[str, Any]], str]] = {}
+def _optional_columns(summary: dict[str, Any]) -> list[tuple[Column, CaseText]]:
+    """Columns that only some studies have something to say in."""
+    cases, columns = summary["cases"], list[tuple[Column, CaseText]]()
     if any(case["drive_feedback"] is not None for case in cases):
-        columns["Drive feedback"] = lambda case: COMPENSATION[case["drive_feedback"]]
+        feedback = Column("Drive feedback", brief="Drive\nfeedback", is_text=True)
+        columns.append((feedback, lambda case: COMPENSATION[case["drive_feedback"]]))
     if any(case["running"] for case in cases):
-        columns["Loop"] = lambda case: "running" if case["running"] else "starting"
+        loop = Column("Loop", is_text=True)
+        columns.append((loop, lambda case: "running" if case["running"] else "starting"))
+    if any(map(ceiling_text, cases)):
+        columns.append((Column("Held-arm ceiling", brief="Held-arm\nceiling"), ceiling_text))
     return columns
 
 
 def _margin_row(
     case: dict[str, Any],
     summary: dict[str, Any],
-    more: list[Callable[[dict[str, Any]], str]],
+    more: list[CaseText],
 ) -> list[Value]:
     failed, last = probe_at(case, case["first_failure"]), probe_at(case, case["margin"])
     return [
         case["arm"], case["law"], COMPENSATION[case["compensation"]],
         *(text(case) for text in more),
-        margin_text(case, summary), case["first_failure"], ceiling_text(case),
+        margin_text(case, summary), case["first_failure"],
         scaled(failed["violation_fraction"]["mean"], 100.0) if failed else None,
         scaled(last["worst_rms_rad"]["mean"], 1e3) if last else None,
         ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT,

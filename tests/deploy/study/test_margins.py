@@ -130,7 +130,15 @@ def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp
     path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))
     _, output = funnel_hil("report", path)
-    assert "paper_arm   fixed_time_model_based   without   none" in output
+    (row,) = (line for line in output.splitlines() if " without " in line)
+    assert row.split()[:6] == [
+        "paper_arm",
+        "fixed_time_model_based",
+        "without",
+        "123",
+        "ms",
+        "none",
+    ]
     assert "…" not in output
 
 
