@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deploy.reports.study_text import case_name, ceiling_text, setting_text
+from deploy.reports.study_text import COMPENSATION, case_name, optional_columns
 from deploy.reports.tables import ABSENT, Column, Table, Value, as_markdown
 
 _SHOWN_EFFECTS = 6
@@ -37,29 +37,36 @@ def kept_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
     return value_text(case["kept_up_to"], summary)
 
 
+def _count(share: dict[str, Any], summary: dict[str, Any]) -> str:
+    """How many were kept; of how many where not all are judged yet."""
+    return str(share["kept"]) if share["total"] == summary["plants"] else share_text(share)
+
+
 def robustness_table(summary: dict[str, Any]) -> Table:
     """How many plants were kept at each value, a row for each case."""
-    share = f"{100 * summary['kept_share']:g} %"
+    share, more = f"{100 * summary['kept_share']:g} %", optional_columns(summary)
+    by = f"{summary['title']} ({summary['unit']})" if summary["unit"] else summary["title"]
     return Table(
-        f"{summary['name']} · plants that kept their bounds, by {summary['title']}",
+        f"{summary['name']} · of {summary['plants']} plants, kept their bounds, by {by}",
         [
             Column("Arm", is_text=True),
             Column("Law", is_text=True),
-            Column("Setting", is_text=True),
+            Column("Compensation", brief="Compen-\nsation", is_text=True),
+            *(column for column, _ in more),
             Column(f"{share} kept up to", brief=f"{share}\nup to"),
-            *(Column(value_text(value, summary)) for value in summary["values"]),
-            Column("Least held-arm ceiling", brief="Held-arm\nceiling"),
+            *(Column(f"{value:g}") for value in summary["values"]),
         ],
         [
             [
-                case["arm"], case["law"], setting_text(case), kept_text(case, summary),
-                *map(share_text, case["values"]), ceiling_text(case),
+                case["arm"], case["law"], COMPENSATION[case["compensation"]],
+                *(text(case) for _, text in more), kept_text(case, summary),
+                *(_count(value, summary) for value in case["values"]),
             ]
             for case in summary["cases"]
         ],
-        f"{summary['plants']} plants of plant_seed {summary['plant_seed']}, the same in every cell."
-        " A plant is kept if it is with every seed. The held-arm ceiling is that of the plant that"
-        " has the least: no law can start it under a longer delay.",
+        f"Plants 1 to {summary['plants']} of plant_seed {summary['plant_seed']}, the same in every"
+        " cell. A plant is kept if it is with every seed. The held-arm ceiling is that of the plant"
+        " that has the least: no law can start it under a longer delay.",
     )  # fmt: skip
 
 
@@ -96,10 +103,9 @@ def losses_table(summary: dict[str, Any]) -> Table:
         if losses["effects"] is None:
             rows.append([name, "too few lost or kept to say", None, None, counts])
             continue
-        rows += [
-            [name, one["quantity"], f"{one['effect']:+.2f}", losses["chance_level"], counts]
-            for one in losses["effects"][:_SHOWN_EFFECTS]
-        ]
+        first, *others = losses["effects"][:_SHOWN_EFFECTS]
+        rows.append([name, first["quantity"], _effect(first), losses["chance_level"], counts])
+        rows += [["", one["quantity"], _effect(one), "", ""] for one in others]
     return Table(
         "What lost plants have in common",
         [
@@ -116,6 +122,10 @@ def losses_table(summary: dict[str, Any]) -> Table:
         " level in 5 % of shuffles though nothing matters: what lies below it says nothing, what"
         " lies above it is an association, no proof of a cause.",
     )
+
+
+def _effect(one: dict[str, Any]) -> str:
+    return f"{one['effect']:+.2f}"
 
 
 def write_robustness_table(summary: dict[str, Any], path: Path) -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from deploy.reports.robustness_tables import interval_text, share_text
-from deploy.reports.study_text import COMPENSATION, case_name, ceiling_text, setting_text
+from deploy.reports.study_text import (
+    COMPENSATION,
+    CaseText,
+    case_name,
+    ceiling_text,
+    optional_columns,
+    setting_text,
+)
 from deploy.reports.tables import ABSENT, Column, Table, Value, as_markdown, scaled
-
-CaseText = Callable[[dict[str, Any]], str | None]
-"""What a case has in a column."""
 
 
 def shown_value(value: Any) -> str:
@@ -58,7 +61,7 @@ def furthest(summary: dict[str, Any]) -> str:
 
 def margin_table(summary: dict[str, Any]) -> Table:
     """Margins, a row for each law on each arm."""
-    more = _optional_columns(summary)
+    more = optional_columns(summary)
     return Table(
         f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
         [
@@ -78,20 +81,6 @@ def margin_table(summary: dict[str, Any]) -> Table:
         " the first command acts the brakes hold the arm, and from the worst start its error leaves"
         " the funnel after this time; no law can start under a longer delay.",
     )
-
-
-def _optional_columns(summary: dict[str, Any]) -> list[tuple[Column, CaseText]]:
-    """Columns that only some studies have something to say in."""
-    cases, columns = summary["cases"], list[tuple[Column, CaseText]]()
-    if any(case["drive_feedback"] is not None for case in cases):
-        feedback = Column("Drive feedback", brief="Drive\nfeedback", is_text=True)
-        columns.append((feedback, lambda case: COMPENSATION[case["drive_feedback"]]))
-    if any(case["running"] for case in cases):
-        loop = Column("Loop", is_text=True)
-        columns.append((loop, lambda case: "running" if case["running"] else "starting"))
-    if any(map(ceiling_text, cases)):
-        columns.append((Column("Held-arm ceiling", brief="Held-arm\nceiling"), ceiling_text))
-    return columns
 
 
 def _margin_row(

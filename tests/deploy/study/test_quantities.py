@@ -10,8 +10,12 @@ from deploy.reports.study_tables import margin_figure, margins_by_law
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.study import cases
+from deploy.study.cases import CasesDefinition
 from deploy.study.margin import Margin
 from tests.deploy.study.studies import Here, conduct, made_up
+
+SETUP = load_setup("paper_arm")
 
 
 def margin_of(**values):
@@ -100,6 +104,16 @@ def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
         "| `smc` | ≥ 64 ms | ≥ 64 ms |",
         "| held-arm ceiling | 123 ms | – |",
     ]
+
+
+def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
+    given = []
+    monkeypatch.setattr(cases, "load_setup", lambda _, overrides: given.append(overrides) or SETUP)
+    for asked in (None, [False, True]):
+        list(cases.settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked)))
+    key = "controller.drive_feedback.enabled"
+    found = [[text for text in overrides if key in text] for overrides in given]
+    assert found == [[], [f"{key}=false"], [f"{key}=true"]]
 
 
 @pytest.mark.parametrize(
