@@ -8,10 +8,22 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from bus_schema.configuration import NonNegative, PerJoint, StrictModel, expand
+from bus_schema.configuration import NonNegative, PerJoint, Positive, StrictModel, expand
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference
+
+
+class _Timed(StrictModel):
+    """What every kind of reference has.
+
+    Attributes:
+        speed: how many times as fast the reference is gone through, q_d(speed t): velocities are
+            as many times as large, accelerations that squared. The builders below put it into
+            frequencies and times, so that following a reference costs the same at any speed.
+    """
+
+    speed: Positive = 1.0
 
 
 class AxisConfiguration(StrictModel):
@@ -23,8 +35,13 @@ class AxisConfiguration(StrictModel):
     frequency_rad_s: float = 0.0
     phase_rad: float = 0.0
 
+    def at_speed(self, speed: float) -> list[float]:
+        """Offset, velocity, amplitude, frequency and phase with time that runs faster."""
+        velocity, frequency = speed * self.velocity_m_s, speed * self.frequency_rad_s
+        return [self.offset_m, velocity, self.amplitude_m, frequency, self.phase_rad]
 
-class CartesianPathConfiguration(StrictModel):
+
+class CartesianPathConfiguration(_Timed):
     """A path of the tool of a yaw-pitch-pitch arm in the base frame."""
 
     kind: Literal["cartesian_path"]
@@ -38,7 +55,7 @@ class CartesianPathConfiguration(StrictModel):
         Raises:
             ConfigurationError: the arm is no yaw-pitch-pitch arm.
         """
-        axes = np.array([list(axis.model_dump().values()) for axis in (self.x, self.y, self.z)])
+        axes = np.array([axis.at_speed(self.speed) for axis in (self.x, self.y, self.z)])
         return CartesianPath(axes, *ManipulatorModel(robot).yaw_pitch_pitch_lengths())
 
 
@@ -50,7 +67,7 @@ class SinusoidConfiguration(StrictModel):
     phase_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
 
 
-class JointSinusoidsConfiguration(StrictModel):
+class JointSinusoidsConfiguration(_Timed):
     """A sum of sinusoids about a centre, for any arm."""
 
     kind: Literal["joint_sinusoids"]
@@ -66,8 +83,10 @@ class JointSinusoidsConfiguration(StrictModel):
         terms = []
         for index, term in enumerate(self.terms):
             key = f"reference.terms.{index}"
-            values = [expand(value, robot.joints, f"{key}.{name}") for name, value in term]
-            terms.append(np.stack(values, axis=-1))
+            amplitude, frequency, phase = (
+                expand(value, robot.joints, f"{key}.{name}") for name, value in term
+            )
+            terms.append(np.stack([amplitude, self.speed * frequency, phase], axis=-1))
         centre = expand(self.centre_rad, robot.joints, "reference.centre_rad")
         return JointSinusoids(centre, np.array(terms))
 
@@ -79,7 +98,7 @@ class WaypointConfiguration(StrictModel):
     position_rad: PerJoint
 
 
-class MinimumJerkConfiguration(StrictModel):
+class MinimumJerkConfiguration(_Timed):
     """Rest-to-rest moves through waypoints, for any arm."""
 
     kind: Literal["minimum_jerk"]
@@ -103,7 +122,7 @@ class MinimumJerkConfiguration(StrictModel):
             expand(waypoint.position_rad, robot.joints, f"reference.waypoints.{i}.position_rad")
             for i, waypoint in enumerate(self.waypoints)
         ]
-        times = np.array([waypoint.time_s for waypoint in self.waypoints])
+        times = np.array([waypoint.time_s for waypoint in self.waypoints]) / self.speed
         return MinimumJerk(times, np.array(positions))
 
 

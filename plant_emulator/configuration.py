@@ -94,9 +94,14 @@ DisturbanceTerm = Annotated[
 
 
 class DisturbanceConfiguration(StrictModel):
-    """External torques that oppose the actuators: the sum of the terms."""
+    """External torques that oppose the actuators: the sum of the terms.
+
+    Attributes:
+        scale: factor on the torques of all terms.
+    """
 
     enabled: bool = True
+    scale: NonNegative = 1.0
     terms: tuple[DisturbanceTerm, ...] = ()
 
 

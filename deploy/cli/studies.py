@@ -4,18 +4,31 @@ from __future__ import annotations
 
 import inspect
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import Out, Overrides, on_interrupt, parse_laws, show_places
+from deploy.cli.common import Out, on_interrupt, show_places
+from deploy.cli.margin_options import (
+    MarginOptions,
+    Plants,
+    PlantSeed,
+    Scheduler,
+    UncertaintyOption,
+    WorkerCount,
+    definition_with,
+)
 from deploy.cli.progress import CommandProgress
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.reports.robustness_tables import (
+    losses_table,
+    robustness_table,
+    write_robustness_table,
+)
 from deploy.reports.study_report import write_study_report
 from deploy.reports.study_tables import (
     held_again,
@@ -25,110 +38,53 @@ from deploy.reports.study_tables import (
 )
 from deploy.reports.terminal import print_table
 from deploy.runs.run_rows import Row
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
-from deploy.study.margin import Margin
+from deploy.study.robustness import margin_study
 from deploy.study.study import SHIPPED, Study
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
-
-WorkerCount = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, help="Processes to run on; one per core by default."),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786."),
-]
+_TABLES = {"margin": write_margin_table, "robustness": write_robustness_table}
+"""What writes the table for documents, by kind of study."""
 
 
 def sweep(
     definition: Annotated[
         str, typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a shipped one.")
     ],
+    plants: Plants = None,
+    plant_seed: PlantSeed = None,
+    uncertainty: UncertaintyOption = None,
     workers: WorkerCount = None,
     scheduler: Scheduler = None,
     out: Out = None,
 ) -> None:
     """Run every point of a grid with every seed, on all cores or a Dask cluster.
 
-    Interrupted or killed, the same command goes on where it stopped.
+    With --plants every point with each of so many uncertain plants. Interrupted or killed, the same
+    command goes on where it stopped.
     """
-    _conduct(load_sweep(definition), workers, scheduler, out)
-
-
-@dataclass
-class MarginOptions:
-    """The options of `margin`, which are too many for parameters."""
-
-    scenario: Annotated[
-        list[str] | None,
-        typer.Argument(help="Scenario files or names of shipped ones; default paper_arm."),
-    ] = None
-    laws: Annotated[
-        str | None, typer.Option("--laws", metavar="A,B,…", help="Laws; all by default.")
-    ] = None
-    compensation: Annotated[
-        str | None,
-        typer.Option("--compensation", metavar="off,on", help="Delay compensation off, on, both."),
-    ] = None
-    quantity: Annotated[
-        str | None, typer.Option("--quantity", help="delay (round trip), jitter or loss.")
-    ] = None
-    seeds: Annotated[
-        str | None, typer.Option("--seeds", metavar="N", help="How many, or a list [3, 5].")
-    ] = None
-    offsets: Annotated[
-        str | None,
-        typer.Option("--offsets", metavar="A,B,…", help="Factors on the initial offset."),
-    ] = None
-    duration: Annotated[
-        float | None, typer.Option("--duration", help="Length of each run, s; default 8.")
-    ] = None
-    resolution: Annotated[
-        float | None, typer.Option("--resolution", help="To which the margin is found: ms or loss.")
-    ] = None
-    limit: Annotated[
-        float | None, typer.Option("--limit", help="The largest value tried: ms or loss.")
-    ] = None
-    study: Annotated[
-        str | None,
-        typer.Option("--study", help="A file with all of this, or the name of a shipped one."),
-    ] = None
-    overrides: Overrides = None
-    workers: WorkerCount = None
-    scheduler: Scheduler = None
-    out: Out = None
+    given = {"plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty}
+    more = {key: value for key, value in given.items() if value is not None}
+    _conduct(load_sweep(definition, more), workers, scheduler, out)
 
 
 def margin(**words: Any) -> None:
-    """Find the largest delay, jitter or loss at which each law keeps its bounds.
+    """Find the largest delay, or anything else, at which each law keeps its bounds.
 
-    Bracketing and bisection, from several starts with several seeds. Interrupted or killed, the
-    same command goes on where it stopped.
+    Bracketing and bisection, from several starts with several seeds; with --plants the share of
+    uncertain plants that keep them, at each of --values. Interrupted or killed, the same command
+    goes on where it stopped.
     """
     options = MarginOptions(**words)
-    path, values = Path("margin"), {}
+    path, values = Path("margin"), dict[str, Any]()
     if options.study is not None:
         path = find_yaml(options.study, SHIPPED)
         values = read_yaml(path)
-    given = {
-        "scenarios": options.scenario or None,
-        "laws": None if options.laws is None else parse_laws(options.laws),
-        "compensation": _listed(options.compensation),
-        "quantity": options.quantity,
-        "seeds": None if options.seeds is None else yaml.safe_load(options.seeds),
-        "offsets": _listed(options.offsets),
-        "duration_s": options.duration,
-        "resolution": options.resolution,
-        "limit": options.limit,
-    }
-    values |= {key: value for key, value in given.items() if value is not None}
-    if fixed := dict(map(parse_override, options.overrides or [])):
-        values["set"] = {**(values.get("set") or {}), **fixed}
-    _conduct(Margin(values, path), options.workers, options.scheduler, options.out)
+    values = definition_with(options, values)
+    _conduct(margin_study(values, path), options.workers, options.scheduler, options.out)
 
 
 vars(margin)["__signature__"] = inspect.signature(MarginOptions, eval_str=True)  # for typer
@@ -200,16 +156,12 @@ def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     write_json(folder.summary, summary)
     write_study_report(summary, folder)
     show_study(console, summary)
-    if isinstance(study, Margin):
-        write_margin_table(summary, folder.path / "table.md")
+    write_table = _TABLES.get(study.kind)
+    if write_table is not None:
+        write_table(summary, folder.path / "table.md")
         console.print(f"table:   {folder.path / 'table.md'}", soft_wrap=True)
     show_places(console, folder)
     return bool(summary["completed"])
-
-
-def _listed(text: str | None) -> list[Any] | None:
-    """Values from ``a,b,…``, typed as YAML has them."""
-    return None if text is None else [yaml.safe_load(part) for part in text.split(",")]
 
 
 def show_study(console: Console, summary: dict[str, Any]) -> None:
@@ -218,6 +170,9 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
         print_table(console, margin_table(summary))
         for sentence in held_again(summary):
             console.print(sentence, markup=False)
+    elif summary["kind"] == "robustness":
+        for table in (robustness_table(summary), losses_table(summary)):
+            print_table(console, table)
     else:
         table = point_table(summary)
         print_table(console, replace(table, rows=table.rows[:_SHOWN_POINTS]))

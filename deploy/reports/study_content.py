@@ -29,13 +29,15 @@ class StudyContent:
         verdict: its top.
         facts: labelled values below that.
         panels: its figures.
-        results: its table.
-        points: each point's description and name.
+        results: its tables.
+        points: description and name of points that can be run again.
+        points_title: what points these are.
     """
 
     kind: str
     verdict: Verdict
     facts: Sequence[Fact]
     panels: Sequence[Panel[Study]]
-    results: Table
+    results: Sequence[Table]
     points: Sequence[tuple[str, str]]
+    points_title: str = "Every point, with the command that runs it again"

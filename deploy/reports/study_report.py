@@ -7,11 +7,12 @@ from typing import Any
 
 from deploy.reports.margin_report import margin_content
 from deploy.reports.page import Fact, write_page
+from deploy.reports.robustness_report import robustness_content
 from deploy.reports.study_content import Study
 from deploy.reports.sweep_report import sweep_content
 from deploy.study.folder import StudyFolder
 
-_CONTENTS = {"sweep": sweep_content, "margin": margin_content}
+_CONTENTS = {"sweep": sweep_content, "margin": margin_content, "robustness": robustness_content}
 
 
 def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:

@@ -5,15 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deploy.reports.tables import ABSENT, Column, Table, as_markdown, scaled
-
-_COMPENSATION = {None: "", False: "without", True: "with"}
-
-
-def case_name(case: dict[str, Any]) -> str:
-    """What a margin is of: the law, and whether with compensation."""
-    compensation = _COMPENSATION[case["compensation"]]
-    return f"{case['law']} {compensation} compensation" if compensation else str(case["law"])
+from deploy.reports.robustness_tables import interval_text, share_text
+from deploy.reports.study_text import (
+    COMPENSATION,
+    CaseText,
+    case_name,
+    ceiling_text,
+    optional_columns,
+    setting_text,
+)
+from deploy.reports.tables import ABSENT, Column, Table, Value, as_markdown, scaled
 
 
 def shown_value(value: Any) -> str:
@@ -27,7 +28,8 @@ def margin_figure(case: dict[str, Any]) -> str:
         return "not known yet"
     if case["margin"] is None:
         return "none"
-    sign = "≥ " if case["first_failure"] is None else ""
+    beyond = "≥ " if case["growth"] > 0 else "≤ "
+    sign = beyond if case["first_failure"] is None else ""
     return f"{sign}{case['margin']:g}"
 
 
@@ -52,44 +54,62 @@ def held_again(summary: dict[str, Any]) -> list[str]:
     ]
 
 
+def furthest(summary: dict[str, Any]) -> str:
+    """What a margin is of the values that held: the largest, or where values shrink the least."""
+    return "smallest" if any(case["growth"] < 0 for case in summary["cases"]) else "largest"
+
+
 def margin_table(summary: dict[str, Any]) -> Table:
     """Margins, a row for each law on each arm."""
-    rows = []
-    for case in summary["cases"]:
-        failed, last = probe_at(case, case["first_failure"]), probe_at(case, case["margin"])
-        rows.append([
-            case["arm"], case["law"], _COMPENSATION[case["compensation"]],
-            margin_text(case, summary), case["first_failure"],
-            scaled(failed["violation_fraction"]["mean"], 100.0) if failed else None,
-            scaled(last["worst_rms_rad"]["mean"], 1e3) if last else None,
-            ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT,
-        ])  # fmt: skip
+    more = optional_columns(summary)
     return Table(
-        f"{summary['name']} · largest {summary['title']} at which the bounds are kept",
+        f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
         [
             Column("Arm", is_text=True),
             Column("Law", is_text=True),
             Column("Compensation", brief="Compen-\nsation", is_text=True),
+            *(column for column, _ in more),
             Column("Margin", brief="Held"),
             Column("First failure", brief="First\nfailure"),
             Column("Ticks outside at first failure", "%", "Outside\nthere"),
             Column("RMS error of the worst joint at the margin", "mrad", None),
             Column("Held again at", brief=None),
         ],
-        rows,
+        [_margin_row(case, summary, [text for _, text in more]) for case in summary["cases"]],
         "A value holds if the bounds are kept from every start with every seed; the margin is the"
-        " largest value up to which all that were probed held.",
+        f" {furthest(summary)} value up to which all that were probed held. Held-arm ceiling: until"
+        " the first command acts the brakes hold the arm, and from the worst start its error leaves"
+        " the funnel after this time; no law can start under a longer delay.",
     )
+
+
+def _margin_row(
+    case: dict[str, Any],
+    summary: dict[str, Any],
+    more: list[CaseText],
+) -> list[Value]:
+    failed, last = probe_at(case, case["first_failure"]), probe_at(case, case["margin"])
+    return [
+        case["arm"], case["law"], COMPENSATION[case["compensation"]],
+        *(text(case) for text in more),
+        margin_text(case, summary), case["first_failure"],
+        scaled(failed["violation_fraction"]["mean"], 100.0) if failed else None,
+        scaled(last["worst_rms_rad"]["mean"], 1e3) if last else None,
+        ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT,
+    ]  # fmt: skip
 
 
 def point_table(summary: dict[str, Any]) -> Table:
     """The points of a sweep, a row each."""
     axes = [", ".join(axis["keys"]) for axis in summary["axes"]]
+    of_plants = summary["plants"] is not None
+    plants = [Column("Plants kept", brief="Plants\nkept"), Column("Wilson's 95 % interval")]
     return Table(
         f"{summary['name']} · {summary['scenario']}",
         [
             Column("Point", brief=None, is_text=True),
             *(Column(keys, brief=keys.replace(", ", "\n").replace(".", ".\n")) for keys in axes),
+            *(plants if of_plants else ()),
             Column("Runs that kept their bounds", brief="Bounds\nkept"),
             Column("Ticks outside", "%", "Outside"),
             Column("Ticks outside in the worst run", "%", None),
@@ -99,6 +119,7 @@ def point_table(summary: dict[str, Any]) -> Table:
         [
             [
                 point["point"], *map(shown_value, point["values"]),
+                *((share_text(point), interval_text(point)) if of_plants else ()),
                 f"{point['runs_kept']} of {point['runs']}",
                 scaled(point["violation_fraction"]["mean"], 100.0),
                 scaled(point["violation_fraction"]["highest"], 100.0),
@@ -107,22 +128,24 @@ def point_table(summary: dict[str, Any]) -> Table:
             ]
             for point in summary["points"]
         ],
-        "Means over the seeds of a point; the worst run is the one with the most ticks outside.",
+        "Means over the seeds and plants of a point; the worst run is the one with the most ticks"
+        " outside.",
     )  # fmt: skip
 
 
 def margins_by_law(summary: dict[str, Any]) -> Table:
-    """Margins for documents: a row per law, a column per arm and compensation."""
-    columns = list(dict.fromkeys((case["arm"], case["compensation"]) for case in summary["cases"]))
+    """Margins for documents: a row per law, a column per arm and setting; and the ceilings."""
+    columns = {(case["arm"], setting_text(case)): case for case in summary["cases"]}
     margins = {
-        (case["law"], case["arm"], case["compensation"]): margin_text(case, summary)
+        (case["law"], case["arm"], setting_text(case)): margin_text(case, summary)
         for case in summary["cases"]
     }
-    headings = [
-        arm if on is None else f"{arm}, {_COMPENSATION[on]} compensation" for arm, on in columns
-    ]
+    headings = [f"{arm}, {setting}" if setting else arm for arm, setting in columns]
     laws = dict.fromkeys(case["law"] for case in summary["cases"])
-    rows = [[f"`{law}`", *(margins[law, arm, on] for arm, on in columns)] for law in laws]
+    rows = [[f"`{law}`", *(margins[law, *column] for column in columns)] for law in laws]
+    ceilings = [ceiling_text(case) for case in columns.values()]
+    if any(ceilings):
+        rows.append(["held-arm ceiling", *(ceiling or ABSENT for ceiling in ceilings)])
     return Table("Margins", list(map(Column, ("law", *headings))), rows)
 
 

@@ -17,7 +17,7 @@ from deploy.reports.verdict import Verdict
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
 QUANTITIES = [many_runs.TICKS_OUTSIDE, many_runs.WORST_RMS]
-"""What is drawn, each as curves and as heat maps; another one is another entry."""
+"""What is drawn of every sweep; another one is another entry."""
 
 
 def sweep_content(summary: Summary) -> StudyContent:
@@ -34,10 +34,14 @@ def sweep_content(summary: Summary) -> StudyContent:
                 for axis in summary["axes"]
             ],
         ),
-        facts=[Fact("Sweep", summary["name"]), Fact("Scenario", summary["scenario"])],
+        facts=[
+            Fact("Sweep", summary["name"]),
+            Fact("Scenario", summary["scenario"]),
+            *([Fact("Plants", f"{summary['plants']}")] if summary["plants"] else []),
+        ],
         panels=[*_curve_panels(summary), *_heat_map_panels(summary)],
-        results=point_table(summary),
-        points=[(_name(summary, point), point["point"]) for point in points],
+        results=[point_table(summary)],
+        points=[(_name(summary, point), point["worst_point"]) for point in points],
     )
 
 
@@ -51,7 +55,9 @@ def _curve_panels(summary: Summary) -> list[Panel[Study]]:
     for point in summary["points"]:
         others = (value for axis, value in enumerate(point["values"]) if axis != x)
         lines.setdefault(", ".join(map(shown_value, others)) or "all runs", []).append(point)
-    caption = "Lines are means over the seeds, the shades reach from the best run to the worst."
+    caption = "Lines are means over all runs, the shades reach from the best run to the worst."
+    if summary["plants"]:
+        caption = caption[:-1] + "; for plants kept, shares with Wilson's 95 % intervals."
     if len(lines) > _MOST_CURVES:
         caption += f" {_MOST_CURVES} of {len(lines)} lines are drawn; all points are in the table."
     drawn = dict(itertools.islice(lines.items(), _MOST_CURVES))
@@ -68,7 +74,7 @@ def _curve_panels(summary: Summary) -> list[Panel[Study]]:
     return [
         Panel("Curves", f"curve-{quantity.key}", quantity.title,
               partial(draw, quantity=quantity), caption, is_clickable=True)
-        for quantity in QUANTITIES
+        for quantity in _quantities(summary)
     ]  # fmt: skip
 
 
@@ -98,14 +104,26 @@ def _heat_map_panels(summary: Summary) -> list[Panel[Study]]:
         Panel("Heat maps", f"field-{quantity.key}-{index}",
               " · ".join([quantity.title, *map(shown_value, chosen)]),
               partial(draw, chosen=chosen, quantity=quantity),
-              "Means over the seeds; the darker, the worse.", is_clickable=True)
+              _heat_caption(quantity), is_clickable=True)
         for index, chosen in enumerate(itertools.islice(combinations, _MOST_HEAT_MAPS))
-        for quantity in QUANTITIES
+        for quantity in _quantities(summary)
     ]  # fmt: skip
 
 
+def _heat_caption(quantity: many_runs.StudyQuantity) -> str:
+    return (
+        f"Means over all runs; the darker, the {'worse' if quantity.more_is_worse else 'better'}."
+    )
+
+
 def _point(study: Study, point: Summary, x: Any = None) -> many_runs.Point:
-    return many_runs.Point(x, point, study.rerun(point["point"]))
+    shares = many_runs.share_spread(point) if "wilson_95" in point else {}
+    return many_runs.Point(x, {**point, **shares}, study.rerun(point["worst_point"]))
+
+
+def _quantities(summary: Summary) -> list[many_runs.StudyQuantity]:
+    """What is drawn, each as curves and as heat maps."""
+    return [*([many_runs.PLANTS_KEPT] if summary["plants"] else []), *QUANTITIES]
 
 
 def _name(summary: Summary, point: Summary) -> str:

@@ -39,6 +39,7 @@ from controller.reference_configuration import ReferenceConfiguration
 from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.referenced_files import find_delay_files, find_urdf
+from deploy.scenario.uncertainty import Uncertainty, check_uncertainty
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
@@ -89,7 +90,10 @@ class MetricsConfiguration(StrictModel):
 
 
 class Scenario(StrictModel):
-    """A whole experiment."""
+    """A whole experiment.
+
+    What is uncertain about it changes nothing in a run: studies draw plants from it.
+    """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     duration_s: Annotated[float, Field(gt=0, le=86_400)]
@@ -105,6 +109,7 @@ class Scenario(StrictModel):
     limits: LimitsConfiguration = LimitsConfiguration()
     metrics: MetricsConfiguration = MetricsConfiguration()
     faults: tuple[ScheduledFault, ...] = ()
+    uncertainty: Uncertainty = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -326,6 +331,8 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     setup.control_task()
     link_kind.check(setup.link_run(lockstep=True))
     ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
+    if scenario.uncertainty:
+        check_uncertainty(scenario.uncertainty, plain(scenario), robot.joints)
     return setup
 
 

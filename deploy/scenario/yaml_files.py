@@ -132,8 +132,9 @@ def plain(value: Any) -> Any:
     """Models, named tuples and arrays as mappings, lists and numbers; what is None is left out."""
     match value:
         case BaseModel():
-            fields = {name: getattr(value, name) for name in type(value).model_fields}
-            return {name: plain(inner) for name, inner in fields.items() if inner is not None}
+            fields = type(value).model_fields.items()
+            named = {field.alias or name: getattr(value, name) for name, field in fields}
+            return {name: plain(inner) for name, inner in named.items() if inner is not None}
         case dict():
             return {name: plain(inner) for name, inner in value.items()}
         case tuple() if hasattr(value, "_asdict"):

@@ -25,11 +25,12 @@ from deploy.runs.run_rows import Row, read_rows, write_rows
 from deploy.scenario.scenario import Setup, effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.study.margin import Margin
+from deploy.study.robustness import Robustness
 from deploy.study.study import Run, Study
 from deploy.study.sweep import Sweep
 
 STUDY_FILE = "study.yaml"
-KINDS: dict[str, type[Study]] = {kind.kind: kind for kind in (Sweep, Margin)}
+KINDS: dict[str, type[Study]] = {kind.kind: kind for kind in (Sweep, Margin, Robustness)}
 _FLUSH_S = 1.0
 _PART = "?" * 6 + ".parquet"
 """Finished parts; one that a kill interrupted has a longer name."""

@@ -32,6 +32,11 @@ def held(row: Row) -> bool:
     return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
 
 
+def badness(row: Row) -> tuple[bool, float]:
+    """What the worst of several runs has most of: failure, then ticks outside its bounds."""
+    return row["error"] is not None, row["violation_fraction"] or 0.0
+
+
 def worst(values: Sequence[float | None] | None) -> float | None:
     """The largest of all joints, unless one of them is unknown."""
     known = [value for value in values or () if value is not None]

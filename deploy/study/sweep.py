@@ -14,6 +14,7 @@ from pydantic import BeforeValidator
 
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
@@ -22,15 +23,17 @@ from deploy.scenario.yaml_files import (
     read_yaml,
     validated,
 )
-from deploy.study.statistics import spread_of_runs
-from deploy.study.study import (
-    SHIPPED,
-    Run,
-    Study,
-    StudyDefinition,
-    require_different,
-    scenario_name,
+from deploy.study.losses import share_kept
+from deploy.study.plants import (
+    Plant,
+    UncertainDefinition,
+    draw_columns,
+    draw_plants,
+    refused,
+    with_ranges,
 )
+from deploy.study.statistics import badness, held, spread_of_runs
+from deploy.study.study import SHIPPED, Run, Study, require_different, scenario_name
 
 _MOST_VALUES = 10_000
 
@@ -58,7 +61,7 @@ def _steps(given: dict[str, Any]) -> list[float] | None:
 Values = Annotated[list[Any], BeforeValidator(_to_values)]
 
 
-class SweepDefinition(StudyDefinition):
+class SweepDefinition(UncertainDefinition):
     """A sweep, as its YAML file has it.
 
     Attributes:
@@ -76,29 +79,37 @@ class Sweep(Study):
 
     Attributes:
         axes: values by the keys that take them together.
+        plants: those that meet every point of the grid.
     """
 
     kind = "sweep"
     definition: SweepDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
-        given = validated(values, SweepDefinition, source)
-        self.axes = {tuple(map(str.strip, keys.split(","))): v for keys, v in given.grid.items()}
-        self.columns = {k: _kind(values) for keys, values in self.axes.items() for k in keys}
+        with naming(source):
+            ranged = with_ranges(values, source)
+        given = validated(ranged, SweepDefinition, source)
+        self.axes = {split_keys(keys): values for keys, values in given.grid.items()}
+        axes = {key: _kind(values) for keys, values in self.axes.items() for key in keys}
         with naming(source):
             _check_keys(self.axes, given.fixed)
             scenario = scenario_name(given.scenario, source.parent)
             self.definition = given.model_copy(update={"scenario": scenario})
             self.bases = [load_setup(scenario, given.fixed_overrides)]
-            for run in self.points():
-                load_setup(run.scenario, run.overrides)
+            self.plants = draw_plants(given, self.bases[0], axes)
+            self.columns = {**axes, **draw_columns(given, self.bases)}
+            self._check()
 
     @property
     def expected(self) -> int:
-        return math.prod(map(len, self.axes.values())) * len(self.definition.seeds)
+        return self._points * len(self.plants) * len(self.definition.seeds)
+
+    @property
+    def _points(self) -> int:
+        return math.prod(map(len, self.axes.values()))
 
     def points(self) -> Iterable[Run]:
-        """One run for each point of the grid, with the first seed."""
+        """One run for each point of the grid and each plant, with the first seed."""
         wanted = self.definition
         for index, values in enumerate(itertools.product(*self.axes.values())):
             chosen = {
@@ -106,12 +117,14 @@ class Sweep(Study):
                 for keys, value in zip(self.axes, values, strict=True)
                 for key in keys
             }  # fmt: skip
-            varied = (override(key, value) for key, value in chosen.items())
+            varied = [override(key, value) for key, value in chosen.items()]
             columns = {key: _as_cell(value, self.columns[key]) for key, value in chosen.items()}
-            yield Run(
-                f"{index:05d}", wanted.scenario, (*wanted.fixed_overrides, *varied),
-                wanted.seeds[0], columns,
-            )  # fmt: skip
+            for plant in self.plants:
+                yield Run(
+                    _point(index, plant), wanted.scenario,
+                    (*wanted.fixed_overrides, *plant.overrides, *varied), wanted.seeds[0],
+                    {**columns, **plant.columns},
+                )  # fmt: skip
 
     def first(self) -> Iterable[Run]:
         return (replace(run, seed=seed) for run in self.points() for seed in self.definition.seeds)
@@ -119,37 +132,75 @@ class Sweep(Study):
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         by_point: dict[str, list[Row]] = {}
         for row in rows:
-            by_point.setdefault(row["point"], []).append(row)
+            by_point.setdefault(_grid_point(row["point"]), []).append(row)
         base = self.bases[0]
+        runs = itertools.islice(self.points(), 0, None, len(self.plants))
         return {
             "scenario": base.scenario.name,
             "completed": len(rows) == self.expected,
             "runs_expected": self.expected,
             "joint_names": list(base.robot.joint_names),
+            "plants": self.definition.plants,
+            "plant_seed": self.definition.plant_seed,
             "axes": [
                 {"keys": list(keys), "values": [_as_cell(v, self.columns[keys[0]]) for v in values]}
                 for keys, values in self.axes.items()
             ],
             "points": [
-                {
-                    "point": run.point,
-                    "values": [run.columns[keys[0]] for keys in self.axes],
-                    **spread_of_runs(by_point[run.point]),
-                }
-                for run in self.points()
-                if run.point in by_point
+                self._point_summary(run, by_point[_grid_point(run.point)])
+                for run in runs
+                if _grid_point(run.point) in by_point
             ],
         }
 
+    def _check(self) -> None:
+        """Load every point of the grid with the first plant, and every plant at the first point."""
+        for index, run in enumerate(self.points()):
+            plant = self.plants[index % len(self.plants)]
+            if index < len(self.plants) or plant is self.plants[0]:
+                try:
+                    load_setup(run.scenario, run.overrides)
+                except ScenarioError as error:
+                    raise refused(plant, error) from error
 
-def load_sweep(name_or_path: str) -> Sweep:
+    def _point_summary(self, run: Run, rows: list[Row]) -> dict[str, Any]:
+        """What came of a point of the grid; of uncertain plants also how many were kept."""
+        summary = {
+            "point": _grid_point(run.point),
+            "worst_point": max(rows, key=badness)["point"],
+            "values": [run.columns[keys[0]] for keys in self.axes],
+            **spread_of_runs(rows),
+        }
+        if self.definition.plants is None:
+            return summary
+        by_plant: dict[str, list[bool]] = {}
+        for row in rows:
+            by_plant.setdefault(row["point"], []).append(held(row))
+        whole = [runs for runs in by_plant.values() if len(runs) == len(self.definition.seeds)]
+        return {**summary, **share_kept(sum(map(all, whole)), len(whole))}
+
+
+def load_sweep(name_or_path: str, more: Mapping[str, Any] | None = None) -> Sweep:
     """A sweep from a file, or a shipped one.
+
+    Args:
+        name_or_path: which.
+        more: what takes precedence over the file.
 
     Raises:
         ScenarioError: anything about it is wrong.
     """
     path = find_yaml(name_or_path, SHIPPED)
-    return Sweep(read_yaml(path), path)
+    return Sweep({**read_yaml(path), **(more or {})}, path)
+
+
+def _point(index: int, plant: Plant) -> str:
+    return f"{index:05d}" if plant.number is None else f"{index:05d}-{plant.number:04d}"
+
+
+def _grid_point(point: str) -> str:
+    """The part of a point's name that all of its plants share."""
+    return point.partition("-")[0]
 
 
 def _check_keys(axes: Mapping[tuple[str, ...], Any], fixed: Mapping[str, Any]) -> None:

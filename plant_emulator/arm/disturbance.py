@@ -43,7 +43,7 @@ def disturbance_table(
     joint_names: tuple[str, ...],
     random: np.random.Generator,
 ) -> Records:
-    """All terms as windowed sinusoids, shape (sinusoids,).
+    """All terms, scaled, as windowed sinusoids, shape (sinusoids,).
 
     Raises:
         ConfigurationError: a term names a joint that the arm has not, or a band upside down.
@@ -62,7 +62,9 @@ def disturbance_table(
         for joint, name in enumerate(joint_names):
             if term.joint in ("all", name):
                 waves.extend((joint, *wave) for wave in _waves(term, random))
-    return np.array(waves, dtype=_WAVE)
+    table = np.array(waves, dtype=_WAVE)
+    table["amplitude_nm"] *= configuration.scale
+    return table
 
 
 @compiled

@@ -149,3 +149,26 @@ def test_waypoints_out_of_order_are_refused(times):
     waypoints = [{"time_s": time_s, "position_rad": 0.0} for time_s in times]
     with pytest.raises(ValueError, match="increasing time_s"):
         MinimumJerkConfiguration(kind="minimum_jerk", waypoints=waypoints)
+
+
+JERK = (
+    '{"kind": "minimum_jerk", "speed": %s, "waypoints":'
+    ' [{"time_s": 0.5, "position_rad": 0.2}, {"time_s": 3, "position_rad": 0.6}]}'
+)
+
+
+@pytest.mark.parametrize("name", ["paper_arm", "iiwa", "minimum jerk"])
+def test_a_reference_of_twice_the_speed_is_at_twice_the_time(name):
+    def at_speed(speed):
+        if name == "minimum jerk":
+            return load_setup("iiwa", ["reference=" + JERK % speed, "duration_s=1"])
+        return load_setup(name, [f"reference.speed={speed}", "duration_s=1"])
+
+    slow, fast = at_speed(1), at_speed(2)
+    joints = slow.robot.joints
+    for time_s in (0.0, 0.4, 0.9, 1.3):
+        position, velocity, acceleration = motion(slow.reference, 2.0 * time_s, joints)
+        rows = motion(fast.reference, time_s, joints)
+        np.testing.assert_allclose(rows[0], position, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(rows[1], 2.0 * velocity, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(rows[2], 4.0 * acceleration, rtol=1e-12, atol=1e-12)

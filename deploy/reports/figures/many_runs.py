@@ -19,6 +19,7 @@ _DASHES = ("solid", "dot", "dash", "dashdot")
 _LETTER_PX, _NARROW_NAME = 7.5, 10
 _HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
 _HEIGHT_PX = 430
+_HEADROOM = 1.1
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class StudyQuantity:
         axis: title of its axis, with its unit.
         factor: from the summary's unit to that one.
         is_log: whether its axis is logarithmic.
+        more_is_worse: whether large values are bad ones.
     """
 
     key: str
@@ -38,6 +40,7 @@ class StudyQuantity:
     axis: str
     factor: float
     is_log: bool = False
+    more_is_worse: bool = True
 
 
 TICKS_OUTSIDE = StudyQuantity(
@@ -46,6 +49,16 @@ TICKS_OUTSIDE = StudyQuantity(
 WORST_RMS = StudyQuantity(
     "worst_rms_rad", "RMS error of the worst joint", "RMS error (mrad)", 1e3, is_log=True
 )
+PLANTS_KEPT = StudyQuantity(
+    "kept_share", "Plants that kept their bounds", "plants kept (%)", 100.0, more_is_worse=False
+)
+
+
+def share_spread(share: Mapping[str, Any]) -> dict[str, Any]:
+    """The share of plants kept and its interval, as a spread under the key of `PLANTS_KEPT`."""
+    low, high = share["wilson_95"] or (None, None)
+    spread = {"mean": share["fraction"], "lowest": low, "highest": high}
+    return {PLANTS_KEPT.key: spread}
 
 
 class Point(NamedTuple):
@@ -107,8 +120,8 @@ def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.
     return figure
 
 
-def bars(all_bars: Sequence[Bar], y_title: str) -> go.Figure | None:
-    """Bars by name, and side by side by group."""
+def bars(all_bars: Sequence[Bar], y_title: str, ceiling: float | None = None) -> go.Figure | None:
+    """Bars by name, and side by side by group; with a dashed line where a ceiling is."""
     if not all_bars:
         return None
     figure = go.Figure()
@@ -129,6 +142,10 @@ def bars(all_bars: Sequence[Bar], y_title: str) -> go.Figure | None:
         _add_legend(figure, groups)
     figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
     figure.update_yaxes(title_text=style.plain(y_title), rangemode="tozero")
+    if ceiling is not None:
+        figure.add_hline(y=ceiling, line={"dash": "dash", "width": 1}, opacity=0.6)
+        highest = max([ceiling, *(bar.height or 0.0 for bar in all_bars)])
+        figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
     return figure
 
 

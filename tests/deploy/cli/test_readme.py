@@ -9,6 +9,7 @@ import yaml
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, load_setup
+from deploy.study.robustness import margin_study
 from deploy.study.sweep import load_sweep
 
 README = (Path(__file__).resolve().parents[3] / "README.md").read_text()
@@ -53,3 +54,9 @@ def test_the_sweep_of_the_readme_can_be_run(tmp_path):
     (tmp_path / "sweep.yaml").write_text(block("yml", "grid:"))
     # 11 delays, 3 model scales, 5 seeds.
     assert load_sweep(str(tmp_path / "sweep.yaml")).expected == 11 * 3 * 5
+
+
+def test_the_study_of_uncertain_plants_of_the_readme_can_be_run(tmp_path):
+    values = yaml.safe_load(block("yml", "uncertainty:"))
+    # Two laws, 4 round trips, 40 plants.
+    assert margin_study(values, tmp_path / "study.yaml").expected == 2 * 4 * 40

@@ -28,10 +28,11 @@ def sweep():
     values = [[float(delay), f"law{HOSTILE}"] for delay in range(3)]
     return {
         "kind": "sweep", "name": "small", "scenario": HOSTILE, "completed": False, "runs": 6,
-        "runs_failed": 1, "seeds": [4, 5],
+        "runs_failed": 1, "seeds": [4, 5], "plants": None,
         "axes": [{"keys": ["link.uplink.delay_ms", HOSTILE], "values": [0.0, 1.0, 2.0]},
                  {"keys": ["controller.law"], "values": [f"law{HOSTILE}"]}],
-        "points": [runs(0.01 * index, point=f"0000{index}", values=point)
+        "points": [runs(0.01 * index, point=f"0000{index}", worst_point=f"0000{index}",
+                        values=point)
                    for index, point in enumerate(values)],
     }  # fmt: skip
 
@@ -44,6 +45,10 @@ def margin():
         "arm": "my_arm",
         "law": "pid",
         "compensation": True,
+        "drive_feedback": None,
+        "running": False,
+        "growth": 1,
+        "held_arm_ceiling_ms": 65.9,
         "margin": 4.0,
         "first_failure": 8.0,
         "held_again": [12.0],

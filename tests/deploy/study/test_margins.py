@@ -7,6 +7,7 @@ import json
 import pytest
 
 from controller.laws import LAWS
+from deploy.cli.margin_options import MarginOptions, definition_with
 from deploy.reports.study_report import write_study_report
 from deploy.reports.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
@@ -14,7 +15,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.conduct import retrace
 from deploy.study.folder import create_folder
-from deploy.study.margin import Margin, MarginDefinition
+from deploy.study.margin import MarginDefinition
 from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
@@ -23,7 +24,7 @@ from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up
     ("words", "said"),
     [
         (["--laws", "pid,magic"], ["'magic'", "smc"]),
-        (["--quantity", "colour"], ["quantity", "'colour'", "'delay', 'jitter' or 'loss'"]),
+        (["--quantity", "colour"], ["quantity", "'colour'", "delay, jitter, loss, or the"]),
         (["--seeds", "0"], ["seeds", "0", "from 1"]),
         (["--offsets", "1,1"], ["offsets", "different"]),
         (["--offsets", "x"], ["offsets", "'x'", "number"]),
@@ -34,6 +35,11 @@ from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up
         (["--study", "none"], ["none", "shipped studies", "delay_margin"]),
         (["--workers", "1", "--scheduler", "tcp://127.0.0.1:1"], ["--workers", "--scheduler"]),
         (["--workers", "0"], ["--workers"]),
+        (["--plants", "2", "--values", "8"], ["uncertainty: must be given", "--uncertainty"]),
+        (["--plants", "2", "--uncertainty", "half"], ["values: is missing"]),
+        (["--drive-feedback", "maybe"], ["drive_feedback", "'maybe'"]),
+        (["--running", "on", "--duration", "2"], ["duration_s", "2.0", "above 3 s"]),
+        (["--quantity", "plant.payload_kg"], ["limit", "must be given"]),
     ],
 )
 def test_impossible_margins_are_refused_with_the_reason(funnel_hil, tmp_path, words, said):
@@ -60,7 +66,7 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
 
 def test_half_of_a_round_trip_goes_each_way():
     run = next(iter(margin_of(limit=12, resolution=12).first()))
-    point = Margin._overrides(margin_of(), margin_of().cases[0], 12.0, 1.0)
+    point = margin_of().cases[0].setting.at(12.0)
     link = load_setup(run.scenario, point).scenario.link
     assert (link.uplink.delay_ms, link.downlink.delay_ms) == (6.0, 6.0)
 
@@ -95,6 +101,7 @@ def test_margins_as_a_table_for_documents(tmp_path):
         "| --- | --- |",
         "| `pid` | none |",
         "| `smc` | ≥ 8 ms |",
+        "| held-arm ceiling | 123 ms |",
     ]
 
 
@@ -123,7 +130,15 @@ def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp
     path = create_folder(margin, tmp_path / "out")
     conduct(margin, path, Here(lambda run: made_up(run, violation_fraction=1 / 8000)))
     _, output = funnel_hil("report", path)
-    assert "paper_arm   fixed_time_model_based   without   none" in output
+    (row,) = (line for line in output.splitlines() if " without " in line)
+    assert row.split()[:6] == [
+        "paper_arm",
+        "fixed_time_model_based",
+        "without",
+        "123",
+        "ms",
+        "none",
+    ]
     assert "…" not in output
 
 
@@ -133,3 +148,19 @@ def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compe
     assert definition.laws == list(LAWS)
     assert definition.scenarios == ["paper_arm", "iiwa"]
     assert definition.compensation == [False, True]
+    assert definition.duration_s == 8.0
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "duration_s", "fixed"),
+    [
+        ({"duration_s": 8}, {"overrides": ["duration_s=20"]}, None, {"duration_s": 20}),
+        ({"duration_s": 8}, {"duration": 12.0}, 12.0, {}),
+        ({"set": {"duration_s": 8}}, {"duration": 12.0}, 12.0, {}),
+        ({"set": {"duration_s": 8, "seed": 2}}, {}, None, {"duration_s": 8, "seed": 2}),
+    ],
+)
+def test_options_take_precedence_over_a_study(values, options, duration_s, fixed):
+    found = definition_with(MarginOptions(**options), values)
+    assert found.get("duration_s") == duration_s
+    assert found["set"] == fixed

@@ -35,6 +35,17 @@ def test_constant_acts_always_on_its_joint_alone():
         assert torque(table, time_s).tolist() == [0.0, -2.5, 0.0]
 
 
+def test_scale_is_a_factor_on_the_torques_of_all_terms():
+    terms = [
+        {"joint": "yaw", "kind": "constant", "torque_nm": 2.0},
+        {"joint": "elbow", "kind": "step", "torque_nm": -3.0, "start_s": 1.0},
+    ]
+    configuration = DisturbanceConfiguration(terms=terms, scale=0.5)
+    table = disturbance_table(configuration, NAMES, np.random.default_rng(0))
+    assert torque(table, 0.9).tolist() == [1.0, 0.0, 0.0]
+    assert torque(table, 1.0).tolist() == [1.0, 0.0, -1.5]
+
+
 def test_sine_follows_its_formula():
     table = table_of(
         {

@@ -1,0 +1,145 @@
+"""The options of studies on the command line, and what they say beside a study's file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+import yaml
+
+from deploy.cli.common import Out, Overrides, parse_laws
+from deploy.scenario.yaml_files import ScenarioError, parse_override
+
+WorkerCount = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes to run on; one per core by default."),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786."),
+]
+
+
+Plants = Annotated[
+    int | None,
+    typer.Option("--plants", metavar="N", help="Try N plants, drawn from what is uncertain."),
+]
+PlantSeed = Annotated[
+    int | None, typer.Option("--plant-seed", help="Another one draws other plants; default 1.")
+]
+UncertaintyOption = Annotated[
+    str | None,
+    typer.Option("--uncertainty", help="A file of ranges to draw from; shipped are full, half."),
+]
+
+
+@dataclass
+class MarginOptions:
+    """The options of `margin`, which are too many for parameters."""
+
+    scenario: Annotated[
+        list[str] | None,
+        typer.Argument(help="Scenario files or names of shipped ones; default paper_arm."),
+    ] = None
+    laws: Annotated[
+        str | None, typer.Option("--laws", metavar="A,B,…", help="Laws; all by default.")
+    ] = None
+    compensation: Annotated[
+        str | None,
+        typer.Option("--compensation", metavar="off,on", help="Delay compensation off, on, both."),
+    ] = None
+    drive_feedback: Annotated[
+        str | None,
+        typer.Option("--drive-feedback", metavar="off,on", help="Feedback at the drives likewise."),
+    ] = None
+    running: Annotated[
+        str | None,
+        typer.Option("--running", metavar="off,on", help="From the start; ramped up, 1 s to 3 s."),
+    ] = None
+    quantity: Annotated[
+        str | None,
+        typer.Option("--quantity", help="delay (round trip), jitter, loss, or a scenario's key."),
+    ] = None
+    direction: Annotated[
+        str | None, typer.Option("--direction", help="Of the link: both, uplink or downlink.")
+    ] = None
+    seeds: Annotated[
+        str | None, typer.Option("--seeds", metavar="N", help="How many, or a list [3, 5].")
+    ] = None
+    offsets: Annotated[
+        str | None,
+        typer.Option("--offsets", metavar="A,B,…", help="Factors on the initial offset."),
+    ] = None
+    duration: Annotated[
+        float | None, typer.Option("--duration", help="Length of each run, s; the scenario's own.")
+    ] = None
+    resolution: Annotated[
+        float | None,
+        typer.Option("--resolution", help="To which the margin is found."),
+    ] = None
+    limit: Annotated[
+        float | None, typer.Option("--limit", help="The last value tried, in the quantity's unit.")
+    ] = None
+    plants: Plants = None
+    plant_seed: PlantSeed = None
+    uncertainty: UncertaintyOption = None
+    values: Annotated[
+        str | None,
+        typer.Option("--values", metavar="A,B,…", help="Values to try on all plants."),
+    ] = None
+    kept_share: Annotated[
+        float | None, typer.Option("--kept-share", help="Plants to be kept; default 0.95.")
+    ] = None
+    study: Annotated[
+        str | None,
+        typer.Option("--study", help="A file with all of this, or the name of a shipped one."),
+    ] = None
+    overrides: Overrides = None
+    workers: WorkerCount = None
+    scheduler: Scheduler = None
+    out: Out = None
+
+
+def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:
+    """A study's definition with the options that are given beside it, which take precedence.
+
+    Raises:
+        ScenarioError: options contradict each other.
+    """
+    given = {
+        "scenarios": options.scenario or None,
+        "laws": None if options.laws is None else parse_laws(options.laws),
+        "compensation": _listed(options.compensation),
+        "drive_feedback": _listed(options.drive_feedback),
+        "running": _listed(options.running),
+        "quantity": options.quantity,
+        "direction": options.direction,
+        "seeds": None if options.seeds is None else yaml.safe_load(options.seeds),
+        "offsets": _listed(options.offsets),
+        "duration_s": options.duration,
+        "resolution": options.resolution,
+        "limit": options.limit,
+        "plants": options.plants,
+        "plant_seed": options.plant_seed,
+        "uncertainty": options.uncertainty,
+        "values": _listed(options.values),
+        "kept_share": options.kept_share,
+    }
+    fixed = dict(map(parse_override, options.overrides or []))
+    if options.duration is not None and "duration_s" in fixed:
+        raise ScenarioError("--duration and --set duration_s: must not be given together")
+    own = values.get("set") or {}
+    if not isinstance(own, dict):
+        return values  # which the schema refuses, with the reason
+    if options.duration is not None:
+        own = {key: value for key, value in own.items() if key != "duration_s"}
+    if "duration_s" in fixed:
+        values = {key: value for key, value in values.items() if key != "duration_s"}
+    values = values | {key: value for key, value in given.items() if value is not None}
+    return values | {"set": {**own, **fixed}}
+
+
+def _listed(text: str | None) -> list[Any] | None:
+    """Values from ``a,b,…``, typed as YAML has them."""
+    return None if text is None else [yaml.safe_load(part) for part in text.split(",")]

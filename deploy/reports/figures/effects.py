@@ -1,0 +1,38 @@
+"""Effects as bars to both sides of zero, with the band in which chance alone may put them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import plotly.graph_objects as go
+
+from deploy.reports.figures import style
+
+_BAR_PX, _FRAME_PX = 26, 110
+
+
+def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure | None:
+    """One bar for each quantity, the first on top.
+
+    Args:
+        bars: names and effects, from −1 to 1.
+        chance_level: size of what may be chance.
+    """
+    if not bars:
+        return None
+    figure = go.Figure()
+    sizes = [effect for _, effect in bars]
+    beyond = [abs(effect) > chance_level for effect in sizes]
+    figure.add_bar(
+        y=[style.plain(name) for name, _ in bars], x=sizes, orientation="h",
+        marker={"color": [style.palette(0) if known else "#b8c4cc" for known in beyond]},
+        text=[f"{effect:+.2f}" for effect in sizes], textposition="outside", cliponaxis=False,
+        hovertemplate="%{y}: %{x:+.2f}<extra></extra>",
+    )  # fmt: skip
+    figure.add_vrect(
+        x0=-chance_level, x1=chance_level, fillcolor=style.BAND, line_width=0, layer="below"
+    )
+    style.apply(figure, _FRAME_PX + _BAR_PX * len(bars))
+    figure.update_xaxes(title_text="effect (rank-biserial correlation)", range=[-1.1, 1.1])
+    figure.update_yaxes(autorange="reversed", automargin=True)
+    return figure

@@ -1,0 +1,245 @@
+"""Uncertain plants: what is not known of an arm, and arms drawn from that.
+
+A scenario, or a study, says under ``uncertainty`` from which distribution each number is drawn. A
+drawn plant is nothing but values of scenario keys, so whatever runs scenarios runs it. Every
+quantity has a random stream of its own, seeded by the seed, the plant's number and its keys: more
+plants, or more quantities, leave those that were there before as they were.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from bus_schema.arrays import Vector
+from bus_schema.configuration import ConfigurationError, StrictModel
+from deploy.scenario.yaml_files import override
+
+_NOT_DRAWN = ("seed", "uncertainty")
+"""Keys with numbers that describe no plant."""
+
+
+class Draw(StrictModel):
+    """How one number, or one for each joint, is drawn.
+
+    Attributes:
+        distribution: ``uniform`` or ``log_uniform`` between `least` and `most`, a ``choice`` of
+            `values`, all as likely, or a ``sign``, −1 or 1.
+        least: (in YAML ``from``) the least that can be drawn.
+        most: (in YAML ``to``) the most that can be drawn.
+        values: what there is to choose from.
+        per: one number for the whole ``arm``, or one for each ``joint``.
+        relative: true where what is drawn is a factor on the scenario's own value; a dotted key
+            where it is a factor on the value of that one, be it drawn or not.
+        random_sign: whether what is drawn gets a random sign, with ``per: joint`` one for each.
+    """
+
+    distribution: Literal["uniform", "log_uniform", "choice", "sign"]
+    least: Annotated[float | None, Field(alias="from")] = None
+    most: Annotated[float | None, Field(alias="to")] = None
+    values: tuple[float, ...] | None = None
+    per: Literal["arm", "joint"] = "arm"
+    relative: bool | str = False
+    random_sign: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> Draw:
+        has_range = self.least is not None and self.most is not None
+        has_ends = self.least is not None or self.most is not None
+        if "uniform" in self.distribution:
+            if not has_range or self.values is not None or not self.least < self.most:  # type: ignore[operator]
+                raise ValueError(f"with from < to, and no values, where it is {self.distribution}")
+            if self.distribution == "log_uniform" and not self.least > 0.0:  # type: ignore[operator]
+                raise ValueError("with from > 0 where it is log_uniform")
+        elif has_ends:
+            raise ValueError(f"without from and to where it is {self.distribution}")
+        elif (self.distribution == "choice") != bool(self.values):
+            raise ValueError("with values where it is choice, and only there")
+        if self.distribution == "sign" and self.random_sign:
+            raise ValueError("without random_sign where it is sign, which is one")
+        return self
+
+    def sample(self, random: np.random.Generator, joints: int) -> float | Vector:
+        """What is drawn from a stream: a number, or with ``per: joint`` shape (joints,)."""
+        count = joints if self.per == "joint" else 1
+        if self.distribution == "choice":
+            drawn = random.choice(np.array(self.values), count)
+        elif self.distribution == "sign":
+            drawn = _signs(random, count)
+        else:
+            drawn = self._from_range(random, count)
+        if self.random_sign:
+            drawn = drawn * _signs(random, count)
+        return drawn if self.per == "joint" else float(drawn[0])
+
+    def _from_range(self, random: np.random.Generator, count: int) -> Vector:
+        least, most = self.least or 0.0, self.most or 0.0  # `_check` has seen that both are given
+        if self.distribution == "log_uniform":
+            return np.exp(random.uniform(math.log(least), math.log(most), count))
+        return random.uniform(least, most, count)
+
+
+Uncertainty = dict[str, Draw]
+"""Draws by dotted key of the scenario; several keys, separated by commas, take the same draw."""
+
+
+@dataclass(frozen=True)
+class DrawnPlant:
+    """An arm that may be the real one.
+
+    Attributes:
+        values: what is drawn, by dotted key of the scenario.
+        draws: the random numbers themselves, factors where a draw is relative, by the keys that
+            take them as `key_text` has them.
+    """
+
+    values: dict[str, float | list[float]]
+    draws: dict[str, float | list[float]]
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The values as ``dotted.key=value``."""
+        return tuple(override(key, value) for key, value in self.values.items())
+
+
+def split_keys(text: str) -> tuple[str, ...]:
+    """Dotted keys that are separated by commas."""
+    return tuple(key.strip() for key in text.split(","))
+
+
+def key_text(text: str) -> str:
+    """Dotted keys that are separated by commas, in one way of writing."""
+    return ", ".join(split_keys(text))
+
+
+def check_uncertainty(uncertainty: Uncertainty, scenario: Mapping[str, Any], joints: int) -> None:
+    """Check draws against the scenario that they are drawn for.
+
+    Args:
+        uncertainty: the draws.
+        scenario: the scenario's values, plain and nested.
+        joints: how many the arm has.
+
+    Raises:
+        ConfigurationError: there is no such key, or it takes no such number.
+    """
+    keys = [key for text in uncertainty for key in split_keys(text)]
+    for text in uncertainty:
+        for key in split_keys(text):
+            if keys.count(key) > 1:
+                raise ConfigurationError(f"uncertainty.{text}", key, "must be drawn once")
+    draw_plant(uncertainty, scenario, joints, seed=0, number=1)
+
+
+def draw_plant(
+    uncertainty: Uncertainty, scenario: Mapping[str, Any], joints: int, *, seed: int, number: int
+) -> DrawnPlant:
+    """One plant of a seed.
+
+    Args:
+        uncertainty: the draws.
+        scenario: the scenario's values, plain and nested.
+        joints: how many the arm has.
+        seed: of all plants that belong together.
+        number: of the plant.
+
+    Raises:
+        ConfigurationError: see `check_uncertainty`.
+    """
+    drawing = _Drawing(uncertainty, scenario, joints, (seed, number))
+    values = {key: drawing.value(key) for key in drawing.keys}
+    draws = {key_text(text): drawing.draws[text] for text in uncertainty}
+    return DrawnPlant(
+        {key: np.asarray(value).tolist() for key, value in values.items()},
+        {text: np.asarray(drawn).tolist() for text, drawn in draws.items()},
+    )
+
+
+class _Drawing:
+    """The values of one plant, each from those that it is relative to."""
+
+    def __init__(
+        self,
+        uncertainty: Uncertainty,
+        scenario: Mapping[str, Any],
+        joints: int,
+        seeds: tuple[int, int],
+    ) -> None:
+        self._uncertainty, self._scenario, self._joints = uncertainty, scenario, joints
+        self.keys = {key: text for text in uncertainty for key in split_keys(text)}
+        self.draws = {
+            text: draw.sample(_stream(*seeds, text), joints) for text, draw in uncertainty.items()
+        }
+        self._open: list[str] = []
+
+    def value(self, key: str) -> float | Vector:
+        """The value of a key that is drawn."""
+        text = self.keys[key]
+        own, drawn, relative = self._own(key, text), self.draws[text], self._relative(text)
+        if relative is not False:
+            factor_on = own if relative is True else self._other(relative, text)
+            drawn = drawn * factor_on
+        if np.ndim(drawn) and not np.ndim(own):
+            allowed = f"must be one number for the arm, as {key} takes one, not one per joint"
+            raise ConfigurationError(f"uncertainty.{text}", self._shown(text), allowed)
+        return drawn
+
+    def _other(self, key: str, text: str) -> float | Vector:
+        """The value of a key that another one is relative to."""
+        if key not in self.keys:
+            return self._own(key, text, "relative")
+        if key in self._open:
+            circle = " → ".join([*self._open, key])
+            raise ConfigurationError(f"uncertainty.{text}.relative", key, f"a circle: {circle}")
+        self._open.append(key)
+        value = self.value(key)
+        self._open.pop()
+        return value
+
+    def _own(self, key: str, text: str, part: str | None = None) -> float | Vector:
+        """What the scenario has under a key."""
+        where = f"uncertainty.{text}" + (f".{part}" if part else "")
+        value = None if key.split(".")[0] in _NOT_DRAWN else number_at(self._scenario, key)
+        if value is None:
+            raise ConfigurationError(where, key, "must be a key of the scenario that has a number")
+        if np.ndim(value) and np.size(value) not in (1, self._joints):
+            raise ConfigurationError(where, key, "must be a key with one number, or one per joint")
+        return value
+
+    def _relative(self, text: str) -> bool | str:
+        return self._uncertainty[text].relative
+
+    def _shown(self, text: str) -> str:
+        return f"per: {self._uncertainty[text].per}"
+
+
+def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:
+    """The number, or the numbers per joint, of a dotted key; None where there is neither.
+
+    Args:
+        scenario: the scenario's values, plain and nested.
+        key: dotted key.
+    """
+    found: Any = scenario
+    for section in key.split("."):
+        found = found.get(section) if isinstance(found, Mapping) else None
+    entries = found if isinstance(found, list) and found else [found]
+    if any(isinstance(entry, bool) or not isinstance(entry, int | float) for entry in entries):
+        return None
+    return np.array(found, dtype=np.float64) if isinstance(found, list) else float(entries[0])
+
+
+def _signs(random: np.random.Generator, count: int) -> Vector:
+    return np.where(random.uniform(size=count) < 0.5, -1.0, 1.0)
+
+
+def _stream(seed: int, number: int, text: str) -> np.random.Generator:
+    """The random numbers of a quantity, the same in whatever order its keys are written."""
+    name = hashlib.sha256(",".join(sorted(split_keys(text))).encode()).digest()
+    return np.random.default_rng([seed, number, int.from_bytes(name[:8], "little")])

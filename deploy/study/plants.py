@@ -1,0 +1,200 @@
+"""The plants that a study tries: one and the same arm, or as many as are drawn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from deploy.scenario.scenario import Setup
+from deploy.scenario.uncertainty import (
+    Draw,
+    Uncertainty,
+    check_uncertainty,
+    draw_plant,
+    key_text,
+    number_at,
+    split_keys,
+)
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, plain, read_yaml
+from deploy.study.study import SHIPPED, StudyDefinition
+
+RANGES = SHIPPED / "ranges"
+_MOST_PLANTS = 1000
+
+
+class UncertainDefinition(StudyDefinition):
+    """What the YAML file of a study of uncertain plants may have.
+
+    Attributes:
+        plants: how many are drawn; null for the arm as the scenario has it.
+        plant_seed: another one gives other plants. The first of many are the same as of few.
+        uncertainty: what is drawn, and how; a file of ranges, the name of shipped ones, or the
+            ranges themselves; the scenario's own if null.
+    """
+
+    plants: Annotated[int, Field(ge=1, le=_MOST_PLANTS)] | None = None
+    plant_seed: Annotated[int, Field(ge=0)] = 1
+    uncertainty: Uncertainty | None = None
+
+
+@dataclass(frozen=True)
+class Plant:
+    """An arm of a study.
+
+    Attributes:
+        number: from 1 on; None for the arm as the scenario has it.
+        overrides: what is set for it.
+        columns: its number and its draws, by column of the table.
+    """
+
+    number: int | None = None
+    overrides: tuple[str, ...] = ()
+    columns: Mapping[str, Any] = field(default_factory=dict)
+
+
+AS_THE_SCENARIO_HAS_IT = Plant()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One number of each plant, to be held against which of them were lost.
+
+    Attributes:
+        name: what it is.
+        values: shape (plants,).
+    """
+
+    name: str
+    values: np.ndarray[tuple[int], np.dtype[np.float64]]
+
+
+def with_ranges(values: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    """A definition with the ranges themselves in place of the name of their file.
+
+    Raises:
+        ScenarioError: there is no such file.
+    """
+    named = values.get("uncertainty")
+    if not isinstance(named, str):
+        return dict(values)
+    return {**values, "uncertainty": read_yaml(find_yaml(named, RANGES, source.parent))}
+
+
+def uncertainty_of(wanted: UncertainDefinition, base: Setup) -> Uncertainty:
+    """What is drawn for a scenario.
+
+    Raises:
+        ScenarioError: nothing is.
+    """
+    if wanted.uncertainty is not None:
+        return wanted.uncertainty
+    if not base.scenario.uncertainty:
+        raise ScenarioError(
+            f"uncertainty: must be given where there are plants, by the study (--uncertainty) or by"
+            f" the scenario {base.scenario.name}"
+        )
+    return base.scenario.uncertainty
+
+
+def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) -> list[Plant]:
+    """The plants for a scenario.
+
+    Args:
+        wanted: how many, and from what.
+        base: the scenario.
+        taken: keys that the study itself sets.
+
+    Raises:
+        ScenarioError: they cannot be drawn.
+        ConfigurationError: likewise.
+    """
+    if wanted.plants is None:
+        return [AS_THE_SCENARIO_HAS_IT]
+    uncertainty = uncertainty_of(wanted, base)
+    _require_free(uncertainty, wanted.fixed, taken)
+    scenario, joints = plain(base.scenario), base.robot.joints
+    check_uncertainty(uncertainty, scenario, joints)
+    # A drawn plant is certain: whoever runs it again does not draw once more on top of it.
+    settled = (override("uncertainty", {}),) if base.scenario.uncertainty else ()
+    plants = []
+    for number in range(1, wanted.plants + 1):
+        drawn = draw_plant(uncertainty, scenario, joints, seed=wanted.plant_seed, number=number)
+        columns = {"plant": number, **drawn.draws}
+        plants.append(Plant(number, (*drawn.overrides, *settled), columns))
+    return plants
+
+
+def draw_columns(wanted: UncertainDefinition, bases: Iterable[Setup]) -> dict[str, str]:
+    """Names and Parquet types of what is drawn, for all scenarios of a study."""
+    if wanted.plants is None:
+        return {}
+    kinds = {"arm": "double", "joint": "list<double>"}
+    draws = {
+        key_text(text): kinds[draw.per]
+        for base in bases
+        for text, draw in uncertainty_of(wanted, base).items()
+    }
+    return {"plant": "int64", **draws}
+
+
+def refused(plant: Plant, error: ScenarioError) -> ScenarioError:
+    """What to say of a plant that the scenario refuses."""
+    if plant.number is None:
+        return error
+    drawn = {key: value for key, value in plant.columns.items() if key != "plant"}
+    return ScenarioError(
+        f"plant {plant.number}: {error}; must be impossible to draw, by narrower ranges under"
+        f" uncertainty. Drawn: {json.dumps(drawn)}"
+    )
+
+
+def measured(uncertainty: Uncertainty, plants: list[Plant], base: Setup) -> list[Measured]:
+    """Everything that was drawn as one number of each plant, joint by joint.
+
+    A number that got a random sign counts as two: how large it is, and its sign. One for the whole
+    arm whose range lies on both sides of the scenario's own value also counts by how far it is from
+    the middle, as too little may do the same harm as too much.
+    """
+    found, scenario = [], plain(base.scenario)
+    for text, draw in uncertainty.items():
+        name = key_text(text)
+        rows = np.array([np.atleast_1d(plant.columns[name]) for plant in plants], dtype=np.float64)
+        own = 1.0 if draw.relative else number_at(scenario, split_keys(text)[0])
+        for joint, values in enumerate(rows.T):
+            where = f", {base.robot.joint_names[joint]}" if draw.per == "joint" else ""
+            found += _aspects(f"{name}{where}", draw, values, own)
+    return found
+
+
+def _aspects(name: str, draw: Draw, values: Any, own: Any) -> list[Measured]:
+    if draw.random_sign:
+        size = Measured(f"{name}, size", np.abs(values))
+        return [size, Measured(f"{name}, sign", np.sign(values))]
+    least, most = draw.least, draw.most
+    if draw.per == "joint" or least is None or most is None:
+        return [Measured(name, values)]
+    if not least < np.min(own) <= np.max(own) < most:
+        return [Measured(name, values)]
+    if draw.distribution == "log_uniform":
+        distance = np.abs(np.log(values / np.sqrt(least * most)))
+    else:
+        distance = np.abs(values - 0.5 * (least + most))
+    return [Measured(name, values), Measured(f"{name}, distance from mid-range", distance)]
+
+
+def _require_free(uncertainty: Uncertainty, fixed: Mapping[str, Any], taken: Iterable[str]) -> None:
+    """Refuse draws of what the study sets by itself; factors on what is fixed are all right."""
+    set_by_study = set(taken)
+    for text, draw in uncertainty.items():
+        for key in split_keys(text):
+            if key in set_by_study or (key in fixed and draw.relative is not True):
+                raise ScenarioError(
+                    f"{key}: must be given once, by the study (set, grid, quantity) or by a draw"
+                    " under uncertainty; a factor (relative: true) may stand beside set"
+                )

@@ -1,0 +1,152 @@
+"""What grows in a search for margins: of the link, or any number of the scenario."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from deploy.reports.study_tables import margin_figure, margins_by_law
+from deploy.reports.tables import as_markdown
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study import cases
+from deploy.study.cases import CasesDefinition
+from deploy.study.margin import Margin
+from tests.deploy.study.studies import Here, conduct, made_up
+
+SETUP = load_setup("paper_arm")
+
+
+def margin_of(**values):
+    given = {"laws": ["smc"], "seeds": 1, "offsets": [1], **values}
+    return Margin(given, Path("margin"))
+
+
+def link_at(study, value):
+    setting = study.cases[0].setting
+    return load_setup(setting.scenario, setting.at(value)).scenario.link
+
+
+@pytest.mark.parametrize(
+    ("direction", "each_ms"), [("both", (6, 6)), ("uplink", (12, 5)), ("downlink", (3, 12))]
+)
+def test_a_delay_goes_both_ways_or_one(direction, each_ms):
+    own = {"link.uplink.delay_ms": 3, "link.downlink.delay_ms": 5}
+    link = link_at(margin_of(direction=direction, set=own), 12.0)
+    assert (link.uplink.delay_ms, link.downlink.delay_ms) == each_ms
+
+
+def test_a_running_loop_meets_its_delay_in_a_ramp():
+    study = margin_of(running=[False, True])
+    assert [case.setting.running for case in study.cases] == [False, True]
+    setting = study.cases[1].setting
+    link = load_setup(setting.scenario, setting.at(40.0)).scenario.link
+    assert link.uplink == link.downlink
+    assert link.uplink.delay_ms == 1.0  # 2 ms round trip
+    (ramp,) = link.uplink.schedule
+    assert (ramp.kind, ramp.at_s, ramp.for_s, ramp.delay_ms) == ("ramp", 1.0, 2.0, 20.0)
+    short = load_setup(setting.scenario, setting.at(1.0)).scenario.link.uplink
+    assert (short.delay_ms, short.schedule[0].delay_ms) == (0.5, 0.5)
+    assert [case.ceilings_ms for case in study.cases] == [[pytest.approx(122.7)], []]
+
+
+def test_jitter_and_loss_of_a_running_loop_start_from_nothing():
+    for quantity, key, value in (("jitter", "jitter_ms", 4.0), ("loss", "loss", 0.1)):
+        link = link_at(margin_of(quantity=quantity, running=[True], direction="downlink"), value)
+        assert getattr(link.downlink, key) == 0.0
+        assert getattr(link.downlink.schedule[0], key) == value
+        assert link.uplink.schedule == ()
+
+
+@pytest.mark.parametrize(
+    ("key", "limit", "holds", "found", "text"),
+    [
+        ("plant.payload_kg", 3, lambda v: v <= 1.3, (1.2, 1.4), "1.2"),
+        ("controller.model_scale", 0.5, lambda v: v >= 0.73, (0.8, 0.7), "0.8"),
+        ("controller.model_scale", 1.5, lambda v: v <= 1.11, (1.1, 1.2), "1.1"),
+        ("controller.model_scale", 0.5, lambda _: True, (0.5, None), "≤ 0.5"),
+    ],
+)
+def test_any_number_has_a_margin_from_its_own_value_on(tmp_path, key, limit, holds, found, text):
+    study = margin_of(quantity=key, limit=limit, resolution=0.2 if limit == 3 else 0.1)
+    _, folder = conduct(study, tmp_path / "out", Here(lambda run: made_up(
+        run, violation_fraction=0.0 if holds(run.columns["value"]) else 0.1)))  # fmt: skip
+    summary = study.summary(folder.rows)
+    (case,) = summary["cases"]
+    assert (case["margin"], case["first_failure"]) == found
+    assert margin_figure(case) == text
+    assert case["held_arm_ceiling_ms"] is None
+    own = {"plant.payload_kg": 0.0, "controller.model_scale": 0.9}[key]
+    assert min(abs(probe["value"] - own) for probe in case["probes"]) == 0.0
+    setting = study.cases[0].setting
+    scenario = load_setup(setting.scenario, setting.at(0.55)).scenario
+    section, name = key.split(".")
+    assert getattr(getattr(scenario, section), name) == 0.55
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [("plant.payload_kg", "kg"), ("plant.actuator.lag_ms", "ms"), ("reference.speed", ""),
+     ("funnel.rate_per_s", "1/s")],
+)  # fmt: skip
+def test_a_number_has_the_unit_of_its_name(key, unit):
+    study = margin_of(quantity=key, limit=5, resolution=1, duration_s=2)
+    assert study.cases[0].setting.quantity.unit == unit
+
+
+def test_settings_stand_side_by_side_with_their_ceilings(tmp_path):
+    study = margin_of(compensation=[True], running=[False, True], limit=64)
+    _, folder = conduct(study, tmp_path / "out", Here(made_up))
+    assert as_markdown(margins_by_law(study.summary(folder.rows))).splitlines() == [
+        "| law | paper_arm, with compensation | paper_arm, with compensation, running |",
+        "| --- | --- | --- |",
+        "| `smc` | ≥ 64 ms | ≥ 64 ms |",
+        "| held-arm ceiling | 123 ms | – |",
+    ]
+
+
+def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
+    given = []
+    monkeypatch.setattr(cases, "load_setup", lambda _, overrides: given.append(overrides) or SETUP)
+    for asked in (None, [False, True]):
+        list(cases.settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked)))
+    key = "controller.drive_feedback.enabled"
+    found = [[text for text in overrides if key in text] for overrides in given]
+    assert found == [[], [f"{key}=false"], [f"{key}=true"]]
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"quantity": "plant.nothing"}, ["quantity", "'plant.nothing'", "delay, jitter, loss"]),
+        ({"quantity": "plant.friction.coulomb_nm"}, ["one number of the scenario"]),
+        ({"quantity": "plant.payload_kg"}, ["limit", "must be given for plant.payload_kg"]),
+        ({"quantity": "plant.payload_kg", "limit": 2}, ["resolution", "must be given"]),
+        ({"quantity": "plant.payload_kg", "limit": -2, "resolution": 1}, ["payload_kg", "-2"]),
+        ({"quantity": "plant.payload_kg", "limit": 0, "resolution": 1}, ["limit", "own 0"]),
+        ({"quantity": "plant.payload_kg", "direction": "uplink"}, ["direction", "of no link"]),
+        ({"quantity": "plant.payload_kg", "running": [True]}, ["running", "of no link"]),
+        ({"direction": "sideways"}, ["direction", "'sideways'", "'uplink'"]),
+        ({"running": [True], "duration_s": 3}, ["duration_s", "above 3 s"]),
+        ({"running": [True], "set": {"link.uplink.schedule": [
+            {"kind": "outage", "at_s": 1, "for_s": 1}]}}, ["link.uplink.schedule", "running"]),
+        ({"duration_s": 8, "set": {"duration_s": 20}}, ["duration_s", "given once"]),
+        ({"limit": -1}, ["limit", "-1", "above 0"]),
+        ({"limit": 0}, ["limit", "above 0"]),
+    ],
+)  # fmt: skip
+def test_impossible_quantities_are_refused_with_the_reason(values, said):
+    with pytest.raises(ScenarioError) as refusal:
+        margin_of(**values)
+    assert str(refusal.value).startswith("margin: ")
+    assert [word for word in said if word not in str(refusal.value)] == []
+
+
+def test_runs_are_as_long_as_the_scenario_says_or_as_is_set(funnel_hil, tmp_path):
+    assert margin_of().bases[0].scenario.duration_s == 20.0
+    assert margin_of(set={"duration_s": 12}).bases[0].scenario.duration_s == 12.0
+    words = ("margin", "--duration", "8", "--set", "duration_s=20", "--out", tmp_path / "out")
+    code, output = funnel_hil(*words)
+    assert code == 2
+    assert "--duration and --set duration_s: must not be given together" in output
