@@ -51,5 +51,6 @@ def drive_torque(
     joint: int,
 ) -> float:  # fmt: skip
     """k_p (q* − q) + k_d (v* − q̇) of a joint, N m; positions in rad, velocities in rad/s."""
-    stiff = gains.stiffness_nm_rad[joint] * (target - position)
-    return stiff + gains.damping_nm_s[joint] * (target_velocity - velocity)
+    stiffness: float = gains.stiffness_nm_rad[joint]
+    damping: float = gains.damping_nm_s[joint]
+    return stiffness * (target - position) + damping * (target_velocity - velocity)

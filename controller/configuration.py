@@ -10,10 +10,17 @@ import numpy as np
 from pydantic import Field, PlainValidator, create_model, field_validator
 
 from bus_schema.arrays import Vector
-from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.configuration import NonNegative, PerJointPositive, Positive, StrictModel, expand, expand_fields
-from bus_schema.robot_description import RobotDescription
+from bus_schema.configuration import (
+    NonNegative,
+    PerJointPositive,
+    Positive,
+    StrictModel,
+    expand,
+    expand_fields,
+)
 from bus_schema.drive_feedback import DriveGains
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.robot_description import RobotDescription
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification

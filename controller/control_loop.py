@@ -12,6 +12,7 @@ import logging
 import time
 from dataclasses import dataclass
 
+from bus_schema.arrays import Matrix
 from bus_schema.errors import InvalidMessageError
 from bus_schema.limits import JointLimits, name_of
 from bus_schema.link.interface import ControllerLink
@@ -83,6 +84,7 @@ class ControlLoop:
         self._command = Record(
             topics.layout(topics.JOINT_COMMANDS, names, has_targets=task.sends_targets)
         )
+        self._target = self._command.rows("position", "velocity") if task.sends_targets else None
         self._status = ControlStatus(names, task.law, task.compensation)
         self.tracking = Tracking(
             task.robot.joints, self._state.rows("position", "velocity"), self._status.tracking_rows
@@ -104,10 +106,12 @@ class ControlLoop:
     def warm_up(self) -> None:
         """Compile the law before time counts, and leave no trace of it."""
         reference, funnel = self._task.reference, self._task.funnel
-        self.tracking.update(0.0, 0.0, reference, funnel)
+        situation = self.tracking
+        situation.update(0.0, 0.0, reference, funnel)
         if self._compensation is not None:
             self._compensation.warm_up(self.tracking, reference, funnel)
-        self._guard.admit(self._task.law.torque(self.tracking), 0, 0.0)
+            situation = self._compensation.predicted  # a law binds its kernels to what it is shown
+        self._guard.admit(self._task.law.torque(situation), 0, 0.0)
         self._task.law.reset()
         self._guard.reset()
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
@@ -213,8 +217,8 @@ class ControlLoop:
     def _write(self) -> int:
         """Send the torque in force in answer to the state that was read; its number."""
         self._command.stamp[:] = self._state.stamp
-        if self._task.sends_targets:
-            self._write_target()
+        if self._target is not None:
+            self._write_target(self._target)
         sequence = self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         if self._compensation is not None:
             self._compensation.note_command(
@@ -222,9 +226,8 @@ class ControlLoop:
             )
         return sequence
 
-    def _write_target(self) -> None:
+    def _write_target(self, target: Matrix) -> None:
         """Where the drives are to be: on the way foreseen or, without foresight, the reference."""
-        target = self._command.rows("position", "velocity")
         if self._compensation is not None:
             target[:] = self._compensation.target
         else:

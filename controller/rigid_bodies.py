@@ -44,24 +44,23 @@ class RigidBodies(NamedTuple):
     gravity: Vector
 
 
-
 @compiled
-def add(a: Vec, b: Vec) -> Vec:
+def _add(a: Vec, b: Vec) -> Vec:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @compiled
-def scaled(factor: float, a: Vec) -> Vec:
+def _scaled(factor: float, a: Vec) -> Vec:
     return factor * a[0], factor * a[1], factor * a[2]
 
 
 @compiled
-def dot(a: Vec, b: Vec) -> float:
+def _dot(a: Vec, b: Vec) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def cross(a: Vec, b: Vec) -> Vec:
+def _cross(a: Vec, b: Vec) -> Vec:
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -139,13 +138,13 @@ def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
                     for k in range(3):
                         total += frames[parent, row, k] * bodies.rotations[i, k, column]
                     fixed[row, column] = total
-            origin = add(_get(origins, parent), _rotated(frames[parent], origin))
+            origin = _add(_get(origins, parent), _rotated(frames[parent], origin))
         axis = _get(bodies.axes, i)
         _turned(fixed, axis, position[i], frames[i])
         z = _rotated(fixed, axis)
         _put(origins, i, origin)
         _put(placed.axes, i, z)
-        _put(placed.moments, i, cross(origin, z))
+        _put(placed.moments, i, _cross(origin, z))
         _place_inertia(inertia[i], frames[i], origin, i, placed)
     return placed
 
@@ -156,16 +155,18 @@ def _place_inertia(own: Vector, frame: Matrix, o: Vec, i: int, placed: _Placed) 
     mass = own[0]
     moment = _rotated(frame, (own[1], own[2], own[3]))
     placed.masses[i] = mass
-    _put(placed.first, i, add(scaled(mass, o), moment))
+    _put(placed.first, i, _add(_scaled(mass, o), moment))
     # R I Rᵀ by the columns of I Rᵀ
     x = _rotated(frame, (own[4], own[5], own[7]))
     y = _rotated(frame, (own[5], own[6], own[8]))
     z = _rotated(frame, (own[7], own[8], own[9]))
-    trace = mass * dot(o, o) + 2.0 * dot(o, moment)
+    trace = mass * _dot(o, o) + 2.0 * _dot(o, moment)
     index = 0
     for column in range(3):
         for row in range(column + 1):
-            turned = frame[column, 0] * x[row] + frame[column, 1] * y[row] + frame[column, 2] * z[row]
+            turned = (
+                frame[column, 0] * x[row] + frame[column, 1] * y[row] + frame[column, 2] * z[row]
+            )
             shift = -mass * o[row] * o[column] - o[row] * moment[column] - moment[row] * o[column]
             placed.second[i, index] = turned + shift + (trace if row == column else 0.0)
             index += 1
@@ -180,7 +181,7 @@ def _angular_momentum(second: Vector, first: Vec, turning: Vec, velocity: Vec) -
         second[1] * x + second[2] * y + second[4] * z,
         second[3] * x + second[4] * y + second[5] * z,
     )
-    return add(spin, cross(first, velocity))
+    return _add(spin, _cross(first, velocity))
 
 
 @compiled
@@ -219,28 +220,28 @@ def _recursive_newton_euler(
             turning, moving = _get(twists[0], parent), _get(twists[1], parent)
             d_turning, d_moving = _get(rates[0], parent), _get(rates[1], parent)
         v, a = velocity[i], acceleration[i]
-        d_turning = add(d_turning, add(scaled(a, z), scaled(v, cross(turning, z))))
-        carried = add(cross(turning, s), cross(moving, z))
-        d_moving = add(d_moving, add(scaled(a, s), scaled(v, carried)))
-        turning, moving = add(turning, scaled(v, z)), add(moving, scaled(v, s))
+        d_turning = _add(d_turning, _add(_scaled(a, z), _scaled(v, _cross(turning, z))))
+        carried = _add(_cross(turning, s), _cross(moving, z))
+        d_moving = _add(d_moving, _add(_scaled(a, s), _scaled(v, carried)))
+        turning, moving = _add(turning, _scaled(v, z)), _add(moving, _scaled(v, s))
         _put(twists[0], i, turning)
         _put(twists[1], i, moving)
         _put(rates[0], i, d_turning)
         _put(rates[1], i, d_moving)
         mass, first, second = placed.masses[i], _get(placed.first, i), placed.second[i]
-        momentum = add(scaled(mass, moving), cross(turning, first))
+        momentum = _add(_scaled(mass, moving), _cross(turning, first))
         spin = _angular_momentum(second, first, turning, moving)
-        force = add(scaled(mass, d_moving), cross(d_turning, first))
+        force = _add(_scaled(mass, d_moving), _cross(d_turning, first))
         torque = _angular_momentum(second, first, d_turning, d_moving)
-        _put(forces[0], i, add(force, cross(turning, momentum)))
-        _put(forces[1], i, add(torque, add(cross(turning, spin), cross(moving, momentum))))
+        _put(forces[0], i, _add(force, _cross(turning, momentum)))
+        _put(forces[1], i, _add(torque, _add(_cross(turning, spin), _cross(moving, momentum))))
     for i in bodies.outwards[::-1]:
         force, torque = _get(forces[0], i), _get(forces[1], i)
-        out[i] = dot(_get(placed.axes, i), torque) + dot(_get(placed.moments, i), force)
+        out[i] = _dot(_get(placed.axes, i), torque) + _dot(_get(placed.moments, i), force)
         parent = bodies.parents[i]
         if parent >= 0:
-            _put(forces[0], parent, add(_get(forces[0], parent), force))
-            _put(forces[1], parent, add(_get(forces[1], parent), torque))
+            _put(forces[0], parent, _add(_get(forces[0], parent), force))
+            _put(forces[1], parent, _add(_get(forces[1], parent), torque))
 
 
 @compiled
@@ -270,11 +271,11 @@ def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) 
     for i in bodies.outwards[::-1]:
         first, second = _get(placed.first, i), placed.second[i]
         z, s = _get(placed.axes, i), _get(placed.moments, i)
-        momentum = add(scaled(placed.masses[i], s), cross(z, first))
+        momentum = _add(_scaled(placed.masses[i], s), _cross(z, first))
         spin = _angular_momentum(second, first, z, s)
         j = i
         while j >= 0:
-            along = dot(_get(placed.axes, j), spin) + dot(_get(placed.moments, j), momentum)
+            along = _dot(_get(placed.axes, j), spin) + _dot(_get(placed.moments, j), momentum)
             mass[i, j] = mass[j, i] = along
             j = bodies.parents[j]
         parent = bodies.parents[i]

@@ -63,9 +63,7 @@ class CommandGate:
         *,
         takes_targets: bool = False,
     ) -> None:
-        self._layout = topics.layout(
-            topics.JOINT_COMMANDS, joint_names, has_targets=takes_targets
-        )
+        self._layout = topics.layout(topics.JOINT_COMMANDS, joint_names, has_targets=takes_targets)
         self._record = Record(self._layout)
         self._torque_nm = self._record.fields["effort"]
         self._target = self._record.rows("position", "velocity") if takes_targets else None

@@ -13,7 +13,9 @@ from bus_schema.configuration import (
     PerJointPositive,
     Positive,
     StrictModel,
+    expand,
 )
+from bus_schema.drive_feedback import DriveGains
 
 
 def _zero() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -145,6 +147,21 @@ class DriveFeedbackConfiguration(StrictModel):
     stiffness_nm_rad: PerJointNonNegative | None = None
     damping_nm_s: PerJointNonNegative | None = None
     encoder: EncoderConfiguration = EncoderConfiguration()
+
+    def gains(self, derived: DriveGains) -> DriveGains:
+        """What is given here, and where nothing is, what was derived.
+
+        Raises:
+            ConfigurationError: the number of values is neither 1 nor that of the joints.
+        """
+        joints, key = derived.damping_nm_s.size, "plant.drive_feedback"
+        if self.stiffness_nm_rad is not None:
+            stiffness = expand(self.stiffness_nm_rad, joints, f"{key}.stiffness_nm_rad")
+            derived = derived._replace(stiffness_nm_rad=stiffness)
+        if self.damping_nm_s is not None:
+            damping = expand(self.damping_nm_s, joints, f"{key}.damping_nm_s")
+            derived = derived._replace(damping_nm_s=damping)
+        return derived
 
 
 class PlantConfiguration(StrictModel):

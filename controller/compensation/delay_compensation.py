@@ -179,9 +179,7 @@ def _learn(
     actuator, actuator_before = belief.actuator_nm.copy(), belief.actuator_nm.copy()
     motion[:2] = last
     flight = Flight(in_force, upcoming, newest, delay_ns)
-    move(
-        nominal, belief, drive, commands, flight, last_ns, stamp_ns, motion, actuator, impulse
-    )
+    move(nominal, belief, drive, commands, flight, last_ns, stamp_ns, motion, actuator, impulse)
     mass, load = np.empty((joints, joints)), np.empty(joints)
     mass_and_load(nominal.bodies, belief.inertia, measured[0], measured[1], mass, load)
     if not all_finite(actuator):
@@ -189,12 +187,8 @@ def _learn(
     belief.actuator_nm[:] = actuator
     if not observe(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
         return
-    if identification.is_active and _is_instructive(
-        nominal, error, bounds, impulse, step_s
-    ):
-        take_in(
-            nominal, identification, belief, last, measured, actuator_before, impulse, step_s
-        )
+    if identification.is_active and _is_instructive(nominal, error, bounds, impulse, step_s):
+        take_in(nominal, identification, belief, last, measured, actuator_before, impulse, step_s)
     else:
         identification.window.elapsed_s[0] = 0.0
 

@@ -15,7 +15,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
@@ -101,14 +100,17 @@ def identification(inertia_kg_m2: Vector, *, model: bool, friction: bool) -> Ide
             values["inertia"], values["payload_kg"], values["lag_s"],
             [values["f"] * i, values["c"] * i, values["b"] * i],
         )  # fmt: skip
-        wanted = entries(model, model, model, [(model or friction) * one, friction * one, model * one])
+        wanted = entries(
+            model, model, model, [(model or friction) * one, friction * one, model * one]
+        )
         return every * wanted
 
     highest = [np.inf * one, _LARGEST_FRICTION_RAD_S2 * i, _LARGEST_FRICTION_RAD_S2 * i]
     at_start = deviations(_AT_START)
     window = Window(np.zeros(1), *(np.zeros(i.size) for _ in Window._fields[1:]))
     return Identification(
-        bool(at_start.any()), np.zeros(at_start.size), np.diag(at_start**2), at_start, deviations(_PER_ROOT_S),
+        bool(at_start.any()), np.zeros(at_start.size), np.diag(at_start**2),
+        at_start, deviations(_PER_ROOT_S),
         entries(-0.6, 0.0, 0.0, [-np.inf * one, 0.0 * one, 0.0 * one]),
         entries(1.5, np.inf, 8e-3, highest),
         _NOISE_RAD_S2 * i, window,

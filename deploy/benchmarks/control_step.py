@@ -14,7 +14,8 @@ from controller.control_law import Tracking
 from controller.torque_guard import TorqueGuard
 from deploy.benchmarks.long_arm import write_long_arm
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
 _LAW = "fixed_time_neural"

@@ -15,7 +15,8 @@ from deploy.processes.links import with_free_endpoints
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
 BARE_PHYSICS = "bare pybullet calls of a tick"

@@ -13,7 +13,8 @@ from deploy.benchmarks.loop_costs import recorded_run
 from deploy.benchmarks.measure import Section, interleave, ratio
 from deploy.processes.links import with_free_endpoints
 from deploy.runs.metrics import summarise
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 
 LOOP = "round trip of the real loop"
 WAKE_UP_P50, WAKE_UP_P99 = (

@@ -23,7 +23,7 @@ from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 

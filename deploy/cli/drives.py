@@ -15,7 +15,8 @@ from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.cli.common import Overrides, ScenarioArgument, on_interrupt
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank

@@ -36,7 +36,7 @@ from deploy.reports.verdict import PARTIAL
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 

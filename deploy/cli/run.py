@@ -22,7 +22,7 @@ from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_relay, status_handler
 from deploy.processes.launcher import Launcher, RunOutcome
 from deploy.processes.links import check_link, require_keys, with_free_endpoints
-from deploy.processes.real_delay import check_real_delay, real_delay, with_real_deadline
+from deploy.processes.real_delay import check_real_delay, knowing_real_delay, real_delay
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
@@ -49,7 +49,7 @@ def run(
     setup = load_setup(scenario, overrides or [])
     if real_delay_ms is not None:
         check_real_delay(setup, real_delay_ms)
-        setup = with_real_deadline(setup, real_delay_ms)
+        setup = knowing_real_delay(setup, real_delay_ms)
     check_link(setup, one_process=False)
     require_keys(setup, *Role)
     setup = with_free_endpoints(setup)

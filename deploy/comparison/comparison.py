@@ -9,7 +9,8 @@ from typing import Any
 from bus_schema.messages import topics
 from deploy.comparison.settling import SettlingTest
 from deploy.runs.run_data import RunData
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 
 
 def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str]) -> list[Setup]:

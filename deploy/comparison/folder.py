@@ -24,7 +24,7 @@ from deploy.runs.run_folder import (
 )
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import Simulation
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 
 KIND = "comparison"
 SETTLING = TypeAdapter(list[SettlingTest])

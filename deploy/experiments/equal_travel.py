@@ -48,7 +48,8 @@ from deploy.experiments.ranking import (
     gains_as_overrides,
 )
 from deploy.experiments.tuning import tune, tuning_setup, with_gains
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import plain, read_yaml
 
 TRAVEL_LIMITS_PER_S = (2.0, 6.0, 20.0, 60.0, math.inf)

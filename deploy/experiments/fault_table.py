@@ -23,7 +23,8 @@ from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import SHIPPED, Setup, load_setup
+from deploy.scenario.scenario import SHIPPED, load_setup
+from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_faults
 
 BEGIN = "<!-- fault table: python -m deploy.experiments.fault_table -->\n"

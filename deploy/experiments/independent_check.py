@@ -21,7 +21,8 @@ from deploy.experiments.runge_kutta_arm import independent_physics
 from deploy.runs.metrics import summarise
 from deploy.runs.run_folder import provenance
 from deploy.runs.simulate import attempt
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import InputError, ScenarioError
 from plant_emulator.arm.arm_plant import ArmPlant
 

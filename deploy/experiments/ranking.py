@@ -21,7 +21,8 @@ from controller.laws import LAWS
 from deploy.experiments.tuning import cost, tuning_setup, varied, with_gains
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, read_yaml
 
 PROPOSED = "fixed_time_neural"

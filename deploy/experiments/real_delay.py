@@ -23,13 +23,14 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.exit_codes import BAD_INPUT
 from deploy.processes.launcher import Launcher
 from deploy.processes.links import check_link, require_keys, with_free_endpoints
-from deploy.processes.real_delay import check_real_delay, real_delay, with_real_deadline
+from deploy.processes.real_delay import check_real_delay, knowing_real_delay, real_delay
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, RunFolderError, load_run, provenance
 from deploy.runs.simulate import simulate
 from deploy.runs.stalls import STALL_MS
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import InputError, ScenarioError, override
 
 _SETTLED_S = 0.5
@@ -112,7 +113,7 @@ def in_virtual_time(scenario: str, overrides: Sequence[str], round_trip_ms: floa
 
 def over_real_delay(setup: Setup, round_trip_ms: float, folder: Path) -> Outcome:
     """Run in real time as `run --real-delay` does."""
-    setup = with_free_endpoints(with_real_deadline(setup, round_trip_ms))
+    setup = with_free_endpoints(knowing_real_delay(setup, round_trip_ms))
     delay = real_delay(setup, round_trip_ms)
     files = RunFolder.begin(setup, folder)
     launcher = Launcher(

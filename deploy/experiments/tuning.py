@@ -33,7 +33,8 @@ import numpy as np
 from bus_schema.arrays import Vector
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import plain, to_yaml
 
 BUDGET_S = 480.0

@@ -50,6 +50,11 @@ class CanKind(LinkKind[DrivenArm]):
         codec = protocol.codec(can, robot)
         check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_unimpaired(run.link)
+        if run.takes_targets:
+            raise ConfigurationError(
+                "drive_feedback.enabled", True,
+                "false over CAN: these drives take torques alone (controller and plant)",
+            )  # fmt: skip
         commission(can, robot, run.plant)
         for text in can.faults.drives:
             try:

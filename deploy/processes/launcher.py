@@ -19,7 +19,7 @@ from deploy.processes.child import Child, Failure
 from deploy.processes.fault_injector import ProcessFaultInjector
 from deploy.processes.real_delay import RELAY, RealDelay
 from deploy.processes.status import StatusMessage
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 
 _POLL_S = 0.05
 _KILL_AFTER_S = 3.0

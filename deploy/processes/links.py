@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from bus_schema.messages.topics import Role
 from deploy.processes.free_ports import free_ports
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
 
 _KEYS = ("plant_endpoint", "controller_endpoint")

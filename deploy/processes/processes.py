@@ -31,7 +31,7 @@ from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
 

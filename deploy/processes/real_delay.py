@@ -11,8 +11,9 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from bus_schema.link.configuration import LinkConfiguration
 from deploy.processes.free_ports import free_ports
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
@@ -76,20 +77,32 @@ def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
             )
 
 
-def with_real_deadline(setup: Setup, round_trip_ms: float) -> Setup:
-    """The scenario with a deadline that allows for the real delay, unless it has its own.
+def knowing_real_delay(setup: Setup, round_trip_ms: float) -> Setup:
+    """The scenario with a deadline and a controller that allow for the real delay.
 
-    By default a deadline goes by the delays of the link, and those do not have this one.
+    By default both go by the delays of the link, and those do not have this one. What the scenario
+    says of either stays.
     """
+    scenario = setup.scenario
+    controller = scenario.controller
+    settings = controller.delay_compensation
+    if settings.expected_round_trip_ms is None:
+        expected_ms = scenario.link.emulated_round_trip_ns * 1e-6 + round_trip_ms
+        settings = settings.model_copy(update={"expected_round_trip_ms": expected_ms})
+        controller = controller.model_copy(update={"delay_compensation": settings})
+    update = {"controller": controller, "link": _knowing_real_delay(setup, round_trip_ms)}
+    return replace(setup, scenario=scenario.model_copy(update=update))
+
+
+def _knowing_real_delay(setup: Setup, round_trip_ms: float) -> LinkConfiguration:
     scenario, link = setup.scenario, setup.scenario.link
     if link.deadline_ms is not None:
-        return setup
+        return link
     uplink: Channel[Any] = open_uplink(link, scenario.seed)
     downlink = open_downlink(link, scenario.seed)
     mean_ns = uplink.mean_delay_ns + downlink.mean_delay_ns + round(round_trip_ms * 1e6)
     deadline_ns = link.deadline_ns(setup.grid.period_ns, max(mean_ns, link.playout_ns))
-    link = link.model_copy(update={"deadline_ms": deadline_ns * 1e-6})
-    return replace(setup, scenario=scenario.model_copy(update={"link": link}))
+    return link.model_copy(update={"deadline_ms": deadline_ns * 1e-6})
 
 
 def real_delay(setup: Setup, round_trip_ms: float) -> RealDelay:

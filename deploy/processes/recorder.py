@@ -19,7 +19,8 @@ from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
 from deploy.scenario.referenced_files import delay_files
-from deploy.scenario.scenario import Setup, effective_scenario
+from deploy.scenario.scenario import effective_scenario
+from deploy.scenario.setup import Setup
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"

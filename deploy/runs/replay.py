@@ -14,7 +14,7 @@ from bus_schema.recording.mcap_log import LogContents
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop
 from deploy.runs.run_data import digest
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_faults
 
 _STAMP = slice(4, 12)

@@ -19,7 +19,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from controller.reference import sample_positions
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 
 Table = NDArray[np.void]
 """Messages of one topic, one row each; fields by dotted name (``header.stamp.sec``)."""
@@ -110,9 +110,9 @@ def build_run_data(
         clock=clock,
         link=link,
         tables={
-            topic.name: topics.layout(
-                topic, names, has_targets=setup.drive.is_active
-            ).tabulate(payloads.get(topic.name, ()))
+            topic.name: topics.layout(topic, names, has_targets=setup.drive.is_active).tabulate(
+                payloads.get(topic.name, ())
+            )
             for topic in topics.TOPICS
             if topic is not topics.RUN_EVENTS
         },

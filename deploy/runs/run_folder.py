@@ -30,7 +30,8 @@ from deploy.processes.recorder import (
 )
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.referenced_files import DIRECTIONS
-from deploy.scenario.scenario import Setup, effective_scenario, load_setup
+from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
 _LATER_LOG = re.compile(r"run-\d+(\.partial)?\.mcap|can-\d+\.log")

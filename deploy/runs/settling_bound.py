@@ -10,7 +10,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 
 _POSITIONS = 500
 

@@ -18,7 +18,7 @@ from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
 from deploy.processes.recorder import close_log, open_log
 from deploy.runs.run_data import RunData, build_run_data
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.faults.process_faults import (
     ProcessAction,

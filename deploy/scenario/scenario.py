@@ -7,39 +7,26 @@ starts, and told with file, key, value and what is allowed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Matrix
 from bus_schema.configuration import (
     ConfigurationError,
-    NonNegative,
-    PerJoint,
-    StrictModel,
     expand,
 )
-from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.limits import LimitsConfiguration
-from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.in_process import InProcessBus
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
-from controller.configuration import ControllerConfiguration
-from controller.control_loop import ControlTask
-from controller.funnel import Funnel
-from controller.funnel_configuration import FunnelConfiguration
 from controller.reference import Reference, sample_positions
-from controller.reference_configuration import ReferenceConfiguration
-from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
+from deploy.scenario.definition import Scenario
 from deploy.scenario.referenced_files import find_delay_files, find_urdf
-from deploy.scenario.uncertainty import Uncertainty, check_uncertainty
+from deploy.scenario.setup import Setup
+from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
@@ -52,182 +39,14 @@ from deploy.scenario.yaml_files import (
     validated,
 )
 from plant_emulator.arm.arm_plant import ArmPlant
-from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.protocol import PROTOCOLS
 from plant_emulator.faults.fault import FaultContext
-from plant_emulator.faults.kinds import ScheduledFault, check_faults
-from plant_emulator.faults.process_faults import plant_faults
-from plant_emulator.faults.scheduler import ScheduledAction
-from plant_emulator.plant_task import PlantTask
+from plant_emulator.faults.kinds import check_faults
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("scenarios")))
 _CHECKED_PER_SECOND = 100
 _MOST_CHECKED = 20_000
 _SIZED_BY = 100
-
-
-class RobotConfiguration(StrictModel):
-    """The arm.
-
-    Attributes:
-        urdf: a path (relative to the scenario file), the name of a shipped robot, or
-            ``pybullet_data:`` with a path inside that package.
-        initial_offset_rad: joint positions at the start, relative to the reference.
-    """
-
-    urdf: str
-    initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
-
-
-class MetricsConfiguration(StrictModel):
-    """The judge.
-
-    Attributes:
-        from_s: start of the time over which tracking errors are summed up.
-    """
-
-    from_s: NonNegative = 2.0
-
-
-class Scenario(StrictModel):
-    """A whole experiment.
-
-    What is uncertain about it changes nothing in a run: studies draw plants from it.
-    """
-
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    duration_s: Annotated[float, Field(gt=0, le=86_400)]
-    rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
-    clock: Literal["realtime", "lockstep"] = "realtime"
-    seed: Annotated[int, Field(ge=0)] = 0
-    robot: RobotConfiguration
-    reference: ReferenceConfiguration
-    funnel: FunnelConfiguration = FunnelConfiguration()
-    controller: ControllerConfiguration = ControllerConfiguration()
-    link: LinkConfiguration = LinkConfiguration()
-    plant: PlantConfiguration = PlantConfiguration()
-    limits: LimitsConfiguration = LimitsConfiguration()
-    metrics: MetricsConfiguration = MetricsConfiguration()
-    faults: tuple[ScheduledFault, ...] = ()
-    uncertainty: Uncertainty = Field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Setup:
-    """A scenario with everything its values refer to, checked against each other.
-
-    Attributes:
-        source: the scenario file.
-        funnel: the bounds that laws and judge share.
-        gains: gains in use, expanded to the robot's joints.
-        start_position_rad: joint positions at the start, shape (joints,).
-        governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
-    """
-
-    scenario: Scenario
-    source: Path
-    robot: RobotDescription
-    reference: Reference
-    funnel: Funnel
-    gains: Any
-    start_position_rad: Vector
-    governing_inertia_kg_m2: Vector
-    grid: TickGrid
-
-    @property
-    def ticks(self) -> int:
-        return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
-
-    def control_task(self) -> ControlTask:
-        """A fresh task for a controller."""
-        controller = self.scenario.controller
-        joints = self.robot.joints
-        own_rates = controller.torque_rate_limits(joints)
-        limits = self.scenario.limits.of_controller(self.robot, own_rates)
-        return ControlTask(
-            robot=self.robot,
-            reference=self.reference,
-            funnel=self.funnel,
-            law=controller.build_law(self.gains, self.robot),
-            law_name=controller.law,
-            limits=limits,
-            compensation=controller.build_compensation(
-                self.robot,
-                self.governing_inertia_kg_m2,
-                self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
-                self.scenario.link,
-            ),
-            sends_targets=controller.drive_feedback.enabled,
-        )
-
-    @property
-    def drive(self) -> DriveGains:
-        """What the drives add to torques of their own."""
-        wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
-        joints = self.robot.joints
-        if not (wanted.enabled or plant.enabled):
-            return no_drive_feedback(joints)
-        derived = critically_damped(self.governing_inertia_kg_m2, wanted.bandwidth_rad_s)
-        key = "plant.drive_feedback"
-        given = plant.stiffness_nm_rad, plant.damping_nm_s
-        stiffness, damping = given
-        return DriveGains(
-            True,
-            derived.stiffness_nm_rad
-            if stiffness is None
-            else expand(stiffness, joints, f"{key}.stiffness_nm_rad"),
-            derived.damping_nm_s
-            if damping is None
-            else expand(damping, joints, f"{key}.damping_nm_s"),
-        )
-
-    def plant_task(
-        self, *, lockstep: bool, process_actions: tuple[ScheduledAction, ...] = ()
-    ) -> PlantTask:
-        """The task of a plant.
-
-        Args:
-            lockstep: wait for the reply to every state that is delivered.
-            process_actions: what the plant asks for to be done to processes, on its clock.
-        """
-        return PlantTask(
-            robot=self.robot,
-            plant=self.scenario.plant,
-            link=self.scenario.link,
-            grid=self.grid,
-            ticks=self.ticks,
-            lockstep=lockstep,
-            seed=self.scenario.seed,
-            takes_targets=self.drive.is_active,
-            faults=plant_faults(self.scenario.faults),
-            process_actions=process_actions,
-        )
-
-    @property
-    def link_kind(self) -> LinkKind[Any]:
-        """What there is to know of the scenario's kind of link."""
-        return LINK_KINDS.build(self.scenario.link.kind)
-
-    def link_run(
-        self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
-    ) -> LinkRun:
-        """What the link has to know of the run; the arguments are those of `LinkRun`."""
-        task = self.plant_task(lockstep=lockstep)
-        return LinkRun(**vars(task), bus=bus, can_log=can_log)
-
-    def arm(self) -> ArmPlant:
-        """A fresh arm at its start, of the type that the link needs."""
-        arm: ArmPlant = self.link_kind.arm_type(
-            self.scenario.plant,
-            self.robot,
-            self.start_position_rad,
-            self.grid,
-            self.scenario.seed,
-            self.scenario.limits,
-            plant_faults(self.scenario.faults),
-            self.drive,
-        )
-        return arm
 
 
 def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:

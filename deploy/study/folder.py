@@ -22,7 +22,8 @@ from deploy.runs.run_folder import (
     read_summary,
 )
 from deploy.runs.run_rows import Row, read_rows, write_rows
-from deploy.scenario.scenario import Setup, effective_scenario, load_setup
+from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from controller.reference import sample_positions
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.study.quantities import Direction
 
 _OTHER = {"uplink": "downlink", "downlink": "uplink"}

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import (
     Draw,
     Uncertainty,

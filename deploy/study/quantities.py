@@ -10,7 +10,7 @@ import numpy as np
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.configuration import LinkConfiguration
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import number_at
 from deploy.scenario.yaml_files import override, plain
 

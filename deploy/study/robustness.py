@@ -11,7 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from deploy.runs.run_rows import Row
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import Uncertainty
 from deploy.scenario.yaml_files import ScenarioError, naming, plain, validated
 from deploy.study.cases import (

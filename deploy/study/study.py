@@ -20,7 +20,8 @@ from deploy.runs.metrics import summarise
 from deploy.runs.run_rows import Row, failed_row, row
 from deploy.runs.simulate import attempt
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import find_yaml, override
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))

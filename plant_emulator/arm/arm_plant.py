@@ -17,6 +17,7 @@ from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import Mode, Trigger, follow
 from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.arm.bullet_server import require_loadable
+from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
@@ -64,8 +65,9 @@ class ArmPlant:
         self._stop_damping = _stop_damping(configuration, robot)
         gains = drive or no_drive_feedback(robot.joints)
         self.torques = JointTorques(
-            configuration, robot, grid.substep_s, randoms[0], limits, gains
-        )
+            configuration, robot, grid.substep_s, randoms[0], limits, gains,
+            adds_drive=not faults,
+        )  # fmt: skip
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
@@ -116,9 +118,7 @@ class ArmPlant:
         """Take part in a run: the brakes hold until the first torque."""
         self.mode = follow(self.mode, Trigger.BEGIN)
 
-    def command(
-        self, torque_nm: Vector, target: Matrix | None = None, stamp_ns: int = 0
-    ) -> None:
+    def command(self, torque_nm: Vector, target: Matrix | None = None, stamp_ns: int = 0) -> None:
         """Put a torque into force; the first one releases the brakes. Ignored once stopping.
 
         Args:
@@ -189,7 +189,10 @@ class ArmPlant:
     def _apply_faults(self, faults: ArmFaults, now_ns: int) -> None:
         """Change what the actuators are asked for as the faults would."""
         faults.begin_due(now_ns)
-        self.torques.asked[:] = faults.faulty_torques(self._commanded, now_ns)
+        wanted, drive = self._commanded.copy(), self.torques.drive
+        if drive.gains.is_active:
+            add_drive_torques(self.motion, now_ns * 1e-9, drive, wanted)
+        self.torques.asked[:] = faults.faulty_torques(wanted, now_ns)
 
     def _go(self, first: int, end: int) -> None:
         if self._is_braked:

@@ -1,4 +1,4 @@
-"""The loop that drives close themselves, at every physics substep: see `bus_schema.drive_feedback`."""
+"""The loop that drives close at every physics substep: see `bus_schema.drive_feedback`."""
 
 from __future__ import annotations
 
@@ -51,6 +51,11 @@ def drive_loop(
         gains, np.zeros((2, joints)), np.full(1, np.nan), resolution,
         np.zeros((rows, joints)) if noise is None else noise, np.zeros(1, np.int64),
     )  # fmt: skip
+
+
+def idle(drive: DriveLoop) -> DriveLoop:
+    """The same drives, which add nothing."""
+    return drive._replace(gains=drive.gains._replace(is_active=False))
 
 
 @compiled

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Records, Vector
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.limits import LimitsConfiguration, limit_torques
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
-from bus_schema.drive_feedback import DriveGains
 from plant_emulator.arm.disturbance import add_disturbance, disturbance_table
-from plant_emulator.arm.drive_loop import DriveLoop, add_drive_torques, drive_loop
+from plant_emulator.arm.drive_loop import DriveLoop, add_drive_torques, drive_loop, idle
 from plant_emulator.arm.friction import friction_table, friction_torque
 from plant_emulator.arm.joint_hardware import ActuatorLimits
 from plant_emulator.configuration import PlantConfiguration
@@ -72,6 +72,8 @@ class JointTorques:
         random: np.random.Generator,
         limits: LimitsConfiguration,
         drive: DriveGains,
+        *,
+        adds_drive: bool = True,
     ) -> None:
         actuators = ActuatorLimits(configuration.actuator, robot, substep_s)
         self._torques: Matrix = np.zeros((7, robot.joints))
@@ -84,7 +86,7 @@ class JointTorques:
             friction_table(configuration.friction, robot.joints),
             disturbance,
             np.zeros(robot.joints, dtype=np.bool_),
-            self.drive,
+            self.drive if adds_drive else idle(self.drive),
             self._torques,
         )
         self.held = self.tables.held

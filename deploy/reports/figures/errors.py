@@ -15,7 +15,7 @@ from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_envelopes, add_law, with_law_legend
 from deploy.runs.bounds import bound_usage
 from deploy.runs.run_data import RunData
-from deploy.scenario.scenario import Setup
+from deploy.scenario.setup import Setup
 
 _ZOOM_S = 1.0
 _BAND_POINTS = 600

@@ -13,7 +13,8 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, layout
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from plant_emulator.plant_loop import PlantLoop
 from plant_emulator.plant_task import PlantOutcome
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.processes.real_delay import RealDelay, check_real_delay, real_delay, with_real_deadline
+from deploy.processes.real_delay import RealDelay, check_real_delay, knowing_real_delay, real_delay
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -56,12 +56,12 @@ def test_relay_refuses_bad_input(funnel_hil, words: list[str], message: str) -> 
 
 def test_deadline_allows_for_the_real_delay_beside_the_emulated_one() -> None:
     setup = load_setup("paper_arm", ["link.uplink.delay_ms=3", "link.downlink.delay_ms=2"])
-    assert with_real_deadline(setup, 8.0).scenario.link.deadline_ms == pytest.approx(14.0)
+    assert knowing_real_delay(setup, 8.0).scenario.link.deadline_ms == pytest.approx(14.0)
 
 
 def test_deadline_of_the_scenario_stays() -> None:
     setup = load_setup("paper_arm", ["link.deadline_ms=7"])
-    assert with_real_deadline(setup, 8.0).scenario.link.deadline_ms == 7.0
+    assert knowing_real_delay(setup, 8.0).scenario.link.deadline_ms == 7.0
 
 
 def test_controller_alone_is_sent_to_the_relay() -> None:

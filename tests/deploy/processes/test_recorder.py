@@ -17,7 +17,8 @@ from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes import recorder as recorder_module
 from deploy.processes.recorder import Recorder
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, free_endpoint, state
 
 OURS, FOREIGN = b"o" * 16, b"f" * 16

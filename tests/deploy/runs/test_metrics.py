@@ -26,7 +26,8 @@ from bus_schema.messages.topics import (
 )
 from deploy.runs.metrics import settling_times_s, summarise
 from deploy.runs.run_data import RunData, build_run_data
-from deploy.scenario.scenario import Setup, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 
 JOINTS = ("base_yaw", "shoulder", "elbow")
 UPPER_RAD, LOWER_RAD, FINAL_RAD = 0.17, 0.07, 0.01

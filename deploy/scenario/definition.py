@@ -1,0 +1,68 @@
+"""What a scenario file may say."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from bus_schema.configuration import (
+    NonNegative,
+    PerJoint,
+    StrictModel,
+)
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.link.configuration import LinkConfiguration
+from controller.configuration import ControllerConfiguration
+from controller.funnel_configuration import FunnelConfiguration
+from controller.reference_configuration import ReferenceConfiguration
+from deploy.scenario.uncertainty import Uncertainty
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.faults.kinds import ScheduledFault
+
+
+class RobotConfiguration(StrictModel):
+    """The arm.
+
+    Attributes:
+        urdf: a path (relative to the scenario file), the name of a shipped robot, or
+            ``pybullet_data:`` with a path inside that package.
+        initial_offset_rad: joint positions at the start, relative to the reference.
+    """
+
+    urdf: str
+    initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
+
+
+class MetricsConfiguration(StrictModel):
+    """The judge.
+
+    Attributes:
+        from_s: start of the time over which tracking errors are summed up.
+    """
+
+    from_s: NonNegative = 2.0
+
+
+class Scenario(StrictModel):
+    """A whole experiment.
+
+    What is uncertain about it changes nothing in a run: studies draw plants from it.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    duration_s: Annotated[float, Field(gt=0, le=86_400)]
+    rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
+    clock: Literal["realtime", "lockstep"] = "realtime"
+    seed: Annotated[int, Field(ge=0)] = 0
+    robot: RobotConfiguration
+    reference: ReferenceConfiguration
+    funnel: FunnelConfiguration = FunnelConfiguration()
+    controller: ControllerConfiguration = ControllerConfiguration()
+    link: LinkConfiguration = LinkConfiguration()
+    plant: PlantConfiguration = PlantConfiguration()
+    limits: LimitsConfiguration = LimitsConfiguration()
+    metrics: MetricsConfiguration = MetricsConfiguration()
+    faults: tuple[ScheduledFault, ...] = ()
+    uncertainty: Uncertainty = Field(default_factory=dict)

@@ -1,0 +1,128 @@
+"""A scenario with all that it refers to, from which the parts of a run are made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bus_schema.arrays import Vector
+from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
+from bus_schema.link.in_process import InProcessBus
+from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import TickGrid
+from controller.control_loop import ControlTask
+from controller.funnel import Funnel
+from controller.reference import Reference
+from deploy.link_kinds.kind import LinkKind, LinkRun
+from deploy.link_kinds.table import LINK_KINDS
+from deploy.scenario.definition import Scenario
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.faults.process_faults import plant_faults
+from plant_emulator.faults.scheduler import ScheduledAction
+from plant_emulator.plant_task import PlantTask
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scenario with everything its values refer to, checked against each other.
+
+    Attributes:
+        source: the scenario file.
+        funnel: the bounds that laws and judge share.
+        gains: gains in use, expanded to the robot's joints.
+        start_position_rad: joint positions at the start, shape (joints,).
+        governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
+    """
+
+    scenario: Scenario
+    source: Path
+    robot: RobotDescription
+    reference: Reference
+    funnel: Funnel
+    gains: Any
+    start_position_rad: Vector
+    governing_inertia_kg_m2: Vector
+    grid: TickGrid
+
+    @property
+    def ticks(self) -> int:
+        return max(1, round(self.scenario.duration_s * 1e9 / self.grid.period_ns))
+
+    def control_task(self) -> ControlTask:
+        """A fresh task for a controller."""
+        controller = self.scenario.controller
+        joints = self.robot.joints
+        own_rates = controller.torque_rate_limits(joints)
+        limits = self.scenario.limits.of_controller(self.robot, own_rates)
+        return ControlTask(
+            robot=self.robot,
+            reference=self.reference,
+            funnel=self.funnel,
+            law=controller.build_law(self.gains, self.robot),
+            law_name=controller.law,
+            limits=limits,
+            compensation=controller.build_compensation(
+                self.robot,
+                self.governing_inertia_kg_m2,
+                self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
+                self.scenario.link,
+            ),
+            sends_targets=controller.drive_feedback.enabled,
+        )
+
+    @property
+    def drive(self) -> DriveGains:
+        """What the drives add to torques of their own."""
+        wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
+        if not (wanted.enabled or plant.enabled):
+            return no_drive_feedback(self.robot.joints)
+        return plant.gains(critically_damped(self.governing_inertia_kg_m2, wanted.bandwidth_rad_s))
+
+    def plant_task(
+        self, *, lockstep: bool, process_actions: tuple[ScheduledAction, ...] = ()
+    ) -> PlantTask:
+        """The task of a plant.
+
+        Args:
+            lockstep: wait for the reply to every state that is delivered.
+            process_actions: what the plant asks for to be done to processes, on its clock.
+        """
+        return PlantTask(
+            robot=self.robot,
+            plant=self.scenario.plant,
+            link=self.scenario.link,
+            grid=self.grid,
+            ticks=self.ticks,
+            lockstep=lockstep,
+            seed=self.scenario.seed,
+            takes_targets=self.drive.is_active,
+            faults=plant_faults(self.scenario.faults),
+            process_actions=process_actions,
+        )
+
+    @property
+    def link_kind(self) -> LinkKind[Any]:
+        """What there is to know of the scenario's kind of link."""
+        return LINK_KINDS.build(self.scenario.link.kind)
+
+    def link_run(
+        self, *, lockstep: bool, bus: InProcessBus | None = None, can_log: Path | None = None
+    ) -> LinkRun:
+        """What the link has to know of the run; the arguments are those of `LinkRun`."""
+        task = self.plant_task(lockstep=lockstep)
+        return LinkRun(**vars(task), bus=bus, can_log=can_log)
+
+    def arm(self) -> ArmPlant:
+        """A fresh arm at its start, of the type that the link needs."""
+        arm: ArmPlant = self.link_kind.arm_type(
+            self.scenario.plant,
+            self.robot,
+            self.start_position_rad,
+            self.grid,
+            self.scenario.seed,
+            self.scenario.limits,
+            plant_faults(self.scenario.faults),
+            self.drive,
+        )
+        return arm
