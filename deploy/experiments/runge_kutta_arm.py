@@ -28,12 +28,14 @@ class RungeKuttaArm:
         grid: ticks and physics steps of the run.
         torques: all that acts on the joints.
         payload_kg: point mass at the tip.
+        payload_changes: here it always may.
         gui: there is no window; what it says is passed over.
 
     Attributes:
         motion: positions, rad, and velocities, rad/s, as rows, shape (2, joints).
         position: the first row.
         velocity: the second row.
+        payload_kg: point mass at the tip, as of now.
     """
 
     def __init__(
@@ -43,10 +45,11 @@ class RungeKuttaArm:
         torques: JointTorques,
         *,
         payload_kg: float = 0.0,
+        payload_changes: bool = False,  # noqa: ARG002 (Bullet's)
         gui: bool = False,  # noqa: ARG002 (Bullet's)
     ) -> None:
         self._robot, self._grid, self._torques = robot, grid, torques
-        self._model = ManipulatorModel(robot, payload_kg=payload_kg)
+        self.carry(payload_kg)
         self.motion: Matrix = np.zeros((2, robot.joints))
         self.position: Vector = self.motion[0]
         self.velocity: Vector = self.motion[1]
@@ -67,9 +70,10 @@ class RungeKuttaArm:
         if any(joints):
             raise NotImplementedError("brakes of single joints")
 
-    def drop_payload(self) -> None:
-        """The point mass at the tip is gone."""
-        self._model = ManipulatorModel(self._robot)
+    def carry(self, payload_kg: float) -> None:
+        """Have this point mass at the tip from now on."""
+        self.payload_kg = payload_kg
+        self._model = ManipulatorModel(self._robot, payload_kg=payload_kg)
 
     def advance(self, first: int, end: int) -> None:
         """Go through substeps under the torque that is asked for.

@@ -21,6 +21,7 @@ from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.faults.arm_faults import PayloadFault
 from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.faulty_arm import ArmFaults
 
@@ -72,8 +73,10 @@ class ArmPlant:
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
         self._arm = BulletArm(
-            robot, grid, self.torques, payload_kg=configuration.payload_kg, gui=configuration.gui
-        )
+            robot, grid, self.torques, payload_kg=configuration.payload_kg,
+            payload_changes=any(isinstance(fault, PayloadFault) for fault in faults),
+            gui=configuration.gui,
+        )  # fmt: skip
         self._faults = (
             ArmFaults(faults, robot.joint_names, randoms[2], self._arm) if faults else None
         )

@@ -59,6 +59,7 @@ class BulletArm(BulletServer):
         grid: ticks and physics steps of the run.
         torques: all that acts on the joints.
         payload_kg: point mass at the tip.
+        payload_changes: whether there will be another one, see `carry`.
         gui: open Bullet's window (needs a display).
 
     Attributes:
@@ -77,9 +78,12 @@ class BulletArm(BulletServer):
         torques: JointTorques,
         *,
         payload_kg: float = 0.0,
+        payload_changes: bool = False,
         gui: bool = False,
     ) -> None:
-        super().__init__(robot, grid.substep_s, payload_kg=payload_kg, gui=gui)
+        super().__init__(
+            robot, grid.substep_s, payload_kg=payload_kg, payload_changes=payload_changes, gui=gui
+        )
         self._torques = torques
         limits = robot.effort_limits_nm
         self._brake_torques: Vector = np.where(

@@ -29,6 +29,7 @@ _USE_SIMPLE_BROADPHASE = 4
 _USE_INERTIA_FROM_FILE = 2
 _BASE_LINK = -1
 _NAME_BYTES = 1024
+_ANY_PAYLOAD_KG = 1.0
 
 
 class _JointInfo(ctypes.Structure):
@@ -95,6 +96,7 @@ _set_linear_damping = _setter("ChangeDynamicsInfoSetLinearDamping", _INT, _DOUBL
 _set_angular_damping = _setter("ChangeDynamicsInfoSetAngularDamping", _INT, _DOUBLE)
 _set_joint_damping = _setter("ChangeDynamicsInfoSetJointDamping", _INT, _INT, _DOUBLE)
 _set_mass = _setter("ChangeDynamicsInfoSetMass", _INT, _INT, _DOUBLE)
+_set_inertia = _setter("ChangeDynamicsInfoSetLocalInertiaDiagonal", _INT, _INT, _POINTER)
 _pose = _function("CreatePoseCommandInit", _POINTER, _POINTER, _INT)
 _set_position = _setter("CreatePoseCommandSetJointPosition", _POINTER, _INT, _DOUBLE)
 _set_velocity = _setter("CreatePoseCommandSetJointVelocity", _POINTER, _INT, _DOUBLE)
@@ -148,9 +150,11 @@ class BulletServer:
         robot: description of the arm.
         substep_s: length of one physics step.
         payload_kg: point mass at the tip.
+        payload_changes: whether there will be another one, see `carry`.
         gui: open Bullet's window (needs a display).
 
     Attributes:
+        payload_kg: point mass at the tip, as of now.
         handle: the server, as Bullet's functions take it.
         body: the arm, as Bullet's functions take it.
         joints: the arm's joints, in the order of `RobotDescription.joint_names`.
@@ -160,7 +164,13 @@ class BulletServer:
     """
 
     def __init__(
-        self, robot: RobotDescription, substep_s: float, *, payload_kg: float, gui: bool
+        self,
+        robot: RobotDescription,
+        substep_s: float,
+        *,
+        payload_kg: float,
+        payload_changes: bool,
+        gui: bool,
     ) -> None:
         with quiet():
             self.handle: int = _connect_window(0, None) if gui else _connect()
@@ -169,7 +179,9 @@ class BulletServer:
         _set_reset_flags(reset, _USE_SIMPLE_BROADPHASE)
         self._submit(reset)
         try:
-            self.body = _load(self.handle, robot.path, robot.resolved_urdf(payload_kg))
+            # Bullet cannot add a link later: one without mass is there for what is picked up.
+            at_first_kg = payload_kg or (_ANY_PAYLOAD_KG if payload_changes else 0.0)
+            self.body = _load(self.handle, robot.path, robot.resolved_urdf(at_first_kg))
         except RobotDescriptionError:
             self.close()
             raise
@@ -178,6 +190,9 @@ class BulletServer:
         self._payload_links = [
             joint.link for joint, link_name in names.values() if link_name == PAYLOAD_LINK
         ]
+        self.payload_kg = payload_kg
+        if at_first_kg != payload_kg:
+            self.carry(payload_kg)
         self._set_up_world(substep_s, len(names))
 
     def place(self, position: Vector) -> None:
@@ -197,11 +212,17 @@ class BulletServer:
             _set_largest_force(motors, joint.velocity_index, torque_nm)
         self._submit(motors)
 
-    def drop_payload(self) -> None:
-        """Take the payload off, if there is one."""
+    def carry(self, payload_kg: float) -> None:
+        """Carry this point mass at the tip from now on; one that was announced (see the class).
+
+        It comes with the velocity of the tip: those of the joints stay as they are.
+        """
+        self.payload_kg = payload_kg
         for link in self._payload_links:
             change = _dynamics(self.handle)
-            _set_mass(change, self.body, link, 0.0)
+            _set_mass(change, self.body, link, payload_kg)
+            # left to itself, Bullet makes up an inertia of what it takes for the link's extent
+            _set_inertia(change, self.body, link, (_DOUBLE * 3)())
             self._submit(change)
 
     def close(self) -> None:

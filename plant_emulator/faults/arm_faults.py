@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from bus_schema.configuration import ConfigurationError, NonNegative
+from bus_schema.configuration import ConfigurationError, NonNegative, Positive
 from plant_emulator.faults.fault import Fault, FaultContext, Share
 
 
 class ArmHardware(Protocol):
-    """What a fault can do to the arm as a whole."""
+    """What a fault can do to the arm as a whole.
 
-    def drop_payload(self) -> None:
-        """Take the payload off for good."""
+    Attributes:
+        payload_kg: point mass that it carries at its tip.
+    """
+
+    payload_kg: float
+
+    def carry(self, payload_kg: float) -> None:
+        """Carry this point mass at the tip from now on, in place of what it carried."""
 
 
 class EncoderReading(NamedTuple):
@@ -138,17 +145,53 @@ class ActuatorDead(ActuatorFault):
         return 0.0
 
 
-class PayloadDropped(ArmFault):
-    """The payload of ``plant.payload_kg`` falls off, for good."""
+class PayloadFault(ArmFault):
+    """A fault that leaves the arm with another payload, for good."""
 
-    kind: Literal["payload_dropped"]
     for_s: None = None
 
+    @abstractmethod
+    def payload_after_kg(self, carried_kg: float) -> float:
+        """What the arm carries from then on, given what it carried before."""
+
     def begin(self, arm: ArmHardware) -> None:
-        arm.drop_payload()
+        arm.carry(self.payload_after_kg(arm.payload_kg))
+
+
+class PayloadPickedUp(PayloadFault):
+    """Attributes: payload_kg: point mass that comes to what the tip carries already."""
+
+    kind: Literal["payload_picked_up"]
+    payload_kg: Positive
+
+    def payload_after_kg(self, carried_kg: float) -> float:
+        return carried_kg + self.payload_kg
+
+
+class PayloadDropped(PayloadFault):
+    """All that the tip carries falls off."""
+
+    kind: Literal["payload_dropped"]
+
+    def payload_after_kg(self, _carried_kg: float) -> float:
+        return 0.0
 
     def check(self, key: str, context: FaultContext) -> None:
         super().check(key, context)
         if context.payload_kg == 0.0:
             allowed = "there is nothing to drop: plant.payload_kg must be above 0"
             raise ConfigurationError(f"{key}.kind", self.kind, allowed)
+
+
+def payload_steps(payload_kg: float, faults: Iterable[Fault]) -> list[tuple[float, float]]:
+    """What an arm carries over a run: from when on, s, and how much, kg; the first at 0 s.
+
+    Args:
+        payload_kg: what it carries at the start.
+        faults: all of the run.
+    """
+    steps = [(0.0, payload_kg)]
+    changes = (fault for fault in faults if isinstance(fault, PayloadFault))
+    for fault in sorted(changes, key=lambda fault: fault.start_ns):
+        steps.append((fault.at_s, fault.payload_after_kg(steps[-1][1])))
+    return steps

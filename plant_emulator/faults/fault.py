@@ -18,7 +18,7 @@ class FaultContext(NamedTuple):
     Attributes:
         joint_names: names of the robot's joints.
         duration_s: length of the run.
-        payload_kg: mass that the arm carries.
+        payload_kg: mass that the arm carries when the fault begins.
         no_link_faults: what is allowed in place of faults of messages, where the link has none
             that the plant could change; None where it has.
     """

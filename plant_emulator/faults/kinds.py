@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import cache, reduce
 from operator import or_
 from typing import Annotated, Any
@@ -20,6 +20,7 @@ FAULT_KINDS: list[type[Fault]] = [
     arm_faults.ActuatorWeak,
     arm_faults.ActuatorDead,
     arm_faults.PayloadDropped,
+    arm_faults.PayloadPickedUp,
     channel_faults.LinkCut,
     channel_faults.LinkSlowed,
     channel_faults.LinkDuplicated,
@@ -54,11 +55,18 @@ ScheduledFault = Annotated[SerializeAsAny[Fault], PlainValidator(parse_fault)]
 """An entry of the section ``faults``; the table is looked at when a scenario is read."""
 
 
-def check_faults(faults: Iterable[Fault], context: FaultContext) -> None:
+def check_faults(faults: Sequence[Fault], context: FaultContext) -> None:
     """Check faults against the scenario they are part of.
+
+    Args:
+        faults: all of them.
+        context: that scenario, with what the arm carries at its start.
 
     Raises:
         ConfigurationError: one refers to what is not there, or begins after the end.
     """
     for index, fault in enumerate(faults):
-        fault.check(f"faults.{index}", context)
+        others = [other for other in faults if other is not fault]
+        steps = arm_faults.payload_steps(context.payload_kg, others)
+        carried = [payload_kg for at_s, payload_kg in steps if at_s <= fault.at_s]
+        fault.check(f"faults.{index}", context._replace(payload_kg=carried[-1]))

@@ -11,6 +11,7 @@ from controller.manipulator_model import ManipulatorModel
 from deploy.comparison.comparison import Comparison
 from deploy.reports.figures import style
 from deploy.runs.run_data import RunData
+from plant_emulator.faults.arm_faults import payload_steps
 
 
 def network_output(run: RunData) -> go.Figure | None:
@@ -40,15 +41,19 @@ def first_network_output(comparison: Comparison) -> go.Figure | None:
 def unknown_dynamics_nm(run: RunData) -> Matrix:
     """M(q) q̈_d + C(q, q̇) q̇ + G(q) + friction + disturbance at every tick, shape (ticks, joints).
 
-    With the true arm's M, C and G, payload included, and the reference acceleration q̈_d.
+    With the true arm's M, C and G, what it carries included, and the reference acceleration q̈_d.
     """
     setup = run.setup
-    model = ManipulatorModel(setup.robot, payload_kg=setup.scenario.plant.payload_kg)
+    steps = payload_steps(setup.scenario.plant.payload_kg, setup.scenario.faults)
+    models = [ManipulatorModel(setup.robot, payload_kg=payload_kg) for _, payload_kg in steps]
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    carried = np.searchsorted([at_s for at_s, _ in steps], times_s, side="right") - 1
     truth = run.tables[topics.PLANT_TRUTH.name]
     position, velocity = truth["position"], truth["velocity"]
     torque = truth["friction"] + truth["disturbance"]
     wanted, rate, acceleration = np.empty((3, setup.robot.joints))
-    for tick, time_s in enumerate(run.times_s(topics.PLANT_TRUTH)):
+    for tick, time_s in enumerate(times_s):
         setup.reference.evaluate(float(time_s), wanted, rate, acceleration)
+        model = models[carried[tick]]
         torque[tick] += model.inverse_dynamics(position[tick], velocity[tick], acceleration)
     return np.asarray(torque)

@@ -44,8 +44,8 @@ def healthy():
 # What becomes of the run: exit code, and whether the arm is stopped.
 RIDES_THROUGH = {
     "actuator_dead", "actuator_weak", "downlink_duplicated", "encoder_biased", "encoder_noisy",
-    "encoder_stuck", "payload_dropped", "second_commander", "torque_offset", "uplink_corrupted",
-    "uplink_cut", "uplink_duplicated", "uplink_slowed",
+    "encoder_stuck", "payload_dropped", "payload_picked_up", "second_commander", "torque_offset",
+    "uplink_corrupted", "uplink_cut", "uplink_duplicated", "uplink_slowed",
 }  # fmt: skip
 # What the plant counts: direction, reason (or what became of it), number.
 COUNTED = {
@@ -103,7 +103,7 @@ def test_fault_is_told_and_begins_on_time(name):
 OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500", "duration_s=1.5"]
 ARM_FAULTS = {
     "actuator_dead", "actuator_weak", "encoder_biased", "encoder_noisy", "encoder_stuck",
-    "payload_dropped", "torque_offset",
+    "payload_dropped", "payload_picked_up", "torque_offset",
 }  # fmt: skip
 
 

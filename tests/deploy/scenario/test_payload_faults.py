@@ -1,0 +1,86 @@
+"""A payload that comes and goes: the arm moves on as one that has carried it from the start."""
+
+import numpy as np
+import pytest
+
+from deploy.experiments.runge_kutta_arm import independent_physics
+from deploy.reports.figures.network import unknown_dynamics_nm
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.faults.arm_faults import payload_steps
+
+PICK_UP, DROP = "kind: payload_picked_up, payload_kg: 1.5", "kind: payload_dropped"
+
+
+def fallen(payload_kg, *faults):
+    """Motion after 10 ticks without torque."""
+    written = ", ".join(f"{{{fault}}}" for fault in faults)
+    arm = load_setup("paper_arm", [f"plant.payload_kg={payload_kg}", f"faults=[{written}]"]).arm()
+    arm.begin()
+    arm.command(np.zeros(3))
+    arm.advance(0, 40)
+    motion = arm.motion.copy()
+    arm.close()
+    return motion
+
+
+def check_falls_alike():
+    loaded = fallen(2.0)
+    assert np.abs(loaded - fallen(0.5)).max() > 1e-3
+    for payload_kg, faults in (
+        (0.5, [f"{PICK_UP}, at_s: 0"]),
+        (0.0, ["kind: payload_picked_up, payload_kg: 2, at_s: 0"]),
+        (0.7, [f"{DROP}, at_s: 0", "kind: payload_picked_up, payload_kg: 2, at_s: 0"]),
+        (0.0, [f"{PICK_UP}, at_s: 0", f"{DROP}, at_s: 0",
+               "kind: payload_picked_up, payload_kg: 2, at_s: 0"]),
+    ):  # fmt: skip
+        np.testing.assert_allclose(fallen(payload_kg, *faults), loaded, rtol=1e-9, atol=1e-12)
+
+
+def test_arm_falls_like_one_that_always_carried_as_much():
+    check_falls_alike()
+
+
+def test_independent_physics_takes_it_up_too():
+    with independent_physics():
+        check_falls_alike()
+
+
+def test_nothing_changes_before_and_no_joint_leaps():
+    late = fallen(0.0, f"{PICK_UP}, at_s: 0.009")
+    never, heavy = fallen(0.0), fallen(1.5)
+    assert fallen(0.0, f"{PICK_UP}, at_s: 0.01").tobytes() == never.tobytes()
+    assert np.abs(late[1] - never[1]).max() < 0.2 * np.abs(heavy[1] - never[1]).max()
+    assert late.tobytes() != never.tobytes()
+
+
+def test_what_is_carried_over_a_run():
+    faults = load_setup(
+        "paper_arm",
+        [f"faults=[{{{DROP}, at_s: 3}}, {{{PICK_UP}, at_s: 1}}, {{{PICK_UP}, at_s: 2}}]"],
+    ).scenario.faults
+    assert payload_steps(0.5, faults) == [(0.0, 0.5), (1.0, 2.0), (2.0, 3.5), (3.0, 0.0)]
+
+
+def test_true_dynamics_are_those_of_what_is_carried():
+    overrides = ["duration_s=0.2", f"faults=[{{{PICK_UP}, at_s: 0.1}}]"]
+    run = simulate(load_setup("paper_arm", overrides)).data()
+    shoulder = unknown_dynamics_nm(run)[:, 1]
+    late = np.abs(np.diff(shoulder))[50:]  # friction leaps when the brakes let go
+    assert np.argmax(late) == 49
+    assert late[49] > 5.0 * np.delete(late, 49).max()
+
+
+@pytest.mark.parametrize(
+    ("faults", "told"),
+    [
+        (f"{{{DROP}, at_s: 1}}, {{{PICK_UP}, at_s: 2}}", "plant.payload_kg must be above 0"),
+        ("{kind: payload_picked_up, at_s: 1}", "payload_picked_up.payload_kg: is missing"),
+        ("{kind: payload_picked_up, payload_kg: 0, at_s: 1}", "payload_kg = 0: must be greater"),
+        (f"{{{PICK_UP}, at_s: 1, for_s: 1}}", "for_s"),
+    ],
+)
+def test_payload_that_makes_no_sense_is_refused(faults, told):
+    with pytest.raises(ScenarioError, match=told):
+        load_setup("paper_arm", [f"faults=[{faults}]"])
