@@ -10,7 +10,14 @@ from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.compiled import copying
 from controller.compensation.delay_compensation import DelayCompensation
+from controller.compensation.model_identification import INERTIA, LAG, PAYLOAD
 from controller.control_law import ControlLaw, Diagnostics, Tracking
+
+_LEARNED = (
+    "foreseen_error", "learned_disturbance", "learned_friction", "learned_viscous",
+    "inertia_factor", "payload_kg", "actuator_lag_s",
+)  # fmt: skip
+"""NaN until they are written, which some never are."""
 
 
 class ControlStatus:
@@ -35,8 +42,11 @@ class ControlStatus:
         self._law, self._compensation = law, compensation
         self.tracking_rows = self._record.rows(*Tracking.PUBLISHED)
         self._bind(law.diagnostics)
-        for name in ("foreseen_error", "learned_disturbance", "learned_friction"):
+        for name in _LEARNED:
             self._record.fields[name][:] = np.nan
+        self._identifies_model = (
+            compensation is not None and compensation.identification.at_start[INERTIA] > 0.0
+        )
         self._cycle_started_ns = 0
 
     def encode(self, state: Record, cycle: int, sequence: int, started_ns: int) -> bytes:
@@ -59,6 +69,8 @@ class ControlStatus:
         scalars.network_norm = self._network_norm[0]
         if self._compensation is not None:
             self._take_prediction(self._compensation)
+            if self._identifies_model:
+                self._take_model(self._compensation)
         self._cycle_started_ns = started_ns
         scalars.timing_step_ns = time.perf_counter_ns() - started_ns
         return self._record.payload()
@@ -77,3 +89,10 @@ class ControlStatus:
         fields["foreseen_error"][:] = compensation.predicted.error
         fields["learned_disturbance"][:] = compensation.belief.disturbance_nm
         fields["learned_friction"][:] = compensation.belief.coulomb_nm
+
+    def _take_model(self, compensation: DelayCompensation) -> None:
+        estimate, scalars = compensation.identification.estimate, self._record.scalars
+        scalars.inertia_factor = 1.0 + estimate[INERTIA]
+        scalars.payload_kg = compensation.tip_kg * estimate[PAYLOAD]
+        scalars.actuator_lag_s = estimate[LAG]
+        self._record.fields["learned_viscous"][:] = compensation.belief.viscous_nm_s

@@ -17,7 +17,7 @@ from tempfile import TemporaryFile
 from typing import IO, cast
 
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Footer, Message, Metadata
+from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from zstandard import ZstdError
@@ -25,6 +25,7 @@ from zstandard import ZstdError
 from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.recording.atomic_files import RecordFile, complete, partial_path
+from bus_schema.recording.older_messages import Translate, translation
 
 logger = logging.getLogger(__name__)
 
@@ -167,21 +168,29 @@ class LogContents:
 
 
 def read_log(path: Path) -> LogContents:
-    """Read a recording, or what there is of it.
+    """Read a recording, or what there is of it; messages of older versions in today's form.
 
     Raises:
         OSError: the file cannot be opened.
     """
     contents = LogContents()
     topics: dict[int, str] = {}
+    translations: dict[int, Translate | None] = {}  # by schema
+    translate: dict[int, Translate | None] = {}  # by channel
     with path.open("rb") as file:
         try:
             for record in StreamReader(file).records:
                 match record:
+                    case Schema():
+                        text = record.data.decode(errors="replace")
+                        translations[record.id] = translation(record.name, text)
                     case Channel():
                         topics[record.id] = record.topic.strip("/")
+                        translate[record.id] = translations.get(record.schema_id)
                     case Message():
-                        contents.payloads[topics[record.channel_id]].append(record.data)
+                        update = translate[record.channel_id]
+                        data = record.data if update is None else update(record.data)
+                        contents.payloads[topics[record.channel_id]].append(data)
                         contents.sequences[topics[record.channel_id]].append(record.sequence)
                     case Attachment():
                         contents.attachments[record.name] = record.data
