@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from bus_schema.recording.atomic_files import write_whole
+from deploy.reports.tables import Table
 
 T = TypeVar("T")
 """What a report is about: a run, or several."""
@@ -46,7 +47,7 @@ class Panel(Generic[T]):
         section: title of the section that it stands in.
         id: of its HTML element, and the only one of this name in a page.
         title: of the figure.
-        draw: gives the figure, or pictures; None where there is nothing to draw.
+        draw: gives the figure, pictures or a table; None where there is nothing to draw.
         caption: what to look for in it.
         is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
     """
@@ -54,7 +55,7 @@ class Panel(Generic[T]):
     section: str
     id: str
     title: str
-    draw: Callable[[T], go.Figure | Sequence[Picture] | None]
+    draw: Callable[[T], go.Figure | Sequence[Picture] | Table | None]
     caption: str
     is_clickable: bool = False
 
@@ -92,3 +93,4 @@ _ENVIRONMENT = Environment(
 )
 _ENVIRONMENT.policies["json.dumps_function"] = lambda figure, **_: figure.to_json()
 _ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
+_ENVIRONMENT.tests["table"] = lambda content: isinstance(content, Table)

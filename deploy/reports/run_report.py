@@ -9,6 +9,14 @@ from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.figures.end_effector import tip_error, tip_path
 from deploy.reports.figures.errors import error_first_second, error_in_funnel, transformed_error
 from deploy.reports.figures.faults import with_faults
+from deploy.reports.figures.learned import (
+    learned_coulomb,
+    learned_inertia,
+    learned_lag,
+    learned_payload,
+    learned_values,
+    learned_viscous,
+)
 from deploy.reports.figures.network import network_output
 from deploy.reports.figures.timeline import timeline
 from deploy.reports.figures.timing import deadline_misses, timing_percentiles
@@ -74,6 +82,36 @@ PANELS: list[Panel[RunData]] = [
         "Coloured: output of the network. Grey: M q̈ + C q̇ + G of the true arm at the reference"
         " acceleration, plus friction and disturbance. The closer the two, the less is left to"
         " the reaching terms. The scale is that of the steady state.",
+    ),
+    Panel(
+        "What was learned", "learned-values", "Believed at the end, and true", learned_values,
+        "What delay compensation believed of the arm, beside what the scenario gives it. Inertia"
+        " factor and payload are told apart only by how differently they load the joints: where"
+        " the motion hardly excites that, one stands in for the other, and only both together"
+        " are right.",
+    ),
+    Panel(
+        "What was learned", "learned-inertia", "Inertia factor 1 + α", with_faults(learned_inertia),
+        "Masses and inertias over those of the nominal model. Dashed, in all these figures: the"
+        " truth.",
+    ),
+    Panel(
+        "What was learned", "learned-payload", "Payload", with_faults(learned_payload),
+        "A point mass at the tip that the nominal model does not have.",
+    ),
+    Panel(
+        "What was learned", "learned-lag", "Lag of the actuators", with_faults(learned_lag),
+        "Time constant from the torque asked for to the torque delivered; at most 8 ms are"
+        " believed.",
+    ),
+    Panel(
+        "What was learned", "learned-coulomb", "Coulomb friction", with_faults(learned_coulomb),
+        "What brakes a moving joint whatever its speed. Torques that change their sign with the"
+        " velocity for other reasons are taken for it, too.",
+    ),
+    Panel(
+        "What was learned", "learned-viscous", "Viscous friction", with_faults(learned_viscous),
+        "What brakes a joint in proportion to its speed.",
     ),
     Panel(
         "Timing", "timing-percentiles", "Percentiles of times", timing_percentiles,

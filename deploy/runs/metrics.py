@@ -13,6 +13,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
 from deploy.runs.bounds import judge_bounds
 from deploy.runs.chattering import chatter_shares
+from deploy.runs.identified import identified
 from deploy.runs.longest_run import longest_run
 from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.settling_bound import settling_bound_s
@@ -45,6 +46,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "timing": _timing(run, ticks, outcome.get("stolen_ms")),
         "transport": _transport(run),
         "limits": _limits(run),
+        "identified": identified(run),
         "recorder": {
             "messages": run.messages,
             "lost": None if run.lost is None else sum(run.lost.values()),
