@@ -98,19 +98,19 @@ class ControlStatus:
         """Writes what was identified; one bound call costs a third of as many in Python."""
         fields = self._record.fields
         return bind(
-            _write_model, compensation.identification.estimate, compensation.tip_kg,
-            compensation.belief.viscous_nm_s, fields["inertia_factor"], fields["payload_kg"],
-            fields["actuator_lag_s"], fields["learned_viscous"],
+            _write_model, compensation.identification.estimate, compensation.belief.viscous_nm_s,
+            fields["inertia_factor"], fields["payload_kg"], fields["actuator_lag_s"],
+            fields["learned_viscous"],
         )  # fmt: skip
 
 
 @compiled
 def _write_model(
-    estimate: Vector, tip_kg: float, viscous: Vector,
+    estimate: Vector, viscous: Vector,
     inertia_factor: Vector, payload_kg: Vector, lag_s: Vector, learned_viscous: Vector,
 ) -> None:  # fmt: skip
     """Write θ as a message has it, the last four arguments."""
     inertia_factor[0] = 1.0 + estimate[INERTIA]
-    payload_kg[0] = tip_kg * estimate[PAYLOAD]
+    payload_kg[0] = estimate[PAYLOAD]
     lag_s[0] = estimate[LAG]
     learned_viscous[:] = viscous

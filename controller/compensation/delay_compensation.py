@@ -70,7 +70,6 @@ class DelayCompensation:
         timeline: the commands sent, and the horizon.
         belief: what is believed of the arm.
         identification: how the model was learned.
-        tip_kg: mass at the tip of which the identified payload is a multiple.
         predicted: the situation predicted last.
         target: that state as a target for the drives, as of the stamp of the state that was
             answered: position, rad, and velocity, rad/s, as rows; shape (2, joints).
@@ -90,7 +89,6 @@ class DelayCompensation:
         self.timeline = CommandTimeline(joints, least_horizon_ns, first_horizon_ns)
         self.belief = first_belief(nominal)
         self.identification = identification
-        self.tip_kg = float(nominal.tip_inertia[:, 0].sum())
         self.predicted = Tracking(joints)
         self.target: Matrix = np.zeros((2, joints))
         self._bandwidth_rad_s = observer_bandwidth_rad_s
