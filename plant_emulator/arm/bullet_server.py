@@ -164,14 +164,9 @@ class BulletServer:
     """
 
     def __init__(
-        self,
-        robot: RobotDescription,
-        substep_s: float,
-        *,
-        payload_kg: float,
-        payload_changes: bool,
-        gui: bool,
-    ) -> None:
+        self, robot: RobotDescription, substep_s: float, *,
+        payload_kg: float, payload_changes: bool, gui: bool,
+    ) -> None:  # fmt: skip
         with quiet():
             self.handle: int = _connect_window(0, None) if gui else _connect()
         reset = _reset(self.handle)
