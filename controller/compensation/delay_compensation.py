@@ -34,7 +34,6 @@ from controller.funnel import Funnel
 from controller.reference import Reference
 from controller.rigid_bodies import mass_and_load
 
-_SATURATED = 0.999
 
 
 class Arm(NamedTuple):
@@ -187,21 +186,17 @@ def _learn(
     belief.actuator_nm[:] = actuator
     if not observe(mass, measured[1], motion[1], step_s, gain, belief.disturbance_nm):
         return
-    if identification.is_active and _is_instructive(nominal, error, bounds, impulse, step_s):
+    if identification.is_active and _is_inside(error, bounds):
         take_in(nominal, identification, belief, last, measured, actuator_before, impulse, step_s)
     else:
         identification.window.elapsed_s[0] = 0.0
 
 
 @compiled
-def _is_instructive(
-    nominal: NominalArm, error: Vector, bounds: Matrix, impulse: Vector, step_s: float
-) -> bool:
-    """Whether a step can be learned from: inside the funnel, no actuator at its limit."""
+def _is_inside(error: Vector, bounds: Matrix) -> bool:
+    """Whether all errors are inside the funnel; what is learned in a lost arm's motion is wild."""
     for i in range(error.size):
         if not -bounds[LOWER, i] < error[i] < bounds[UPPER, i]:
-            return False
-        if abs(impulse[i]) >= _SATURATED * nominal.limits_nm[i] * step_s:
             return False
     return True
 

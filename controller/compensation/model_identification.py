@@ -27,9 +27,11 @@ WINDOW_S = 0.016
 
 # Standard deviations at the start, and how far each may walk in a second. Those of f, c and b are
 # per kg m² of the inertia that governs a joint. Ours, from three arms.
-_AT_START = {"inertia": 0.3, "payload_kg": 2.0, "lag_s": 2e-3, "f": 0.02, "c": 3.0, "b": 3.0}
+_AT_START = {"inertia": 0.3, "payload_kg": 2.0, "lag_s": 2e-3, "f": 1.0, "c": 8.0, "b": 5.0}
 _PER_ROOT_S = {"inertia": 0.01, "payload_kg": 0.1, "lag_s": 1e-4, "f": 0.5, "c": 0.05, "b": 0.05}
 _NOISE_RAD_S2 = 1.0
+_SATURATED = 0.999
+"""Share of its limit at which an actuator may give less than it was asked for."""
 _LARGEST_FRICTION_RAD_S2 = 30.0
 """No joint is believed to have more dry friction than this, nor more viscous friction per rad/s."""
 
@@ -45,6 +47,7 @@ class Window(NamedTuple):
         position: ∫ q dt.
         first_velocity: q̇ at its start.
         first_actuator: τ_a at its start.
+        saturated: above 0 for joints whose actuator was at its limit.
     """
 
     elapsed_s: Vector
@@ -54,6 +57,7 @@ class Window(NamedTuple):
     position: Vector
     first_velocity: Vector
     first_actuator: Vector
+    saturated: Vector
 
 
 class Identification(NamedTuple):
@@ -151,7 +155,9 @@ def take_in(
     """
     window = filter_.window
     if window.elapsed_s[0] == 0.0:
-        for sums in (window.impulse, window.sign, window.angle, window.position):
+        for sums in (
+            window.impulse, window.sign, window.angle, window.position, window.saturated
+        ):  # fmt: skip
             sums[:] = 0.0
         window.first_velocity[:] = before[1]
         window.first_actuator[:] = actuator_before
@@ -159,6 +165,8 @@ def take_in(
     for i in range(impulse.size):
         position = 0.5 * (before[0, i] + after[0, i])
         velocity = 0.5 * (before[1, i] + after[1, i])
+        if abs(impulse[i]) >= _SATURATED * nominal.limits_nm[i] * step_s:
+            window.saturated[i] = 1.0
         window.impulse[i] += impulse[i]
         window.sign[i] += step_s * math.tanh(velocity / SMOOTHING_RAD_S)
         window.angle[i] += step_s * velocity
@@ -191,6 +199,8 @@ def _update(
         filter_.covariance[k, k] += elapsed_s * filter_.per_root_s[k] ** 2
     row = np.zeros(size)
     for i in range(joints):
+        if window.saturated[i] > 0.0:
+            continue
         row[:] = 0.0
         row[INERTIA], row[PAYLOAD] = -nominal_torque[i], -tip_torque[i]
         row[LAG] = -(belief.actuator_nm[i] - window.first_actuator[i]) / elapsed_s
