@@ -28,7 +28,8 @@ class ManipulatorModel:
         self, robot: RobotDescription, *, scale: float = 1.0, payload_kg: float = 0.0
     ) -> None:
         try:
-            self._model = pinocchio.buildModelFromXML(robot.resolved_urdf(payload_kg))
+            urdf = robot.resolved_urdf(payload_kg / scale)  # which is scaled back below
+            self._model = pinocchio.buildModelFromXML(urdf)
         except (ValueError, RuntimeError) as error:
             raise RobotDescriptionError(f"{robot.path}: pinocchio: {error}") from error
         for index, inertia in enumerate(self._model.inertias):

@@ -111,6 +111,15 @@ def test_scale_multiplies_all_masses_and_inertias(robot, scale):
         )
 
 
+def test_scale_leaves_the_payload_as_it_is(robot):
+    for position, _ in list(states(robot))[:3]:
+        pull = ManipulatorModel(robot, payload_kg=2.0).gravity(position)
+        pull -= ManipulatorModel(robot).gravity(position)
+        scaled = ManipulatorModel(robot, scale=0.5, payload_kg=2.0)
+        expected = 0.5 * ManipulatorModel(robot).gravity(position) + pull
+        np.testing.assert_allclose(scaled.gravity(position), expected, atol=1e-11)
+
+
 def test_joints_keep_the_order_of_the_file(tmp_path):
     """pinocchio numbers joints from the base; a file may list them from the tip."""
     original = find_urdf("paper_arm", Path())
