@@ -19,12 +19,14 @@ from controller.configuration import ControllerConfiguration
 from controller.control_law import Diagnostics
 from controller.control_loop import ControlLoop, ControlTask
 from controller.funnel_configuration import FunnelConfiguration
+from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids
 from controller.torque_guard import InvalidTorqueError
 from deploy.scenario.referenced_files import find_urdf
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 NAMES = ROBOT.joint_names
+INERTIA = ManipulatorModel(ROBOT).governing_inertia(np.zeros((1, 3)))
 OFFSET = np.array([0.15, -0.12, 0.10])
 SWING = JointSinusoids(np.array([0.1, -0.5, 0.8]), np.array([[[0.1, 2.0, 0.3]] * 3]))
 MS = 1_000_000
@@ -35,7 +37,7 @@ class Bench:
 
     def __init__(self, law="pid", reference=SWING, rate_limit=np.inf, own_law=None):
         configuration = ControllerConfiguration(law=law)
-        gains = configuration.build_gains(ROBOT, np.zeros((1, 3)))
+        gains = configuration.build_gains(ROBOT, INERTIA)
         self.funnel = FunnelConfiguration().build(OFFSET)
         self.reference = reference
         limits = JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))

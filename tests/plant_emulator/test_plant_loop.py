@@ -73,9 +73,9 @@ def run():
         in_force, steps = [0.0], []
         command, advance = arm.command, arm.advance
 
-        def note_command(torque_nm):
+        def note_command(torque_nm, target, stamp_ns):
             in_force[0] = float(torque_nm[0])
-            command(torque_nm)
+            command(torque_nm, target, stamp_ns)
 
         def note_advance(first, end):
             steps.extend((number * SUBSTEP_NS, in_force[0]) for number in range(first, end))
@@ -161,7 +161,7 @@ def test_answer_that_came_just_before_the_controller_left_is_taken():
     station.expect(0, 0)
     taken = []
     command = arm.command
-    arm.command = lambda torque_nm: taken.append(clock.now_ns()) or command(torque_nm)
+    arm.command = lambda *given: taken.append(clock.now_ns()) or command(*given)
     outcome = PlantLoop(setup.plant_task(lockstep=True), arm, station, clock).run()
     arm.close()
     assert len(taken) == 1

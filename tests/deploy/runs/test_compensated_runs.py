@@ -66,12 +66,21 @@ def test_every_law_that_keeps_its_bounds_keeps_them_at_48_ms(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_without_delay_compensation_changes_no_bit(law):
+def test_without_delay_compensation_of_a_known_model_changes_no_bit(law):
     with_it, without = (
         run(*overrides, f"controller.law={law}", duration_s=0.3).data().digest
-        for overrides in ([ON], [])
+        for overrides in ([ON, "controller.delay_compensation.identify_model=false"], [])
     )
     assert with_it == without
+
+
+def test_without_delay_identification_costs_next_to_nothing():
+    """A law sees ahead by the actuators' lag, and what is learned of none is not quite none."""
+    rms = [
+        np.array(judged(*overrides, "metrics.from_s=1", duration_s=3)["tracking"]["rms_rad"])
+        for overrides in ([ON], [])
+    ]
+    assert (rms[0] < 1.1 * rms[1]).all()
 
 
 def test_replay_gives_the_same_bits_with_compensation(tmp_path):
