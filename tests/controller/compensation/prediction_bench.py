@@ -29,11 +29,12 @@ _STEPS = 10
 
 
 def compensation_of(
-    *, model=False, friction=False, drive=None, bandwidth_rad_s=60.0, least_ns=0, first_ns=0
-):
+    *, model=False, friction=False, drive=None, limits=LIMITS, bandwidth_rad_s=60.0, least_ns=0,
+    first_ns=0,
+):  # fmt: skip
     """A compensation for the paper's arm, which by default learns nothing but a disturbance."""
     return DelayCompensation(
-        nominal_arm(MODEL, LOADED, LIMITS),
+        nominal_arm(MODEL, LOADED, limits),
         identification(INERTIA, model=model, friction=friction),
         drive or no_drive_feedback(3),
         observer_bandwidth_rad_s=bandwidth_rad_s,
