@@ -95,8 +95,8 @@ def test_chattering_is_not_mistaken_for_friction():
     """A switching law's chattering and an inertia that is a tenth too small looked like friction
     of joint 3, with a bias that cancelled it until the joint turned round: 8 N m for 0.3.
 
-    The bound is twice what is there; beyond, a reversal would come as a step of over 0.6 N m,
-    which over 15 ms turns 0.05 kg m² by more than the 1 mrad that the law works within.
+    The bound is twice what is there: 0.3 N m of false friction flips by 0.6 N m as the joint turns
+    round, which over the 15 ms turns its 0.05 kg m² by 1.3 mrad, an eighth of the funnel.
     """
     delays = ["link.uplink.delay_ms=7.5", "link.downlink.delay_ms=7.5"]
     overrides = ["controller.law=ftsmc", "duration_s=4", *delays]
