@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import math
 import time
 from dataclasses import dataclass
 
@@ -137,12 +138,14 @@ class ControlLoop:
             raise
 
     def stop(self, reason: str) -> None:
-        """Stop for a fault: the last torque that is sent is zero, whatever the rate limits say."""
+        """Stop for a fault: the last torque is zero, whatever rate limits say, without a target."""
         if self.mode not in COMMANDABLE:
             return
         self._change_mode(Trigger.FAIL, "zero torque")
         self._command.stamp_ns = max(self.stamp_ns, 0)
         self._command.fields["effort"][:] = 0.0
+        if self._target is not None:
+            self._target[:] = math.nan  # none, or the drives would go on along the last one
         with contextlib.suppress(Exception):  # the bus may be what has failed
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         self._change_mode(Trigger.STOPPED, "gives no more torques")

@@ -5,13 +5,16 @@ from __future__ import annotations
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 
+_LARGEST_NM = 1e6
+"""No arm ever misses more: a state that says so is not to be learned from."""
+
 
 @compiled
 def observe(
     mass: Matrix, velocity: Vector, predicted_velocity: Vector, step_s: float, gain: float,
     disturbance: Vector,
 ) -> bool:  # fmt: skip
-    """Let the disturbance follow what was missed over a step; whether that was finite.
+    """Let the disturbance follow what was missed over a step; whether that could be.
 
     A constant one is followed with 1 − e^(−bandwidth × time), whatever the length of the steps.
 
@@ -27,7 +30,7 @@ def observe(
     for i in range(joints):
         for j in range(joints):
             missed = mass[i, j] * (velocity[j] - predicted_velocity[j]) / step_s
-            if not -1e300 < missed < 1e300:
+            if not -_LARGEST_NM < missed < _LARGEST_NM:
                 return False
     for i in range(joints):
         missed = 0.0

@@ -149,8 +149,7 @@ def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
 @compiled
 def _delayed(g: Any, horizon_s: float) -> tuple[float, float, float]:
     """Node width, and factors on adaptation rate and k_2, at a horizon."""
-    quartic = (horizon_s / g.half_way_s) ** 4
-    share = quartic / (1.0 + quartic)
+    share = 1.0 / (1.0 + (g.half_way_s / horizon_s) ** 4)  # none at 0, whatever half_way_s is
     width = g.node_width * (g.delayed_node_width / g.node_width) ** share
     return width, g.delayed_adaptation**share, 1.0 + share * (g.delayed_k_2 - 1.0)
 

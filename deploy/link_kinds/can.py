@@ -51,9 +51,10 @@ class CanKind(LinkKind[DrivenArm]):
         check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_unimpaired(run.link)
         if run.takes_targets:
+            side = "plant" if run.plant.drive_feedback.enabled else "controller"
             raise ConfigurationError(
-                "drive_feedback.enabled", True,
-                "false over CAN: these drives take torques alone (controller and plant)",
+                f"{side}.drive_feedback.enabled", True,
+                "false over CAN: these drives take torques alone",
             )  # fmt: skip
         commission(can, robot, run.plant)
         for text in can.faults.drives:

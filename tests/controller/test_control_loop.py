@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.limits import JointLimits
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.messages import topics
@@ -15,16 +16,21 @@ from bus_schema.messages.types import JOINT_STATE, PLANT_STATUS, TYPESTORE
 from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import VirtualClock
 from bus_schema.runtime.modes import Mode, mode_in
+from controller.compensation.arm_belief import nominal_arm
+from controller.compensation.delay_compensation import DelayCompensation
+from controller.compensation.model_identification import identification
 from controller.configuration import ControllerConfiguration
 from controller.control_law import Diagnostics
 from controller.control_loop import ControlLoop, ControlTask
 from controller.funnel_configuration import FunnelConfiguration
+from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids
 from controller.torque_guard import InvalidTorqueError
 from deploy.scenario.referenced_files import find_urdf
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 NAMES = ROBOT.joint_names
+INERTIA = ManipulatorModel(ROBOT).governing_inertia(np.zeros((1, 3)))
 OFFSET = np.array([0.15, -0.12, 0.10])
 SWING = JointSinusoids(np.array([0.1, -0.5, 0.8]), np.array([[[0.1, 2.0, 0.3]] * 3]))
 MS = 1_000_000
@@ -33,14 +39,21 @@ MS = 1_000_000
 class Bench:
     """A control loop on an in-process bus, with a plant that says what the test says."""
 
-    def __init__(self, law="pid", reference=SWING, rate_limit=np.inf, own_law=None):
+    def __init__(
+        self, law="pid", reference=SWING, rate_limit=np.inf, own_law=None, compensation=None,
+        *, sends_targets=False,
+    ):  # fmt: skip
         configuration = ControllerConfiguration(law=law)
-        gains = configuration.build_gains(ROBOT, np.zeros((1, 3)))
+        gains = configuration.build_gains(ROBOT, INERTIA)
         self.funnel = FunnelConfiguration().build(OFFSET)
         self.reference = reference
         limits = JointLimits.of_torques(ROBOT.effort_limits_nm, np.full(3, rate_limit))
         self.law = own_law or configuration.build_law(gains, ROBOT)
-        task = ControlTask(ROBOT, reference, self.funnel, self.law, law, limits)
+        task = ControlTask(
+            ROBOT, reference, self.funnel, self.law, law, limits, compensation, sends_targets
+        )
+        self.compensation = compensation
+        self.command_layout = topics.layout(topics.JOINT_COMMANDS, NAMES, has_targets=sends_targets)
         self.bus = InProcessBus(VirtualClock())
         self.plant = InProcessPlantLink(self.bus)
         self.loop = ControlLoop(task, InProcessControllerLink(self.bus))
@@ -57,9 +70,12 @@ class Bench:
         return rows[0]
 
     def answers(self):
-        record, answers = Record(topics.layout(topics.JOINT_COMMANDS, NAMES)), []
+        record, answers, self.targets = Record(self.command_layout), [], []
         for arrival in self.plant.take_commands():
             record.load(arrival.payload)
+            if "position" in record.fields:
+                rows = record.fields["position"], record.fields["velocity"]
+                self.targets.append(np.array(rows))
             answers.append((record.stamp_ns, record.fields["effort"].tolist(), arrival.sequence))
         return answers
 
@@ -73,6 +89,16 @@ class Bench:
         record = Record(topics.layout(topic, NAMES))
         record.load(next(payload for name, payload in reversed(self.heard) if name is topic))
         return record
+
+
+def predicting(first_horizon_ns=20 * MS):
+    loaded = ManipulatorModel(ROBOT, payload_kg=1.0)
+    return DelayCompensation(
+        nominal_arm(ManipulatorModel(ROBOT), loaded, ROBOT.effort_limits_nm),
+        identification(INERTIA, model=True, friction=True),
+        no_drive_feedback(3),
+        observer_bandwidth_rad_s=60.0, least_horizon_ns=0, first_horizon_ns=first_horizon_ns,
+    )  # fmt: skip
 
 
 def state(stamp_ns, position, velocity=(0.0, 0.0, 0.0)):
@@ -362,3 +388,92 @@ def test_diagnostics_are_published_whether_a_law_writes_into_them_or_assigns_the
     np.testing.assert_allclose(status.fields["sliding_variable"], 2.0 * OFFSET, rtol=1e-12)
     assert np.isnan(status.fields["network_output"]).all()
     assert status.scalars.network_norm == 7.0
+
+
+class Spectator(KeepsItsDiagnostics):
+    """A law that remembers what it was shown, and fails when it is told to."""
+
+    def __init__(self):
+        super().__init__()
+        self.shown, self.times_s, self.fails = [], [], False
+
+    def torque(self, tracking):
+        self.shown.append(tracking)
+        self.times_s.append(tracking.time_s)
+        return np.full(3, np.nan) if self.fails else super().torque(tracking)
+
+    def reset(self):
+        pass
+
+
+@pytest.mark.parametrize("is_compensated", [False, True])
+def test_warming_up_shows_a_law_the_very_situation_it_will_be_shown(is_compensated):
+    """A law binds its kernels to it: another one would be bound while time counts."""
+    compensation = predicting() if is_compensated else None
+    bench = Bench(own_law=Spectator(), compensation=compensation)
+    bench.loop.warm_up()
+    bench.send(0)
+    bench.send(MS)
+    shown = compensation.predicted if is_compensated else bench.loop.tracking
+    assert [each is shown for each in bench.law.shown] == [True] * 3
+
+
+@pytest.mark.parametrize("law", ["pid", "fixed_time_neural", "ftsmc"])
+def test_warming_up_leaves_no_trace_in_a_compensation(law):
+    warm, cold = (Bench(law, compensation=predicting(), sends_targets=True) for _ in range(2))
+    warm.loop.warm_up()
+    assert warm.heard == []
+    for tick in range(5):
+        assert warm.send(tick * MS, 0.1 * OFFSET) == cold.send(tick * MS, 0.1 * OFFSET)
+        np.testing.assert_array_equal(warm.targets, cold.targets)
+
+
+def test_a_compensated_law_sees_the_time_at_which_its_torque_is_expected_to_act():
+    bench = Bench(own_law=Spectator(), compensation=predicting(20 * MS))
+    for tick in range(31):
+        bench.send(tick * MS)
+    # Nothing acts, as the plant says: after 20 ms, as long as was waited.
+    assert bench.law.times_s[0] == pytest.approx(0.020)
+    assert bench.law.times_s[20] == pytest.approx(0.040)
+    assert bench.law.times_s[30] == pytest.approx(0.060)
+
+
+def test_targets_without_foresight_are_the_reference():
+    bench = Bench(sends_targets=True)
+    bench.send(100 * MS, start_ns=0)
+    rows = np.empty((3, 3))
+    SWING.evaluate(0.1, *rows)
+    np.testing.assert_array_equal(bench.targets, [rows[:2]])
+
+
+def test_targets_with_foresight_lead_to_the_state_foreseen():
+    bench = Bench(compensation=predicting(20 * MS), sends_targets=True)
+    bench.send(0)
+    ((position, velocity),) = bench.targets
+    seen = bench.compensation.predicted
+    np.testing.assert_allclose(position + 0.020 * velocity, seen.position, rtol=1e-14)
+    np.testing.assert_array_equal(velocity, seen.velocity)
+
+
+def test_commands_without_targets_have_none():
+    bench = Bench(compensation=predicting())
+    bench.send(0)
+    assert bench.targets == []
+    payload = next(payload for topic, payload in bench.heard if topic is topics.JOINT_COMMANDS)
+    types = TYPESTORE.types
+    message = TYPESTORE.deserialize_cdr(payload, JOINT_STATE)
+    assert (message.position.size, message.velocity.size, message.effort.size) == (0, 0, 3)
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    same = types[JOINT_STATE](header, list(NAMES), np.zeros(0), np.zeros(0), message.effort)
+    assert payload == bytes(TYPESTORE.serialize_cdr(same, JOINT_STATE))
+
+
+def test_a_controller_that_stops_sends_no_target():
+    bench = Bench(own_law=Spectator(), compensation=predicting(), sends_targets=True)
+    bench.send(0)
+    assert np.isfinite(bench.targets).all()
+    bench.law.fails = True
+    bench.plant.send_state(state(MS, bench.at(MS)), status(MS))
+    ((stamp_ns, torque, _),) = bench.answers()
+    assert (stamp_ns, torque) == (MS, [0.0, 0.0, 0.0])
+    assert np.isnan(bench.targets).all()

@@ -152,6 +152,22 @@ def test_impaired_run_equals_simulation_and_replay_bit_for_bit(tmp_path: Path) -
     assert replay(run.data.setup, run.log).is_identical
 
 
+def test_run_with_a_loop_at_the_drives_equals_simulation_and_replay_bit_for_bit(
+    tmp_path: Path,
+) -> None:
+    looped = settings(
+        duration_s=0.6, clock="lockstep", controller__drive_feedback__enabled=True,
+        controller__delay_compensation__enabled=True, link__uplink={"delay_ms": 5, "loss": 0.1},
+        plant__drive_feedback__encoder__velocity_noise_rad_s=0.001,
+    )  # fmt: skip
+    run = funnel_hil_here("run", "paper_arm", *looped, out=tmp_path / "run")
+    assert run.code == 0, run.output
+    commands = run.data.tables["joint_commands"]
+    assert commands["position"].shape == commands["effort"].shape
+    assert run.digest == simulated(run.folder).digest
+    assert replay(run.data.setup, run.log).is_identical
+
+
 def test_recording_is_readable_by_other_peoples_tools(run: Finished) -> None:
     with (run.folder / "run.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])

@@ -21,9 +21,9 @@ def payload(stamp_ns, torque=(1.0, 2.0, 3.0), names=NAMES):
 
 
 class Bench:
-    def __init__(self):
+    def __init__(self, *, takes_targets=False):
         self.gone = set()
-        self.gate = CommandGate(NAMES, self.gone.__contains__)
+        self.gate = CommandGate(NAMES, self.gone.__contains__, takes_targets=takes_targets)
         self.rejected = self.gate.rejections.counts
         self.sent = 0
 
@@ -34,13 +34,22 @@ class Bench:
         return self.gate.admit(CommandArrival(data, number, sender, 0), newest_state_ns)
 
 
-def foreign(names, effort, stamp_ns=5):
+def aimed(stamp_ns, position=(0.1, 0.2, 0.3), velocity=(-1.0, 0.0, 1.0)):
+    """A command with a target for the drives."""
+    record = Record(layout(JOINT_COMMANDS, NAMES, has_targets=True))
+    record.stamp_ns = stamp_ns
+    record.fields["effort"][:] = (1.0, 2.0, 3.0)
+    record.fields["position"][:], record.fields["velocity"][:] = position, velocity
+    return record.payload()
+
+
+def foreign(names, effort, stamp_ns=5, position=(), velocity=()):
     types = TYPESTORE.types
     header = types["std_msgs/msg/Header"](
         types["builtin_interfaces/msg/Time"](0, stamp_ns), "world"
     )
-    effort = np.array(effort, dtype=np.float64)
-    message = types[JOINT_STATE](header, list(names), np.zeros(0), np.zeros(0), effort)
+    rows = (np.array(row, dtype=np.float64) for row in (position, velocity, effort))
+    message = types[JOINT_STATE](header, list(names), *rows)
     return bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE))
 
 
@@ -188,3 +197,54 @@ def test_what_comes_through_is_finite_and_in_time_whatever_bits_flip(flips):
         assert 0 <= command.stamp_ns <= NEWEST_NS
     else:
         assert bench.rejected.total() == 1
+
+
+def test_target_comes_through_with_its_torque_and_is_kept_when_the_next_arrives():
+    bench = Bench(takes_targets=True)
+    first = bench.admit(aimed(5))
+    assert first.torque_nm.tolist() == [1.0, 2.0, 3.0]
+    assert first.target.tolist() == [[0.1, 0.2, 0.3], [-1.0, 0.0, 1.0]]
+    bench.admit(aimed(6, position=(9.0, 9.0, 9.0)))
+    assert first.target.tolist() == [[0.1, 0.2, 0.3], [-1.0, 0.0, 1.0]]
+    assert not bench.rejected
+
+
+@pytest.mark.parametrize("data", [payload(5), foreign(NAMES, (1.0, 2.0, 3.0))])
+def test_command_of_torques_alone_has_no_target(data):
+    bench = Bench(takes_targets=True)
+    command = bench.admit(data)
+    assert command.torque_nm.tolist() == [1.0, 2.0, 3.0]
+    assert command.target is None
+    assert not bench.rejected
+
+
+def test_foreign_target_is_put_into_our_joint_order():
+    data = foreign(
+        ("elbow", "yaw", "shoulder"), (3.0, 1.0, 2.0),
+        position=(0.3, 0.1, 0.2), velocity=(6.0, 4.0, 5.0),
+    )  # fmt: skip
+    command = Bench(takes_targets=True).admit(data)
+    assert command.target.tolist() == [[0.1, 0.2, 0.3], [4.0, 5.0, 6.0]]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        aimed(6, position=(0.1, np.nan, 0.3)), aimed(6, velocity=(0.0, np.inf, 0.0)),
+        aimed(6, position=(np.nan,) * 3), aimed(6, velocity=(np.nan,) * 3),
+        foreign(NAMES, (1.0, 2.0, 3.0), 6, position=(0.1, 0.2, 0.3)),
+    ],
+)  # fmt: skip
+def test_target_that_is_not_all_numbers_is_rejected_with_its_torque(data):
+    bench = Bench(takes_targets=True)
+    assert bench.admit(aimed(5)) is not None
+    assert bench.admit(data) is None
+    assert bench.rejected == {"not_finite": 1}
+    assert bench.gate.newest_ns == 5
+    assert bench.admit(aimed(6)) is not None
+
+
+def test_drives_that_take_torques_alone_are_given_no_target():
+    bench = Bench()
+    assert bench.admit(aimed(5, position=(np.nan,) * 3)).target is None
+    assert not bench.rejected

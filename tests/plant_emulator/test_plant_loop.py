@@ -17,10 +17,12 @@ SUBSTEP_NS = 250_000
 class Station:
     """A link whose other end sends what it is told to, when it is told to."""
 
-    def __init__(self, joint_names, clock):
+    def __init__(self, joint_names, clock, *, has_targets=False):
         self._clock = clock
         self._layout = topics.layout(topics.JOINT_STATES, joint_names)
-        self._command = Record(topics.layout(topics.JOINT_COMMANDS, joint_names))
+        self._command = Record(
+            topics.layout(topics.JOINT_COMMANDS, joint_names, has_targets=has_targets)
+        )
         self.to_come = []
         self.delivered = []
 
@@ -30,6 +32,11 @@ class Station:
         self._command.fields["effort"][:] = stamp_ns / MS
         arrival = CommandArrival(self._command.payload(), len(self.to_come) + 1, b"", arrival_ns)
         self.to_come.append(arrival)
+
+    def aim(self, position):
+        """All commands to come have this target, at rest."""
+        self._command.fields["position"][:] = position
+        self._command.fields["velocity"][:] = 0.0
 
     def publish(self, topic, payload):
         return 0
@@ -73,9 +80,9 @@ def run():
         in_force, steps = [0.0], []
         command, advance = arm.command, arm.advance
 
-        def note_command(torque_nm):
+        def note_command(torque_nm, target, stamp_ns):
             in_force[0] = float(torque_nm[0])
-            command(torque_nm)
+            command(torque_nm, target, stamp_ns)
 
         def note_advance(first, end):
             steps.extend((number * SUBSTEP_NS, in_force[0]) for number in range(first, end))
@@ -161,8 +168,35 @@ def test_answer_that_came_just_before_the_controller_left_is_taken():
     station.expect(0, 0)
     taken = []
     command = arm.command
-    arm.command = lambda torque_nm: taken.append(clock.now_ns()) or command(torque_nm)
+    arm.command = lambda *given: taken.append(clock.now_ns()) or command(*given)
     outcome = PlantLoop(setup.plant_task(lockstep=True), arm, station, clock).run()
     arm.close()
     assert len(taken) == 1
     assert outcome.faults == ["the controller has left the bus"]
+
+
+def test_no_target_is_chased_once_the_watchdog_has_stopped_the_arm():
+    """The target is 1 rad away: 200 N m and more of stiffness, as long as it is in force."""
+    stop = ["plant.command_timeout_ms=5", "plant.safe_stop=zero_torque"]
+    stiff = ["plant.drive_feedback={enabled: true, stiffness_nm_rad: 200, damping_nm_s: 0}"]
+    setup = load_setup("paper_arm", ["duration_s=0.02", *stop, *stiff])
+    clock, arm = VirtualClock(), setup.arm()
+    station = Station(setup.robot.joint_names, clock, has_targets=True)
+    station.aim(arm.position + 1.0)
+    station.expect(1 * MS, 2 * MS)
+    delivered, advance = {}, arm.advance
+
+    def note_advance(first, end):
+        for number in range(first, end):
+            advance(number, number + 1)
+            delivered[number * SUBSTEP_NS] = arm.torques.actuator.copy()
+
+    arm.advance = note_advance
+    outcome = PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()
+    arm.close()
+    assert outcome.faults == ["no valid command for 5 ms: safe stop (zero_torque)"]
+    for start_ns, torque in delivered.items():
+        if 2 * MS <= start_ns <= 7 * MS:
+            np.testing.assert_allclose(torque, 200.0 + 1.0, atol=10.0)
+        else:
+            assert not torque.any(), start_ns

@@ -21,6 +21,7 @@ from deploy.scenario.referenced_files import find_urdf
 
 JOINTS = 3
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
+INERTIA = ManipulatorModel(ROBOT).governing_inertia(np.zeros((1, JOINTS)))
 NO_LIMITS = np.full(JOINTS, np.inf)
 SETTINGS = settings(max_examples=60)
 all_laws = pytest.mark.parametrize("name", LAWS)
@@ -48,7 +49,7 @@ class DecoupledModel:
 @cache
 def gains_of(name):
     """Gains derived for the paper's arm, which takes longer than all else that a test does."""
-    return ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
+    return ControllerConfiguration(law=name).build_gains(ROBOT, INERTIA)
 
 
 def law_of(name, order=(0, 1, 2), model=None):
@@ -225,7 +226,7 @@ def test_zero_error_on_a_perfect_model_is_an_equilibrium(name):
 
 @laws_with_a_switch
 def test_boundary_layer_replaces_the_jump_by_a_line(name):
-    gains = ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
+    gains = ControllerConfiguration(law=name).build_gains(ROBOT, INERTIA)
 
     def jump(boundary_layer):
         law = LAWS[name].build(
@@ -242,14 +243,14 @@ def test_boundary_layer_replaces_the_jump_by_a_line(name):
 
 @laws_with_memory
 def test_model_free_laws_never_touch_the_model(name):
-    gains = ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
+    gains = ControllerConfiguration(law=name).build_gains(ROBOT, INERTIA)
     law = LAWS[name].build(gains, None, NO_LIMITS)
     assert np.isfinite(law.torque(situation(np.full(3, 0.05), np.zeros(3)))).all()
 
 
 @laws_with_memory
 def test_memory_stops_outwards_while_a_torque_saturates_and_goes_on_inwards(name):
-    gains = ControllerConfiguration(law=name).build_gains(ROBOT, np.zeros((1, JOINTS)))
+    gains = ControllerConfiguration(law=name).build_gains(ROBOT, INERTIA)
     still = np.zeros(JOINTS)
     away, back = (situation(np.full(JOINTS, sign * 0.05), still) for sign in (1.0, -1.0))
 

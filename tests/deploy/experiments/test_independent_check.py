@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
 from controller.manipulator_model import ManipulatorModel
 from deploy.experiments.independent_check import (
@@ -51,7 +52,7 @@ def test_energy_of_a_swinging_arm_is_kept_to_the_fourth_order() -> None:
     setup = load_setup("paper_arm", UNDISTURBED)
     torques = JointTorques(
         setup.scenario.plant, setup.robot, setup.grid.substep_s,
-        np.random.default_rng(0), LimitsConfiguration(),
+        np.random.default_rng(0), LimitsConfiguration(), no_drive_feedback(setup.robot.joints),
     )  # fmt: skip
     arm = RungeKuttaArm(setup.robot, setup.grid, torques)
     model = ManipulatorModel(setup.robot)

@@ -66,12 +66,45 @@ def test_every_law_that_keeps_its_bounds_keeps_them_at_48_ms(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_without_delay_compensation_changes_no_bit(law):
+def test_without_delay_compensation_of_a_known_model_changes_no_bit(law):
     with_it, without = (
         run(*overrides, f"controller.law={law}", duration_s=0.3).data().digest
-        for overrides in ([ON], [])
+        for overrides in ([ON, "controller.delay_compensation.identify_model=false"], [])
     )
     assert with_it == without
+
+
+def test_without_delay_identification_costs_next_to_nothing():
+    """A law sees ahead by the actuators' lag, and what is learned of none is not quite none."""
+    rms = [
+        np.array(judged(*overrides, "metrics.from_s=1", duration_s=3)["tracking"]["rms_rad"])
+        for overrides in ([ON], [])
+    ]
+    assert (rms[0] < 1.1 * rms[1]).all()
+
+
+def test_a_heavy_payload_and_a_slow_actuator_are_identified_in_time():
+    hard = ["plant.payload_kg=2", "plant.actuator.lag_ms=3"]
+    over_64_ms = {"up_ms": 32, "down_ms": 32}
+    assert judged(ON, *hard, **over_64_ms)["bounds"]["kept"]
+    unidentified = "controller.delay_compensation.identify_model=false"
+    assert not judged(ON, *hard, unidentified, **over_64_ms, duration_s=1)["bounds"]["kept"]
+
+
+def test_chattering_is_not_mistaken_for_friction():
+    """A switching law's chattering and an inertia that is a tenth too small looked like friction
+    of joint 3, with a bias that cancelled it until the joint turned round: 8 N m for 0.3.
+
+    The bound is twice what is there: 0.3 N m of false friction flips by 0.6 N m as the joint turns
+    round, which over the 15 ms turns its 0.05 kg m² by 1.3 mrad, an eighth of the funnel.
+    """
+    delays = ["link.uplink.delay_ms=7.5", "link.downlink.delay_ms=7.5"]
+    overrides = ["controller.law=ftsmc", "duration_s=4", *delays]
+    data = simulate(load_setup("iiwa", [ON, *overrides])).data()
+    learned = data.tables["control_status"]["learned_friction"][:, 2]
+    assert 0.15 < learned[-1] < 0.45
+    assert learned.max() < 0.6
+    assert summarise(data)["bounds"]["kept"]
 
 
 def test_replay_gives_the_same_bits_with_compensation(tmp_path):

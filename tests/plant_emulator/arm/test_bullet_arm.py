@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
@@ -34,7 +35,12 @@ PLANT = PlantConfiguration.model_validate(
 
 def torques_of(robot):
     return JointTorques(
-        PLANT, robot, GRID.substep_s, np.random.default_rng(0), LimitsConfiguration()
+        PLANT,
+        robot,
+        GRID.substep_s,
+        np.random.default_rng(0),
+        LimitsConfiguration(),
+        no_drive_feedback(robot.joints),
     )
 
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
 from deploy.scenario.referenced_files import find_urdf
@@ -33,7 +34,12 @@ def read(encoders):
 def torques_of(**values):
     configuration = PlantConfiguration(actuator=ActuatorConfiguration(**values))
     return JointTorques(
-        configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration()
+        configuration,
+        ROBOT,
+        SUBSTEP_S,
+        np.random.default_rng(0),
+        LimitsConfiguration(),
+        no_drive_feedback(ROBOT.joints),
     )
 
 
@@ -144,7 +150,12 @@ def test_total_is_actuator_less_friction_less_disturbance():
         }
     )
     torques = JointTorques(
-        configuration, ROBOT, SUBSTEP_S, np.random.default_rng(0), LimitsConfiguration()
+        configuration,
+        ROBOT,
+        SUBSTEP_S,
+        np.random.default_rng(0),
+        LimitsConfiguration(),
+        no_drive_feedback(ROBOT.joints),
     )
     total, _ = acted(torques, [10.0, 20.0, 30.0], velocity=[1.0, -1.0, 2.0])
     assert torques.actuator.tolist() == [10.0, 20.0, 30.0]

@@ -1,0 +1,119 @@
+"""What a scenario makes of its controller's compensation and of its drives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deploy.processes.real_delay import knowing_real_delay
+from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+ON = "controller.delay_compensation.enabled=true"
+EXPECTED = "controller.delay_compensation.expected_round_trip_ms"
+DRIVES = "controller.drive_feedback.enabled=true"
+DELAYS = ("link.uplink.delay_ms=10", "link.downlink.delay_ms=5")
+
+
+def setup_of(*overrides):
+    return load_setup("paper_arm", overrides)
+
+
+def first_horizon_ms(setup):
+    return setup.control_task().compensation.timeline.horizon_ns * 1e-6
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected_ms"),
+    [
+        ((), 0.0), (DELAYS, 15.0), ((*DELAYS, f"{EXPECTED}=40"), 40.0),
+        ((*DELAYS, f"{EXPECTED}=0"), 0.0), ((*DELAYS, "link.playout_ms=24"), 24.0),
+        ((f"{EXPECTED}=0.25",), 0.25),
+    ],
+)  # fmt: skip
+def test_first_horizon_is_what_is_expected_of_the_round_trip(overrides, expected_ms):
+    assert first_horizon_ms(setup_of(ON, *overrides)) == expected_ms
+
+
+@pytest.mark.parametrize("value", ["-1", ".nan", ".inf", "soon"])
+def test_a_round_trip_that_cannot_be_is_refused(value):
+    with pytest.raises(ScenarioError, match="expected_round_trip_ms"):
+        setup_of(ON, f"{EXPECTED}={value}")
+
+
+def test_a_real_delay_adds_to_what_is_expected_unless_the_scenario_says():
+    assert first_horizon_ms(knowing_real_delay(setup_of(ON, *DELAYS), 30.0)) == 45.0
+    said = setup_of(ON, *DELAYS, f"{EXPECTED}=7")
+    assert first_horizon_ms(knowing_real_delay(said, 30.0)) == 7.0
+
+
+def test_drives_add_nothing_by_default():
+    setup = setup_of(ON)
+    assert not setup.drive.is_active
+    assert not setup.plant_task(lockstep=True).takes_targets
+    assert not setup.control_task().sends_targets
+
+
+def test_drives_are_critically_damped_for_the_inertia_they_govern():
+    setup = setup_of(DRIVES, "controller.drive_feedback.bandwidth_rad_s=50")
+    inertia = setup.governing_inertia_kg_m2
+    np.testing.assert_allclose(setup.drive.stiffness_nm_rad, 2500.0 * inertia, rtol=1e-12)
+    np.testing.assert_allclose(setup.drive.damping_nm_s, 100.0 * inertia, rtol=1e-12)
+    assert setup.plant_task(lockstep=True).takes_targets
+    assert setup.control_task().sends_targets
+
+
+def test_gains_of_the_drives_can_be_given():
+    setup = setup_of(DRIVES, "plant.drive_feedback.stiffness_nm_rad=[900, 800, 70]")
+    assert setup.drive.stiffness_nm_rad.tolist() == [900.0, 800.0, 70.0]
+    np.testing.assert_allclose(
+        setup.drive.damping_nm_s, 200.0 * setup.governing_inertia_kg_m2, rtol=1e-12
+    )
+    setup = setup_of(DRIVES, "plant.drive_feedback.damping_nm_s=4")
+    assert setup.drive.damping_nm_s.tolist() == [4.0, 4.0, 4.0]
+
+
+def test_drives_of_a_plant_take_targets_that_this_controller_does_not_send():
+    setup = setup_of("plant.drive_feedback.enabled=true")
+    assert setup.drive.is_active
+    assert setup.plant_task(lockstep=True).takes_targets
+    assert not setup.control_task().sends_targets
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("plant.drive_feedback.stiffness_nm_rad=[1, 2]", "plant.drive_feedback.stiffness_nm_rad"),
+        ("plant.drive_feedback.damping_nm_s=[1, 2]", "plant.drive_feedback.damping_nm_s"),
+        ("plant.drive_feedback.encoder.resolution_rad=[1, 2]",
+         "plant.drive_feedback.encoder.resolution_rad"),
+        ("plant.drive_feedback.encoder.velocity_noise_rad_s=[1, 2]",
+         "plant.drive_feedback.encoder.velocity_noise_rad_s"),
+        ("plant.drive_feedback.stiffness_nm_rad=-1", "plant.drive_feedback.stiffness_nm_rad"),
+        ("controller.drive_feedback.bandwidth_rad_s=0",
+         "controller.drive_feedback.bandwidth_rad_s"),
+        ("controller.drive_feedback.stiffness=1", "controller.drive_feedback.stiffness"),
+    ],
+)  # fmt: skip
+def test_bad_settings_of_drives_are_refused_by_their_key(override, key):
+    with pytest.raises(ScenarioError, match=key):
+        setup_of(DRIVES, override)
+
+
+@pytest.mark.parametrize("side", ["controller", "plant"])
+def test_drives_over_can_are_refused_before_anything_starts(funnel_hil, nothing_starts, side):
+    key = f"{side}.drive_feedback.enabled"
+    code, output = funnel_hil("simulate", "paper_arm_can", "--set", f"{key}=true")
+    assert code == 2
+    assert f"{key} = True" in output
+    assert "over CAN" in output
+
+
+def test_what_drives_are_told_is_written_out(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    setup = setup_of(ON, DRIVES, f"{EXPECTED}=12.5", "plant.drive_feedback.damping_nm_s=4")
+    path.write_text(effective_scenario(setup))
+    again = load_setup(str(path))
+    assert again.drive.damping_nm_s.tolist() == [4.0, 4.0, 4.0]
+    assert again.control_task().sends_targets
+    assert first_horizon_ms(again) == 12.5
