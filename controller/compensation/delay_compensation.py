@@ -35,7 +35,6 @@ from controller.reference import Reference
 from controller.rigid_bodies import mass_and_load
 
 
-
 class Arm(NamedTuple):
     """All that a prediction works with, for compiled code.
 
@@ -195,7 +194,7 @@ def _learn(
 @compiled
 def _is_inside(error: Vector, bounds: Matrix) -> bool:
     """Whether all errors are inside the funnel; what is learned in a lost arm's motion is wild."""
-    for i in range(error.size):
+    for i in range(error.size):  # noqa: SIM110 (numba compiles no generators)
         if not -bounds[LOWER, i] < error[i] < bounds[UPPER, i]:
             return False
     return True
