@@ -27,7 +27,7 @@ WINDOW_S = 0.016
 
 # Standard deviations at the start, and how far each may walk in a second. Those of f, c and b are
 # per kg m² of the inertia that governs a joint. Ours, from three arms.
-_AT_START = {"inertia": 0.3, "payload_kg": 2.0, "lag_s": 2e-3, "f": 1.0, "c": 8.0, "b": 5.0}
+_AT_START = {"inertia": 0.3, "payload_kg": 2.0, "lag_s": 2e-3, "f": 1.0, "c": 5.0, "b": 3.0}
 _PER_ROOT_S = {"inertia": 0.01, "payload_kg": 0.1, "lag_s": 1e-4, "f": 0.5, "c": 0.05, "b": 0.05}
 _NOISE_RAD_S2 = 1.0
 _SATURATED = 0.999
