@@ -142,13 +142,14 @@ def test_the_table_is_readable_where_no_terminal_tells_its_width(funnel_hil, tmp
     assert "…" not in output
 
 
-def test_the_shipped_study_asks_for_all_laws_on_both_arms_with_and_without_compensation():
+def test_the_shipped_study_asks_for_all_laws_on_both_arms_in_all_settings():
     path = find_yaml("delay_margin", SHIPPED)
     definition = validated(read_yaml(path), MarginDefinition, path)
     assert definition.laws == list(LAWS)
     assert definition.scenarios == ["paper_arm", "iiwa"]
     assert definition.compensation == [False, True]
-    assert definition.duration_s == 8.0
+    assert definition.drive_feedback == [False, True]
+    assert definition.duration_s is None  # the scenarios' own
 
 
 @pytest.mark.parametrize(

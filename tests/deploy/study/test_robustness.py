@@ -201,7 +201,7 @@ def test_a_plant_that_the_scenario_refuses_is_named_with_what_was_drawn():
 @pytest.mark.parametrize("file", sorted(SHIPPED.glob("uncertain_*.yaml")), ids=lambda f: f.stem)
 def test_shipped_studies_can_be_run(file):
     study = margin_study(read_yaml(file), file)
-    assert study.expected == 2 * 6 * 40
+    assert study.expected == 4 * 6 * 40
     assert all(base.scenario.duration_s == 8.0 for base in study.bases)
 
 
