@@ -42,8 +42,10 @@ DURATION_S = 8.0
 START_S = 0.5
 FIXED = frozenset(
     {"phi_1", "phi_2", "gamma_1", "gamma_2", "phi", "psi", "power", "eta", "boundary_layer"}
+    | {"delayed_node_width", "delayed_adaptation", "delayed_k_2", "half_way_s"}
 )
-"""Gains that are not tuned; where travel is limited, those without `boundary_layer`."""
+"""Gains that are not tuned, nor are those for delays that are compensated; where travel is limited,
+those without `boundary_layer`."""
 
 SMOOTHED = FIXED - {"boundary_layer"}
 HARDWARE = (

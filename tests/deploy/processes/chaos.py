@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -153,9 +154,9 @@ def run_under_attack(seed: int) -> AttackedRun:
     arm, asked = setup.arm(), [0.0]
     command = arm.command
 
-    def note_command(torque_nm: Vector) -> None:
+    def note_command(torque_nm: Vector, *rest: Any) -> None:
         asked.append(float(np.abs(torque_nm).max()))
-        command(torque_nm)
+        command(torque_nm, *rest)
 
     arm.command = note_command
     outcome = PlantLoop(setup.plant_task(lockstep=True), arm, link, clock).run()
