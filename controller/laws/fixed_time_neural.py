@@ -64,7 +64,7 @@ class FixedTimeNeuralGains(NamedTuple):
     delayed_node_width: Positive = 1.5
     delayed_adaptation: Positive = 1.0
     delayed_k_2: NonNegative = 1.0
-    half_way_s: Positive = 0.024
+    half_way_s: Positive = 0.008
 
     @classmethod
     def from_inertia(cls, inertia_kg_m2: Vector) -> FixedTimeNeuralGains:
