@@ -82,11 +82,6 @@ class ManipulatorModel:
         full = pinocchio.crba(self._model, self._data, self._sorted(position))
         return np.asarray(full[self._upper])
 
-    def inverse_mass_matrix(self, position: Vector) -> Matrix:
-        """M(q)⁻¹, shape (joints, joints), 1/(kg m²)."""
-        full = pinocchio.computeMinverse(self._model, self._data, self._sorted(position))
-        return np.asarray(full[self._upper])
-
     def governing_inertia(self, positions: Matrix) -> Vector:
         """Inertia by which joint gains may be sized on a motion, shape (joints,), kg m².
 

@@ -2,7 +2,7 @@
 
 The rigid-body terms M and C q̇ + G change slowly: they are taken anew every few milliseconds, for
 the middle of the stretch they stand for. Friction is stiff: it is integrated in steps of at most a
-millisecond, implicitly in the velocity. So is what the drives add of their own.
+millisecond, implicitly in the velocity. What the drives add of their own is soft beside it.
 """
 
 from __future__ import annotations
