@@ -32,6 +32,8 @@ _PER_ROOT_S = {"inertia": 0.01, "payload_kg": 0.1, "lag_s": 1e-4, "f": 0.5, "c":
 _NOISE_RAD_S2 = 1.0
 _SATURATED = 0.999
 """Share of its limit at which an actuator may give less than it was asked for."""
+_ROUNDS_TO_LIMITS = 3
+"""To bring one entry back may push another out; what is left then is cut off."""
 _LARGEST_FRICTION_RAD_S2 = 30.0
 """No joint is believed to have more dry friction than this, nor more viscous friction per rad/s."""
 
@@ -247,11 +249,31 @@ def _correct(filter_: Identification, row: Vector, measured: float, noise: float
 
 
 @compiled
+def _keep_within_limits(filter_: Identification) -> None:
+    """Bring each entry that left its limits back to them, and what is correlated with it along.
+
+    So the estimate stays the likeliest within the limits (D. Simon, "Kalman filtering with state
+    constraints", IET Control Theory & Applications 4, 2010, section 2.4). Had only the entry itself
+    been cut off, the others would be right together with a value that nobody believes: every window
+    would then drive them further away.
+    """
+    theta, covariance = filter_.estimate, filter_.covariance
+    for _ in range(_ROUNDS_TO_LIMITS):
+        for k in range(theta.size):
+            beyond = theta[k] - min(max(theta[k], filter_.lowest[k]), filter_.highest[k])
+            if beyond != 0.0 and covariance[k, k] > 0.0:
+                share = beyond / covariance[k, k]
+                for j in range(theta.size):
+                    theta[j] -= share * covariance[j, k]
+    for k in range(theta.size):
+        theta[k] = min(max(theta[k], filter_.lowest[k]), filter_.highest[k])
+
+
+@compiled
 def _believe(nominal: NominalArm, filter_: Identification, belief: ArmBelief) -> None:
     """Bring the belief up to date with the estimate, within its limits."""
     theta, joints = filter_.estimate, belief.coulomb_nm.size
-    for k in range(theta.size):
-        theta[k] = min(max(theta[k], filter_.lowest[k]), filter_.highest[k])
+    _keep_within_limits(filter_)
     belief.inertia[:] = (1.0 + theta[INERTIA]) * nominal.inertia
     belief.inertia[:] += theta[PAYLOAD] * nominal.tip_inertia
     belief.lag_s[0] = theta[LAG]

@@ -157,6 +157,22 @@ def test_what_is_not_to_be_learned_stays_as_it_is():
     assert viscous.any()
 
 
+@pytest.mark.parametrize("delay", [8, 64])
+def test_an_entry_at_its_limit_does_not_drive_the_others_away(delay):
+    """Driving torques look like negative friction, which is not believed, nor is all that goes with
+    it: with friction alone cut off at 0, payload was soon believed to be 3 kg."""
+    driving = np.array([25.0, -40.0, 12.0])
+    bench = Bench(
+        law=soft_spring, reference=EXCITING, funnel=WIDE, model=True, friction=True,
+        plant=ManipulatorModel(ROBOT, scale=1.1), missing=lambda _velocity: driving,
+    )  # fmt: skip
+    for _ in range(10):
+        bench.run(100, delay)
+        inertia, payload, *_ = split(bench)
+        assert -0.25 <= inertia <= 0.45, bench.tick
+        assert payload <= 2.0, bench.tick
+
+
 def test_nothing_is_learned_outside_the_funnel():
     """Bounds of 0.1 mrad, which a spring does not keep; the brakes hold for the first ticks."""
     plant = ManipulatorModel(ROBOT, scale=1.3)

@@ -107,6 +107,28 @@ def test_chattering_is_not_mistaken_for_friction():
     assert summarise(data)["bounds"]["kept"]
 
 
+def test_what_is_learned_in_the_first_moments_of_a_chattering_law_is_sane():
+    """Inertia went to its limit, 2.5 times, and the elbow out of its bounds at 0.44 s."""
+    data = run(
+        ON, "controller.law=smc", "robot.initial_offset_rad=[-0.075, 0.06, -0.05]",
+        up_ms=32, down_ms=32, duration_s=1,
+    ).data()  # fmt: skip
+    believed = data.tables["control_status"]["inertia_factor"]
+    assert np.abs(believed / (1.0 / 0.9) - 1.0).max() <= 0.3
+    assert summarise(data)["bounds"]["kept"]
+
+
+def test_iiwa_from_another_start_stays_smooth():
+    """Its light joints began to jolt at 8.8 s, with the period of the delay, and left at 18.7 s."""
+    delays = ["link.uplink.delay_ms=4", "link.downlink.delay_ms=4"]
+    start = "robot.initial_offset_rad=[-0.05, 0.04, -0.05, -0.04, 0.05, -0.04, -0.05]"
+    data = simulate(load_setup("iiwa", [ON, *delays, start, "duration_s=10"])).data()
+    velocity = data.tables["plant_truth"]["velocity"][2000:]
+    jolts = velocity[4:-4] - 0.5 * (velocity[8:] + velocity[:-8])
+    assert np.abs(jolts).max() <= 1e-3
+    assert summarise(data)["bounds"]["kept"]
+
+
 def test_replay_gives_the_same_bits_with_compensation(tmp_path):
     simulation = run(ON, up_ms=10, down_ms=10, duration_s=0.5)
     simulation.write_log(tmp_path / "run.mcap")
