@@ -85,13 +85,14 @@ class CheckedRecords:
         self.lacks_checksums = False
 
     def __iter__(self) -> Iterator[McapRecord]:
-        if self._take(len(_MAGIC)) != _MAGIC:
+        if not _MAGIC.startswith(self._take(len(_MAGIC))):
             self.damage.append("it does not begin as an MCAP file does")
-        while not self.is_finished and (raw := self._next()) is not None:
+        while (raw := self._next()) is not None:
             if raw.opcode == Opcode.DATA_END:
                 self._end_data(raw)
             elif raw.opcode == Opcode.FOOTER:
                 self._end_file(raw)
+                return
             else:
                 yield from self._parsed(raw)
 
@@ -133,7 +134,6 @@ class CheckedRecords:
         self._check_section(raw.content, raw.crc, "its data are not what was written")
 
     def _end_file(self, raw: _Raw) -> None:
-        self.is_finished = True
         head = _HEAD.pack(raw.opcode, len(raw.content))
         covered = zlib.crc32(head + raw.content[: -_CRC.size], raw.crc)
         if not self._has_data_end or len(raw.content) != _FOOTER_BYTES:
@@ -142,8 +142,12 @@ class CheckedRecords:
             self._check_section(
                 raw.content[-_CRC.size :], covered, "its summary is not what was written"
             )
-        if self._take(len(_MAGIC)) != _MAGIC or self._position != self._size:
+        end, mark = self._position, self._take(len(_MAGIC))
+        self.is_finished = mark == _MAGIC
+        if not _MAGIC.startswith(mark) or self._position != self._size:
             self.damage.append("behind its end there is something else than the mark of an end")
+        elif not self.is_finished:
+            self.cut_off_at = end
 
     def _check_section(self, expected: bytes, actual: int, otherwise: str) -> None:
         self.lacks_checksums |= expected == bytes(_CRC.size)

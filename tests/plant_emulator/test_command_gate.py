@@ -250,9 +250,7 @@ def test_drives_that_take_torques_alone_are_given_no_target():
     assert not bench.rejected
 
 
-@pytest.mark.parametrize(
-    ("data", "reason"), [*REJECTIONS, (payload(5, (9.0, 9.0, 9.0)), "stale")]
-)
+@pytest.mark.parametrize(("data", "reason"), [*REJECTIONS, (payload(5, (9.0, 9.0, 9.0)), "stale")])
 def test_rejected_command_in_the_commanders_name_bars_none_of_its_own(data, reason):
     bench = Bench()
     assert bench.admit(payload(5), sequence=1) is not None
