@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -165,3 +166,11 @@ def test_notes_are_bounded():
     events = [RunEvent(0, f"{number}", EventKind.ENDED, '{"ticks": "x"}') for number in range(1000)]
     _, notes = what_was_told(events)
     assert 0 < len(notes) < 100
+
+
+def test_summary_says_what_one_commander_is_worth():
+    data = short_run().data()
+    assert summarise(data)["commander"] == {"authenticated": None, "note": None}
+    on_a_bus = summarise(replace(data, link="zenoh"))["commander"]
+    assert on_a_bus["authenticated"] is False
+    assert "link.security" in on_a_bus["note"]
