@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 _REMEMBERED = 1000
 """Messages; a link that changes their order does so by far less."""
 
@@ -18,7 +20,7 @@ class SenderNumbers:
     """
 
     def __init__(self) -> None:
-        self._contents: dict[int, int] = {}  # hash by number, oldest first
+        self._contents: OrderedDict[int, int] = OrderedDict()  # hash by number, oldest first
         self._highest = 0
         self.second_source: str | None = None
 
@@ -40,5 +42,5 @@ class SenderNumbers:
         self._highest = max(number, self._highest)
         self._contents[number] = contents
         if len(self._contents) > _REMEMBERED:
-            del self._contents[next(iter(self._contents))]
+            self._contents.popitem(last=False)
         return True

@@ -135,11 +135,12 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
-    if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
-        Console(stderr=True).print(_OPEN_SCHEDULER.format(scheduler), markup=False, soft_wrap=True)
     stop, console, lost = threading.Event(), Console(), None
     path = find_folder(study, out)
     with DaskWorkers(workers, scheduler) as team:
+        if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
+            warning = _OPEN_SCHEDULER.format(scheduler)
+            Console(stderr=True).print(warning, markup=False, soft_wrap=True)
         folder = StudyFolder(path or create_folder(study, out), study)
         folder.lock()
         on_interrupt(stop.set)

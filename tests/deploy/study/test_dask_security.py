@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dask
 import pytest
+import typer
+import yaml
 from distributed import LocalCluster
 from distributed.security import Security
 
@@ -50,13 +52,30 @@ def test_who_has_no_certificate_is_told_and_not_let_in(tls_scheduler):
         DaskWorkers(scheduler=tls_scheduler)
 
 
-@pytest.mark.parametrize(
-    ("address", "is_open"), [("tcp://127.0.0.1:9", True), ("tls://127.0.0.1:9", False)]
-)
-def test_an_open_scheduler_is_warned_of(address, is_open, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ScenarioError, match="--scheduler"):
-        studies.sweep("delay_sweep", scheduler=address)
-    said = capsys.readouterr().err
-    assert ("can run code" in said) == is_open
-    assert ("TLS" in said) == is_open
+def warning_of(address, folder, capsys):
+    """What a sweep of one short run on a scheduler says on stderr."""
+    file = folder / "one.yaml"
+    wanted = {
+        "name": "one", "scenario": "paper_arm", "set": {"duration_s": 0.02},
+        "grid": {"plant.payload_kg": [0.0]},
+    }  # fmt: skip
+    file.write_text(yaml.safe_dump(wanted))
+    with pytest.raises(typer.Exit) as left:
+        studies.sweep(str(file), scheduler=address, out=folder / "out")
+    assert left.value.exit_code == 0
+    return capsys.readouterr().err
+
+
+def test_an_open_scheduler_is_warned_of(tmp_path, capsys):
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1",
+        dashboard_address=None,
+    ) as cluster:  # fmt: skip
+        said = warning_of(cluster.scheduler_address, tmp_path, capsys)
+    assert "can run code" in said
+    assert "TLS" in said
+
+
+def test_one_under_tls_is_not_warned_of(credentials, tls_scheduler, tmp_path, capsys):
+    with dask.config.set(credentials):
+        assert "can run code" not in warning_of(tls_scheduler, tmp_path, capsys)
