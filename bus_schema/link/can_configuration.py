@@ -56,6 +56,8 @@ class CanConfiguration(StrictModel):
         channel: what the interface calls the bus; by default ``vcan0``, a multicast address, or a
             name.
         port: UDP port of ``udp_multicast``.
+        hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
+            machine alone; 1 its network, where anybody can then command the drives; more routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
         fd: the bus carries CAN FD frames too. Neither protocol sends any.
         data_bitrate: bit rate of the data phase of FD frames.
@@ -76,6 +78,7 @@ class CanConfiguration(StrictModel):
     interface: str = "socketcan"
     channel: str | None = None
     port: Annotated[int, Field(ge=1, le=65_535)] = 43_113
+    hop_limit: Annotated[int, Field(ge=0, le=255)] = 0
     bitrate: Literal[125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
     fd: bool = False
     data_bitrate: Annotated[int, Field(ge=125_000, le=8_000_000)] | None = None

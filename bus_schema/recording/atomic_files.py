@@ -19,6 +19,11 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
+def is_partial(path: Path) -> bool:
+    """Whether a file has the name of one that is not complete."""
+    return path.stem.endswith(".partial")
+
+
 def complete(path: Path) -> None:
     """Give a file that is written its name, once it is safe on the disk.
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from controller.laws.custom import custom_laws_left_out, is_custom
 from deploy.cli.common import (
     Out,
     Overrides,
@@ -32,11 +33,12 @@ from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_
 from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_table
-from deploy.reports.verdict import PARTIAL
+from deploy.reports.verdict import PARTIAL, damaged
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import ScenarioError, naming
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 
@@ -74,18 +76,36 @@ def compare(
     )
 
 
-def replay(run_dir: RunDirectory) -> None:
+def replay(
+    run_dir: RunDirectory,
+    allow_custom_law: Annotated[
+        bool,
+        typer.Option(
+            "--allow-custom-law",
+            help="Import and run the law of one's own that the recording names.",
+        ),
+    ] = False,
+) -> None:
     """Feed a recorded run to the law again and compare the torques bit for bit."""
     data, contents = load_run(run_dir)
-    result = replay_run(data.setup, contents)
+    law = data.setup.scenario.controller.law
+    if is_custom(law) and not allow_custom_law:
+        raise ScenarioError(
+            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law imports"
+            " and runs it, which is code from wherever that module is found"
+        )
+    with naming(run_dir):
+        result = replay_run(data.setup, contents)
     console = Console()
-    if not data.complete:
+    if data.damage:
+        console.print(damaged(data.damage), markup=False)
+    elif not data.complete:
         console.print(PARTIAL)
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
     if result.is_identical:
-        console.print("[bold green]identical[/]")
-        return
+        console.print("[bold green]identical[/]" + " as far as can be read" * bool(data.damage))
+        raise typer.Exit(FAULT if data.damage else FINISHED)
     console.print(f"[bold red]different[/] from command {result.first_difference} on")
     raise typer.Exit(FAULT)
 
@@ -95,10 +115,15 @@ def report(
         Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
     ],
 ) -> None:
-    """Judge what was recorded again: summary.json and report.html of what a folder holds."""
+    """Judge what was recorded again: summary.json and report.html of what a folder holds.
+
+    No law of one's own is imported. A damaged recording is judged as far as it can be read, and
+    ends with exit code 1.
+    """
     console = Console()
     if is_study(run_dir):
-        report_study(run_dir, console)
+        with custom_laws_left_out():
+            report_study(run_dir, console)
     elif read_summary(run_dir).get("kind") == KIND:
         comparison_folder = ComparisonFolder(run_dir)
         _conclude_comparison(comparison_folder.load(), comparison_folder, console)
@@ -107,6 +132,7 @@ def report(
         folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
         show_summary(console, data, conclude(folder, data))
         console.print(f"report: {folder.report}", soft_wrap=True)
+        raise typer.Exit(FAULT if data.damage else FINISHED)
 
 
 def bench(

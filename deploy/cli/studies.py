@@ -46,6 +46,13 @@ from deploy.study.study import SHIPPED, Study
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
+_AUTHENTICATED = ("tls://", "wss://")
+_OPEN_SCHEDULER = (
+    "warning: --scheduler {}: anybody who reaches this scheduler can run code on it, on its workers"
+    " and here: without TLS, Dask asks nobody who they are and unpickles what comes. Keep it on"
+    " 127.0.0.1 or a network of your own, or run it under tls:// (deploy/README.md, Sweeps and"
+    " margins)"
+)
 _TABLES = {"margin": write_margin_table, "robustness": write_robustness_table}
 """What writes the table for documents, by kind of study."""
 
@@ -131,6 +138,9 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
     stop, console, lost = threading.Event(), Console(), None
     path = find_folder(study, out)
     with DaskWorkers(workers, scheduler) as team:
+        if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
+            warning = _OPEN_SCHEDULER.format(scheduler)
+            Console(stderr=True).print(warning, markup=False, soft_wrap=True)
         folder = StudyFolder(path or create_folder(study, out), study)
         folder.lock()
         on_interrupt(stop.set)

@@ -21,6 +21,7 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
 from bus_schema.recording.mcap_log import LogContents, read_log
+from controller.laws.custom import custom_laws_left_out
 from deploy.processes.recorder import (
     DELAYS_ATTACHMENT,
     LOST_METADATA,
@@ -127,6 +128,9 @@ def read_summary(path: Path) -> dict[str, Any]:
 def load_run(path: Path) -> tuple[RunData, LogContents]:
     """Read a run folder or an MCAP file back; where that is all there is, a partial recording.
 
+    The recording may be anybody's: a law that its scenario names and that is not shipped is not
+    imported, and does nothing in the setup.
+
     Raises:
         RunFolderError: there is no recording of ours.
     """
@@ -137,7 +141,10 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         raise RunFolderError(f"{path}: holds no run.mcap")
     contents = read_log(file)
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
-        raise RunFolderError(f"{file}: is no recording of funnel-hil (no scenario inside)")
+        damage = "".join(f"; it is damaged: {each}" for each in contents.damage)
+        raise RunFolderError(
+            f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
+        )
     with tempfile.TemporaryDirectory() as folder:
         scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
@@ -149,19 +156,29 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
                 (Path(folder) / name).write_bytes(contents.attachments[name])
                 overrides.append(f"link.{direction}.distribution_file={name}")
         try:
-            setup = load_setup(str(scenario), overrides)
+            with custom_laws_left_out():
+                setup = load_setup(str(scenario), overrides)
         except ScenarioError as error:
             raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
-    run, lost = contents.metadata.get(RUN_METADATA, {}), contents.metadata.get(LOST_METADATA)
+    run = contents.metadata.get(RUN_METADATA, {})
     data = build_run_data(
         setup,
         contents.payloads,
         clock=run.get("clock", "unknown"),
         link=run.get("link", "unknown"),
-        lost=None if lost is None else {topic: int(count) for topic, count in lost.items()},
+        lost=_counts(contents.metadata.get(LOST_METADATA)),
         complete=contents.complete,
+        damage=contents.damage,
+        lacks_checksums=contents.lacks_checksums,
     )
     return data, contents
+
+
+def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:
+    """Counts from a table of metadata; None where there is none, or something else."""
+    if told is None or not all(count.isdecimal() and len(count) < 19 for count in told.values()):
+        return None
+    return {name: int(count) for name, count in told.items()}
 
 
 def manifest_of(

@@ -1,4 +1,7 @@
-"""The long form of the fuzzing in the tests: ``scripts/fuzz [MUTATIONS] [FILES] [FRAMES]``."""
+"""The long form of the fuzzing in the tests:
+
+``scripts/fuzz [MUTATIONS] [FILES] [FRAMES] [RECORDINGS]``.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,16 @@ from pathlib import Path
 
 from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
+from recordings import try_recordings
 from scenarios import try_scenarios
 
 _WARM_UP = 20_000
 _PROGRESS = 50_000
 
 
-def main(mutations: int = 200_000, files: int = 300, frames: int = 20_000) -> None:
+def main(
+    mutations: int = 200_000, files: int = 300, frames: int = 20_000, recordings: int = 1_000
+) -> None:
     """Fuzz; an assertion or any other exception ends it with a traceback."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -36,6 +42,7 @@ def main(mutations: int = 200_000, files: int = 300, frames: int = 20_000) -> No
                 drives.attack()
             print(f"{protocol}: {frames} mutated frames, {drives.commanded} of them torques that")
             print(f"  acted as what they said; rejected: {dict(drives.reasons)}")
+        print(f"damaged recordings: {dict(try_recordings(recordings, 3, folder))}")
         print(f"scenario files: {dict(try_scenarios(files, 2, folder))}")
 
 

@@ -7,6 +7,7 @@ import logging
 import pytest
 from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
+from recordings import try_recordings
 from scenarios import try_scenarios
 
 from bus_schema.recording.mcap_log import read_log
@@ -45,3 +46,10 @@ def test_mutated_scenario_runs_or_is_refused(tmp_path):
     outcomes = try_scenarios(60, 11, tmp_path)
     assert outcomes["ran"] > 0
     assert outcomes["refused"] > 10
+
+
+def test_no_damaged_recording_is_taken_for_whole(tmp_path):
+    outcomes = try_recordings(200, 3, tmp_path)
+    assert set(outcomes) == {
+        "refused", "judged, all messages there", "judged as far as can be read",
+    }  # fmt: skip
