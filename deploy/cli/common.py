@@ -42,14 +42,14 @@ RequireBounds = Annotated[
 ]
 
 
-def parse_laws(text: str | None) -> list[str]:
-    """Names of laws from ``a,b,…``; all registered ones by default.
+def parse_laws(text: str | None) -> list[str] | None:
+    """Names of laws from ``a,b,…``; None for all, where none is given.
 
     Raises:
         ScenarioError: there is no name in it.
     """
     if text is None:
-        return list(LAWS)
+        return None
     laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not laws:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")

@@ -109,7 +109,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     """
     given = {
         "scenarios": options.scenario or None,
-        "laws": None if options.laws is None else parse_laws(options.laws),
+        "laws": parse_laws(options.laws),
         "compensation": _listed(options.compensation),
         "drive_feedback": _listed(options.drive_feedback),
         "running": _listed(options.running),

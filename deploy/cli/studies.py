@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import Out, on_interrupt, show_places
+from deploy.cli.common import Out, Overrides, on_interrupt, show_places
 from deploy.cli.margin_options import (
     MarginOptions,
     Plants,
@@ -38,7 +38,7 @@ from deploy.reports.study_tables import (
 )
 from deploy.reports.terminal import print_table
 from deploy.runs.run_rows import Row
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
@@ -57,6 +57,7 @@ def sweep(
     plants: Plants = None,
     plant_seed: PlantSeed = None,
     uncertainty: UncertaintyOption = None,
+    overrides: Overrides = None,
     workers: WorkerCount = None,
     scheduler: Scheduler = None,
     out: Out = None,
@@ -68,7 +69,8 @@ def sweep(
     """
     given = {"plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty}
     more = {key: value for key, value in given.items() if value is not None}
-    _conduct(load_sweep(definition, more), workers, scheduler, out)
+    fixed = dict(map(parse_override, overrides or []))
+    _conduct(load_sweep(definition, more, fixed), workers, scheduler, out)
 
 
 def margin(**words: Any) -> None:
