@@ -145,7 +145,7 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
             finally:
                 folder.flush()
     if _conclude(study, folder, console):
-        raise typer.Exit(FINISHED)
+        raise typer.Exit(FINISHED if _has_results(folder) else FAULT)
     reason = f"{lost}; the" if lost else "The"
     console.print(f"{reason} same command goes on from here.", markup=False)
     raise typer.Exit(FAULT if lost else INTERRUPTED)
@@ -166,6 +166,11 @@ def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     return bool(summary["completed"])
 
 
+def _has_results(folder: StudyFolder) -> bool:
+    """Whether a run came to anything."""
+    return any(row["error"] is None for row in folder.rows)
+
+
 def show_study(console: Console, summary: dict[str, Any]) -> None:
     """The result as a table."""
     if summary["kind"] == "margin":
@@ -182,4 +187,6 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")
     if summary["runs_failed"]:
-        console.print(f"[bold red]{summary['runs_failed']} runs failed[/]; their rows say why")
+        count = f"{summary['runs_failed']} of {summary['runs']}"
+        console.print(f"[bold red]{count} runs failed[/]; their rows say why. The commonest error:")
+        console.print(summary["commonest_error"], markup=False, soft_wrap=True)

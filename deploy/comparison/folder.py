@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
+from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_folder import (
     ResultFolder,
@@ -64,6 +65,8 @@ class ComparisonFolder(ResultFolder):
         data = simulation.data()
         run = LawRun(law, data, summarise(data))
         write_json(folder.summary, run.summary)
+        if (record := fault_record(data)) is not None:
+            write_json(folder.fault, record)
         return run
 
     def conclude(self, comparison: Comparison) -> None:
