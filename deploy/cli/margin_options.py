@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from deploy.cli.common import Out, Overrides, parse_laws
+from deploy.cli.common import Out, Overrides, Overwrite, parse_laws
 from deploy.scenario.yaml_files import ScenarioError, parse_override
 
 WorkerCount = Annotated[
@@ -99,6 +99,7 @@ class MarginOptions:
     workers: WorkerCount = None
     scheduler: Scheduler = None
     out: Out = None
+    overwrite: Overwrite = False
 
 
 def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:

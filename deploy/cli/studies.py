@@ -12,7 +12,14 @@ import typer
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import Out, Overrides, on_interrupt, show_places
+from deploy.cli.common import (
+    Out,
+    Overrides,
+    Overwrite,
+    judging,
+    on_interrupt,
+    show_places,
+)
 from deploy.cli.margin_options import (
     MarginOptions,
     Plants,
@@ -61,6 +68,7 @@ def sweep(
     workers: WorkerCount = None,
     scheduler: Scheduler = None,
     out: Out = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run every point of a grid with every seed, on all cores or a Dask cluster.
 
@@ -70,7 +78,7 @@ def sweep(
     given = {"plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty}
     more = {key: value for key, value in given.items() if value is not None}
     fixed = dict(map(parse_override, overrides or []))
-    _conduct(load_sweep(definition, more, fixed), workers, scheduler, out)
+    _conduct(load_sweep(definition, more, fixed), workers, scheduler, out, overwrite=overwrite)
 
 
 def margin(**words: Any) -> None:
@@ -86,7 +94,10 @@ def margin(**words: Any) -> None:
         path = find_yaml(options.study, SHIPPED)
         values = read_yaml(path)
     values = definition_with(options, values)
-    _conduct(margin_study(values, path), options.workers, options.scheduler, options.out)
+    _conduct(
+        margin_study(values, path), options.workers, options.scheduler, options.out,
+        overwrite=options.overwrite,
+    )  # fmt: skip
 
 
 vars(margin)["__signature__"] = inspect.signature(MarginOptions, eval_str=True)  # for typer
@@ -120,31 +131,36 @@ def report_study(path: Path, console: Console) -> None:
     study = read_study(path)
     folder = StudyFolder(path.resolve(), study)
     folder.lock()
-    retrace(study, folder)
-    _conclude(study, folder, console)
+    with folder:
+        retrace(study, folder)
+        _conclude(study, folder, console)
 
 
-def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path | None) -> None:
+def _conduct(
+    study: Study, workers: int | None, scheduler: str | None, out: Path | None, *, overwrite: bool
+) -> None:
     """Carry a study out, or on, and show what came of it."""
     if workers is not None and scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
     stop, console, lost = threading.Event(), Console(), None
-    path = find_folder(study, out)
+    path = None if overwrite else find_folder(study, out)
     with DaskWorkers(workers, scheduler) as team:
-        folder = StudyFolder(path or create_folder(study, out), study)
+        folder = StudyFolder(path or create_folder(study, out, overwrite=overwrite), study)
         folder.lock()
-        on_interrupt(stop.set)
-        name = study.definition.name
-        with CommandProgress(console, name, study.expected, "runs") as progress:
-            try:
-                carry_out(study, team, folder, RunCounter(progress), stop)
-            except ClusterLostError as error:
-                lost = error
-            finally:
-                folder.flush()
-    if _conclude(study, folder, console):
+        with folder:
+            on_interrupt(stop.set)
+            name = study.definition.name
+            with CommandProgress(console, name, study.expected, "runs") as progress:
+                try:
+                    carry_out(study, team, folder, RunCounter(progress), stop)
+                except ClusterLostError as error:
+                    lost = error
+                finally:
+                    folder.flush()
+            completed = _conclude(study, folder, console)
+    if completed:
         raise typer.Exit(FINISHED if _has_results(folder) else FAULT)
     reason = f"{lost}; the" if lost else "The"
     console.print(f"{reason} same command goes on from here.", markup=False)
@@ -153,10 +169,12 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
 
 def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     """Write table, summary and report; whether the study is complete."""
-    folder.put_together()
-    summary = study.summary(folder.rows)
-    write_json(folder.summary, summary)
-    write_study_report(summary, folder)
+    with judging(console, folder):
+        folder.put_together()
+        summary = study.summary(folder.rows)
+        write_json(folder.summary, {**summary, "completed": False})  # until all is written
+        write_study_report(summary, folder)
+        write_json(folder.summary, summary)
     show_study(console, summary)
     write_table = _TABLES.get(study.kind)
     if write_table is not None:
