@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, NoReturn
@@ -37,19 +38,25 @@ Overrides = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
 ]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
+]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
 
 
-def parse_laws(text: str | None) -> list[str]:
-    """Names of laws from ``a,b,…``; all registered ones by default.
+_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def parse_laws(text: str | None) -> list[str] | None:
+    """Names of laws from ``a,b,…``; None for all, where none is given.
 
     Raises:
         ScenarioError: there is no name in it.
     """
     if text is None:
-        return list(LAWS)
+        return None
     laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not laws:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
@@ -126,17 +133,65 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     summary = summarise(run)
     summary["faults"] = [*more_faults, *summary["faults"]]
     summary["completed"] = summary["completed"] and not more_faults
-    write_json(folder.summary, summary)
-    if (record := fault_record(run)) is not None:
-        write_json(folder.fault, record)
-    write_report(run, summary, folder.report)
+    write_json(folder.summary, {**summary, "completed": False})  # until all is written
+    try:
+        if (record := fault_record(run)) is not None:
+            write_json(folder.fault, record)
+        write_report(run, summary, folder.report)
+    except OSError as error:
+        summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
+        summary["completed"] = False
+    with contextlib.suppress(OSError):  # a full disk has the one from before
+        write_json(folder.summary, summary)
     return summary
+
+
+@contextlib.contextmanager
+def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
+    """For what is worked out once the runs are over: a request to stop ends it at once.
+
+    What is written by then stays; `funnel-hil report` works out the rest.
+    """
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        raise _StoppedError
+
+    before = {number: signal.signal(number, stop) for number in _STOPS}
+    try:
+        yield
+    except _StoppedError:
+        console.print(
+            f"stopped while judging: funnel-hil report {folder.path} does it again", soft_wrap=True
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class _StoppedError(BaseException):
+    """A request to stop, which nothing that handles errors takes for one."""
 
 
 def finish(
     console: Console, folder: RunFolder, outcome: RunOutcome, *, require_bounds: bool
 ) -> None:
     """Judge a run, show the result, and leave with the exit code it deserves."""
+    with judging(console, folder):
+        data, summary = _judge(console, folder, outcome)
+    show_summary(console, data, summary)
+    show_places(console, folder)
+    leave(
+        interrupted=outcome.interrupted,
+        whole=summary["completed"] and not summary["faults"],
+        kept=summary["bounds"]["kept"] or not require_bounds,
+    )
+
+
+def _judge(
+    console: Console, folder: RunFolder, outcome: RunOutcome
+) -> tuple[RunData, dict[str, Any]]:
+    """The data of a run, and its summary; leaves where there is nothing to judge."""
     try:
         data, _ = load_run(folder.path)
     except RunFolderError as error:
@@ -145,11 +200,4 @@ def finish(
             console.print(escape(fault))
         write_json(folder.summary, {"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
-    summary = conclude(folder, data, outcome.failures)
-    show_summary(console, data, summary)
-    show_places(console, folder)
-    leave(
-        interrupted=outcome.interrupted,
-        whole=summary["completed"] and not summary["faults"],
-        kept=summary["bounds"]["kept"] or not require_bounds,
-    )
+    return data, conclude(folder, data, outcome.failures)

@@ -13,9 +13,11 @@ from controller.laws.custom import custom_laws_left_out, is_custom
 from deploy.cli.common import (
     Out,
     Overrides,
+    Overwrite,
     RequireBounds,
     ScenarioArgument,
     conclude,
+    judging,
     leave,
     parse_laws,
     show_places,
@@ -55,25 +57,27 @@ def compare(
     ] = False,
     overrides: Overrides = None,
     out: Out = None,
+    overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
 ) -> None:
     """Run a scenario under several laws in virtual time, and set their results side by side."""
     setups = load_setups(scenario, overrides or [], parse_laws(laws))
-    folder = ComparisonFolder.begin(setups, out)
-    console, stop = Console(), threading.Event()
-    comparison = Comparison(_run_all(setups, folder, console, stop))
-    interrupted = stop.is_set()
-    if settling and not interrupted:
-        for setup in setups:
-            test = settling_test(setup)
-            comparison.settling.append(test)
-            console.print(settling_sentence(test), markup=False, highlight=False)
-    _conclude_comparison(comparison, folder, console)
-    leave(
-        interrupted=interrupted,
-        whole=all(run.is_whole for run in comparison.runs),
-        kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
-    )
+    folder = ComparisonFolder.begin(setups, out, overwrite=overwrite)
+    with folder:
+        console, stop = Console(), threading.Event()
+        comparison = Comparison(_run_all(setups, folder, console, stop))
+        interrupted = stop.is_set()
+        if settling and not interrupted:
+            for setup in setups:
+                test = settling_test(setup)
+                comparison.settling.append(test)
+                console.print(settling_sentence(test), markup=False, highlight=False)
+        _conclude_comparison(comparison, folder, console)
+        leave(
+            interrupted=interrupted,
+            whole=all(run.is_whole for run in comparison.runs),
+            kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
+        )
 
 
 def replay(
@@ -126,12 +130,18 @@ def report(
             report_study(run_dir, console)
     elif read_summary(run_dir).get("kind") == KIND:
         comparison_folder = ComparisonFolder(run_dir)
-        _conclude_comparison(comparison_folder.load(), comparison_folder, console)
+        comparison_folder.lock()
+        with comparison_folder:
+            _conclude_comparison(comparison_folder.load(), comparison_folder, console)
     else:
         data, _ = load_run(run_dir)
         folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-        show_summary(console, data, conclude(folder, data))
-        console.print(f"report: {folder.report}", soft_wrap=True)
+        folder.lock()
+        with folder:
+            with judging(console, folder):
+                summary = conclude(folder, data)
+            show_summary(console, data, summary)
+            console.print(f"report: {folder.report}", soft_wrap=True)
         raise typer.Exit(FAULT if data.damage else FINISHED)
 
 
@@ -172,8 +182,9 @@ def _conclude_comparison(
     comparison: Comparison, folder: ComparisonFolder, console: Console
 ) -> None:
     """Write rows, summary and report, and show what came of it."""
-    folder.conclude(comparison)
-    write_comparison_report(comparison, folder.report)
+    with judging(console, folder):
+        folder.conclude(comparison)
+        write_comparison_report(comparison, folder.report)
     _show_comparison(console, comparison)
     show_places(console, folder)
 

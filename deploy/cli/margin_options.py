@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from deploy.cli.common import Out, Overrides, parse_laws
+from deploy.cli.common import Out, Overrides, Overwrite, parse_laws
 from deploy.scenario.yaml_files import ScenarioError, parse_override
 
 WorkerCount = Annotated[
@@ -99,6 +99,7 @@ class MarginOptions:
     workers: WorkerCount = None
     scheduler: Scheduler = None
     out: Out = None
+    overwrite: Overwrite = False
 
 
 def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:
@@ -109,7 +110,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     """
     given = {
         "scenarios": options.scenario or None,
-        "laws": None if options.laws is None else parse_laws(options.laws),
+        "laws": parse_laws(options.laws),
         "compensation": _listed(options.compensation),
         "drive_feedback": _listed(options.drive_feedback),
         "running": _listed(options.running),

@@ -45,7 +45,7 @@ def show_summary(console: Console, run: RunData, summary: dict[str, Any]) -> Non
     print_table(console, timing_table(summary))
     if verdict.faults:
         first, *others = verdict.faults
-        console.print(f"[bold red]fault[/]  {escape(first)}")
+        console.print(f"[bold red]fault[/]  {escape(first)}", soft_wrap=True)
         if others:
             console.print(f"[dim]{len(others)} more that followed are in the report[/]")
     headline = verdict.headline[0].lower() + verdict.headline[1:]

@@ -41,6 +41,7 @@ class LinkKind(ABC, Generic[Arm]):
         arm_type: the arm behind it: with motor drives or without.
         logs_frames: whether its plant's side can write a log of frames.
         may_pin_loops: whether each loop may be bound to a CPU of its own.
+        draws_random_numbers: whether the link itself does, in a simulation.
         simulates_process_faults: whether a controller can be silenced in a simulation.
         no_link_faults: what is allowed in place of scheduled faults of messages, where there are
             none that the plant could change; None where there are.
@@ -51,6 +52,7 @@ class LinkKind(ABC, Generic[Arm]):
     arm_type: type[Arm]
     logs_frames = False
     may_pin_loops = True
+    draws_random_numbers = True
     simulates_process_faults = True
     no_link_faults: str | None = None
 

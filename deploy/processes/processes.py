@@ -26,7 +26,8 @@ from bus_schema.runtime.realtime import (
     use_batch_scheduling,
 )
 from controller.control_law import LOWER, UPPER
-from controller.control_loop import ControlLoop
+from controller.control_loop import ControlLoop, reason_of
+from controller.torque_guard import ControllerError
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.recorder import Recorder
@@ -112,15 +113,17 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
         return FAULT
     try:
         loop = ControlLoop(setup.control_task(), link)
-        loop.warm_up()
+        failure = _warm_up(loop)
         reporter.report(
             "note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}"
         )
         if await_recorder:
             link.await_recorder(run.link.connect_timeout_s, lambda: stop.is_set)
-        link.activate()
-        with _reporting_progress(reporter, lambda: _controller_progress(loop)):
-            return _control(loop, link, stop, reporter)
+        if failure is None:
+            link.activate()
+            with _reporting_progress(reporter, lambda: _controller_progress(loop)):
+                failure = _spin(link, stop)
+        return _end(loop, link, failure, reporter)
     except BusError as error:
         reporter.report("fault", text=str(error))
         return FAULT
@@ -129,23 +132,37 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
         link.close()
 
 
-def _control(
-    loop: ControlLoop,
-    link: ControllerLink,
-    stop: StopRequest,
-    reporter: StatusReporter,
-) -> int:
-    """Answer states to the end, and leave the bus in order; the exit code."""
-    code = FINISHED
+def _warm_up(loop: ControlLoop) -> Exception | None:
+    """Make the controller ready; what kept it from that, if anything did."""
+    try:
+        loop.warm_up()
+    except Exception as error:  # noqa: BLE001 (whatever a law does, the end is in order)
+        return error
+    return None
+
+
+def _spin(link: ControllerLink, stop: StopRequest) -> Exception | None:
+    """Answer states to the end; what stopped that, if anything did."""
     try:
         link.spin(lambda: stop.is_set)
-    except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
-        reporter.report("fault", text=str(error))
-        loop.stop(str(error))
-        code = FAULT
+    except Exception as error:  # noqa: BLE001 (whatever a law does, the end is in order)
+        return error
+    return None
+
+
+def _end(
+    loop: ControlLoop, link: ControllerLink, failure: Exception | None, reporter: StatusReporter
+) -> int:
+    """Leave the bus in order; the exit code."""
+    if failure is not None:
+        reason = reason_of(failure)
+        # What the bus does may follow from others; what the controller does is a cause.
+        is_cause = isinstance(failure, ControllerError)
+        reporter.report("fault", text=reason, is_cause=is_cause)
+        loop.stop(reason)
     reporter.report("result", **loop.end())
     link.await_recorded()
-    return code
+    return FINISHED if failure is None else FAULT
 
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:

@@ -86,11 +86,11 @@ class RunData:
         return self._told[0].get((role, kind), {})
 
     def faults(self) -> list[str]:
-        """All faults, a sentence each."""
+        """All faults, a sentence each, the first one first."""
+        found = [event for event in self.events if event.kind == EventKind.FAULT]
         return [
             f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
-            for event in self.events
-            if event.kind == EventKind.FAULT
+            for event in sorted(found, key=lambda event: event.stamp_ns)
         ]
 
 

@@ -8,16 +8,14 @@ from __future__ import annotations
 import json
 import os
 import platform
-import re
 import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from importlib import metadata
-from itertools import chain, count
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
 from bus_schema.recording.mcap_log import LogContents, read_log
@@ -29,14 +27,13 @@ from deploy.processes.recorder import (
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
+from deploy.runs.new_folder import FolderLock, new_folder
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.referenced_files import DIRECTIONS
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
-_LATER_LOG = re.compile(r"run-\d+(\.partial)?\.mcap|can-\d+\.log")
-"""What restarted processes write."""
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 
 
@@ -56,6 +53,23 @@ class ResultFolder:
         self.summary = path / "summary.json"
         self.manifest = path / "manifest.json"
         self.report = path / "report.html"
+        self._lock: FolderLock | None = None
+
+    def lock(self) -> None:
+        """Keep other commands from writing here until this object is left as a context, or ends.
+
+        Raises:
+            ScenarioError: another one is at it.
+        """
+        self._lock = FolderLock(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let others write here again."""
+        if self._lock is not None:
+            self._lock.close()
 
 
 class RunFolder(ResultFolder):
@@ -69,13 +83,14 @@ class RunFolder(ResultFolder):
         self.fault = path / "fault.json"
 
     @staticmethod
-    def begin(setup: Setup, out: Path | None) -> RunFolder:
-        """The folder of a new run, with the scenario in force and a manifest.
+    def begin(setup: Setup, out: Path | None, *, overwrite: bool = False) -> RunFolder:
+        """The folder of a new run, locked, with the scenario in force and a manifest.
 
         Raises:
             ScenarioError: as `new_folder`.
         """
-        folder = RunFolder(new_folder(setup.scenario.name, out))
+        folder = RunFolder(new_folder(setup.scenario.name, out, overwrite=overwrite))
+        folder.lock()
         write_whole(folder.scenario, effective_scenario(setup))
         folder.write_manifest(setup, {})
         return folder
@@ -92,28 +107,6 @@ class RunFolder(ResultFolder):
         """
         delay = {} if real_delay is None else {"real_delay": dict(real_delay)}
         write_json(self.manifest, manifest_of([setup], grants) | delay)
-
-
-def new_folder(name: str, out: Path | None) -> Path:
-    """A folder for new results, by default ``runs/<name>-<time>``; those of a run are removed.
-
-    Raises:
-        ScenarioError: it cannot be created or written to.
-    """
-    path = (out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")).resolve()
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
-    if not os.access(path, os.W_OK):
-        raise ScenarioError(f"--out {path}: is not writable")
-    old = RunFolder(path)
-    judged = (old.summary, old.manifest, old.report, old.fault)
-    later_logs = [file for file in path.iterdir() if _LATER_LOG.fullmatch(file.name)]
-    for file in (old.log, old.can_log, *judged, *later_logs):
-        file.unlink(missing_ok=True)
-        partial_path(file).unlink(missing_ok=True)
-    return path
 
 
 def read_summary(path: Path) -> dict[str, Any]:
@@ -211,12 +204,6 @@ def provenance() -> dict[str, Any]:
         },
         "versions": {name: _version(name) for name in _LIBRARIES},
     }
-
-
-def _unused(name: str) -> Path:
-    """A path of that name, with a number behind it where there is one already."""
-    candidates = chain([name], (f"{name}-{number}" for number in count(2)))
-    return next(path for path in map(Path, candidates) if not path.exists())
 
 
 def _version(name: str) -> str | None:

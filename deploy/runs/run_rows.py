@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bus_schema.recording.atomic_files import complete, partial_path
+from bus_schema.recording.atomic_files import complete, naming_file, partial_path
 
 _COLUMNS = {
     "scenario": "string",
@@ -80,7 +80,8 @@ def write_rows(
 
     columns = {**(more_columns or {}), **_COLUMNS}
     schema = pa.schema([(name, arrow_type(kind)) for name, kind in columns.items()])
-    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+    with naming_file(path):
+        parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
     complete(path)
 
 

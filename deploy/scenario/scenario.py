@@ -63,7 +63,10 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
     values = _read_scenario(path)
     for text in overrides:
         set_value(values, *parse_override(text))
-    return check(validated(values, Scenario, path), path)
+    scenario = validated(values, Scenario, path)
+    with naming(path):
+        _check_judged_time(scenario, overrides)
+    return check(scenario, path)
 
 
 def effective_scenario(setup: Setup) -> str:
@@ -76,6 +79,19 @@ def effective_scenario(setup: Setup) -> str:
     for key in {"plant_endpoint", "controller_endpoint"} - setup.scenario.link.model_fields_set:
         del values["link"][key]
     return to_yaml(values)
+
+
+def _check_judged_time(scenario: Scenario, overrides: Sequence[str]) -> None:
+    """Check that errors are summed up over some time.
+
+    The default, which files of runs write out, may lie beyond the end of a short run.
+    """
+    judge, end_s = scenario.metrics, scenario.duration_s
+    is_asked_for = any(text.startswith("metrics.from_s=") for text in overrides)
+    is_chosen = judge.from_s != type(judge).model_fields["from_s"].default
+    if judge.from_s >= end_s and (is_asked_for or is_chosen):
+        allowed = f"must be before the end of the run, {end_s:g} s"
+        raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
 
 
 def _read_scenario(path: Path) -> dict[str, Any]:

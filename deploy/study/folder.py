@@ -6,18 +6,17 @@ part appears as a whole or not at all, so whenever a study is killed, what lies 
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import shutil
 import time
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
+from deploy.runs.new_folder import new_folder
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolderError,
-    new_folder,
     provenance,
     read_summary,
 )
@@ -57,24 +56,11 @@ class StudyFolder(ResultFolder):
         self._rows = {(row["point"], row["seed"]): row for row in kept}
         self._unwritten: list[Row] = []
         self._flushed_s = time.monotonic()
-        self._lock: IO[str] | None = None
 
     @property
     def rows(self) -> list[Row]:
         """All rows so far, in the order of points, then seeds."""
         return [self._rows[key] for key in sorted(self._rows)]
-
-    def lock(self) -> None:
-        """Keep other commands from writing here until this process ends.
-
-        Raises:
-            ScenarioError: another one is at it.
-        """
-        self._lock = (self.path / ".lock").open("w")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise ScenarioError(f"--out {self.path}: another command is writing there") from error
 
     def find(self, run: Run) -> Row | None:
         """The row of a run, if it was done before."""
@@ -144,13 +130,13 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     return path
 
 
-def create_folder(study: Study, out: Path | None) -> Path:
+def create_folder(study: Study, out: Path | None, *, overwrite: bool = False) -> Path:
     """A folder for a new study, by default ``runs/<kind>-<name>-<time>``.
 
     Raises:
-        ScenarioError: it cannot be created or written to.
+        ScenarioError: as `new_folder`.
     """
-    path, identity = new_folder(_folder_name(study), out), _identity(study)
+    path, identity = new_folder(_folder_name(study), out, overwrite=overwrite), _identity(study)
     write_json(path / "manifest.json", {**provenance(), "study": identity})
     write_whole(path / STUDY_FILE, to_yaml(identity))
     return path

@@ -23,6 +23,7 @@ from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import find_yaml, override
+from deploy.study.statistics import commonest_error
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
@@ -184,6 +185,7 @@ class Study(ABC):
             "name": self.definition.name,
             "runs": len(rows),
             "runs_failed": sum(row["error"] is not None for row in rows),
+            "commonest_error": commonest_error(rows),
             "seeds": self.definition.seeds,
             **self.findings(rows),
         }
