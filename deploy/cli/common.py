@@ -13,8 +13,10 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from bus_schema.configuration import shortened
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
+from controller.laws.custom import is_custom
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
@@ -46,13 +48,17 @@ def parse_laws(text: str | None) -> list[str]:
     """Names of laws from ``a,b,…``; all registered ones by default.
 
     Raises:
-        ScenarioError: there is no name in it.
+        ScenarioError: there is no name in it, or one that no law has.
     """
     if text is None:
         return list(LAWS)
     laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not laws:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
+    for law in laws:
+        if law not in LAWS and not is_custom(law):
+            allowed = f"{', '.join(LAWS)}, or module:Class for a law of your own"
+            raise ScenarioError(f"--laws {shortened(law)}: must be one of {allowed}")
     return laws
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from bus_schema.configuration import shortened
 from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
 from bus_schema.recording.mcap_log import LogContents, read_log
 from deploy.processes.recorder import (
@@ -99,11 +100,13 @@ def new_folder(name: str, out: Path | None) -> Path:
     Raises:
         ScenarioError: it cannot be created or written to.
     """
-    path = (out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")).resolve()
+    path = out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+    path = resolved_out(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
+        reason = error.strerror
+        raise ScenarioError(f"--out {shortened(str(path))}: cannot be created: {reason}") from error
     if not os.access(path, os.W_OK):
         raise ScenarioError(f"--out {path}: is not writable")
     old = RunFolder(path)
@@ -113,6 +116,18 @@ def new_folder(name: str, out: Path | None) -> Path:
         file.unlink(missing_ok=True)
         partial_path(file).unlink(missing_ok=True)
     return path
+
+
+def resolved_out(path: Path) -> Path:
+    """The absolute path of a folder for results, which may not be there yet.
+
+    Raises:
+        ScenarioError: its symbolic links lead nowhere.
+    """
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ScenarioError(f"--out {shortened(str(path))}: cannot be created: {error}") from error
 
 
 def read_summary(path: Path) -> dict[str, Any]:

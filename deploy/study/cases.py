@@ -12,11 +12,12 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
 from controller.laws import LAWS
+from deploy.scenario.definition import Name
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override
 from deploy.study.quantities import Direction, Quantity, build_quantity
-from deploy.study.study import Different, Name, StudyDefinition, scenario_name
+from deploy.study.study import Different, StudyDefinition, scenario_name
 
 CASE_COLUMNS = {
     "arm": "string", "compensation": "bool", "drive_feedback": "bool", "running": "bool",
