@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from bus_schema.configuration import Sections, shortened, shown
 
 _MOST_PROBLEMS = 20
-_SHOULD = re.compile(r"\w+ should (be|have) (.*)", re.DOTALL)
+_SHOULD = re.compile(r"\w+ should ((?:be|have) .*)", re.DOTALL)
 """How pydantic says what is allowed."""
 _LONGEST_ALLOWED = 1000
 _LIKELY = 0.75
@@ -63,9 +63,10 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
     if problem["type"] == "missing":
         return f"{source}: {key}: is missing"
     said = problem["msg"].removeprefix("Value error, ")
-    must, allowed = _SHOULD.fullmatch(said).groups() if _SHOULD.match(said) else ("be", said)
+    should = _SHOULD.fullmatch(said)
+    allowed = f"be {said}" if should is None else should[1]
     allowed = shortened(allowed, _LONGEST_ALLOWED)
-    return f"{source}: {key} = {shown(problem['input'])}: must {must} {allowed}"
+    return f"{source}: {key} = {shown(problem['input'])}: must {allowed}"
 
 
 def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]) -> str:
