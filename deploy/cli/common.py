@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -27,6 +25,7 @@ from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.stop_signals import on_stop
 from plant_emulator.plant_loop import PlantLoop
 
 ScenarioArgument = Annotated[
@@ -62,16 +61,6 @@ def parse_laws(text: str | None) -> list[str]:
     return laws
 
 
-def on_interrupt(stop: Callable[[], None]) -> None:
-    """Call `stop` when the user or the system wants an end."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        stop()
-
-    signal.signal(signal.SIGINT, handle)
-    signal.signal(signal.SIGTERM, handle)
-
-
 def watching(
     progress: CommandProgress, setup: Setup, name: str, stop: threading.Event, before_s: float = 0.0
 ) -> Callable[[PlantLoop], None]:
@@ -92,7 +81,7 @@ def watching(
             stop.set()
             loop.request_stop()
 
-        on_interrupt(request_stop)
+        on_stop(request_stop)
 
     return watch
 
