@@ -31,11 +31,11 @@ def check_urdf(path: Path, root: ET.Element) -> None:
         _check_depth(root)
         _check_names("link", root.findall("link"))
         _check_names("joint", root.findall("joint"))
-        _check_tree(root)
         for joint in root.findall("joint"):
             _check_joint(joint)
         for link in root.findall("link"):
             _check_inertial(link)
+        _check_tree(root)
     except RobotDescriptionError as error:
         raise RobotDescriptionError(f"{path}: {error}") from error
 
@@ -78,7 +78,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
     names = [element.get("name", "") for element in elements]
     for name, count in Counter(names).items():
         if count > 1 or not name or len(name) > _LONGEST_NAME:
-            allowed = f"must be unique, not empty, and of at most {_LONGEST_NAME} characters"
+            allowed = f"must be unique and not empty, of at most {_LONGEST_NAME} characters"
             raise RobotDescriptionError(f"{kind} names {allowed}: {_cut(name)!r}")
 
 
@@ -88,7 +88,12 @@ def _check_tree(root: ET.Element) -> None:
     children: dict[str, list[str]] = {}
     carried: set[str] = set()
     for joint in root.findall("joint"):
-        ends = [_the_one(joint, kind).get("link", "") for kind in ("parent", "child")]
+        found = [joint.findall(kind) for kind in ("parent", "child")]
+        if not all(found):
+            raise RobotDescriptionError(f"{_owner(joint)} lacks parent or child")
+        if any(len(ends) > 1 for ends in found):
+            raise RobotDescriptionError(f"{_owner(joint)} must have one parent and one child")
+        ends = [end.get("link", "") for (end,) in found]
         for kind, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:
                 raise RobotDescriptionError(f"{kind} of {_owner(joint)}: no link {_cut(link)!r}")
@@ -121,6 +126,10 @@ def _check_joint(joint: ET.Element) -> None:
         direction = _vector(owner, "axis xyz", axis.get("xyz", "1 0 0"))
         if not 1e-3 < np.linalg.norm(direction) < 1e3:
             raise RobotDescriptionError(f"axis xyz={axis.get('xyz')!r} of {owner} is no direction")
+    for limit in joint.findall("limit"):
+        for name in ("lower", "upper", "effort", "velocity"):
+            if name in limit.attrib:
+                finite_number(owner, name, limit.attrib[name])
     if kind in ACTUATED_TYPES and joint.find("mimic") is not None:
         raise RobotDescriptionError(f"{owner} mimics another one, which no joint with a motor may")
 
@@ -161,10 +170,10 @@ def _vector(owner: str, name: str, text: str) -> list[float]:
     return [finite_number(owner, name, part) for part in parts]
 
 
-def _the_one(element: ET.Element, tag: str, owner: str = "") -> ET.Element:
+def _the_one(element: ET.Element, tag: str, owner: str) -> ET.Element:
     found = element.findall(tag)
     if len(found) != 1:
-        raise RobotDescriptionError(f"{owner or _owner(element)} must have one {tag}")
+        raise RobotDescriptionError(f"{owner} must have one {tag}")
     return found[0]
 
 

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from bus_schema.configuration import shortened
+from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
 from controller.laws.custom import is_custom
@@ -57,7 +57,7 @@ def parse_laws(text: str | None) -> list[str]:
     for law in laws:
         if law not in LAWS and not is_custom(law):
             allowed = f"{', '.join(LAWS)}, or module:Class for a law of your own"
-            raise ScenarioError(f"--laws {shortened(law)}: must be one of {allowed}")
+            raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
     return laws
 
 

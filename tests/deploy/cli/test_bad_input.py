@@ -168,7 +168,7 @@ def test_law_that_is_none_is_told_as_the_option_has_it(funnel_hil):
     for command in ("compare", "margin"):
         code, text = funnel_hil(command, "--laws", "pid,smcc")
         assert code == 2
-        assert "--laws smcc: must be one of fixed_time_neural" in text
+        assert "--laws 'smcc': must be one of fixed_time_neural" in text
 
 
 @pytest.mark.parametrize("option", ["--seeds", "--values", "--offsets", "--running"])
