@@ -12,8 +12,10 @@ from pydantic import Field, PlainValidator, create_model, field_validator
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
     NonNegative,
+    Number,
     PerJointPositive,
     Positive,
+    Sections,
     StrictModel,
     expand,
     expand_fields,
@@ -68,9 +70,12 @@ class DriveFeedbackConfiguration(StrictModel):
 
 def _check_gains(given: Any) -> dict[str, Any]:
     """Gains by law, for the laws that the table has by now."""
-    types = tuple((law, entry.gains) for law, entry in LAWS.items())
-    checked = _gains_section(types).model_validate(given)
+    checked = _section_now().model_validate(given)
     return {law: gains for law, gains in checked if gains is not None}
+
+
+def _section_now() -> type[StrictModel]:
+    return _gains_section(tuple((law, entry.gains) for law, entry in LAWS.items()))
 
 
 @cache  # it takes 15 ms to make, as often as a scenario is read
@@ -81,7 +86,9 @@ def _gains_section(types: tuple[tuple[str, Any], ...]) -> type[StrictModel]:
     return create_model("Gains", __base__=StrictModel, **fields)
 
 
-GainsByLaw = Annotated[dict[str, Any], PlainValidator(_check_gains)]
+GainsByLaw = Annotated[
+    dict[str, Any], PlainValidator(_check_gains), Sections(lambda: [_section_now()])
+]
 
 
 class ControllerConfiguration(StrictModel):
@@ -97,7 +104,7 @@ class ControllerConfiguration(StrictModel):
 
     law: str = "fixed_time_neural"
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
-    model_scale: Positive = 1.0
+    model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()

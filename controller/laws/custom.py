@@ -69,7 +69,10 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
     make = _find(name)
     try:
         law = make(model, **gains)
-    except Exception as error:  # whatever a user's constructor objects to, the input is bad
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # whatever a constructor objects to, the input is bad
         raise ConfigurationError(
             _GAINS_KEY, gains, f"{name} cannot be made from these: {_described(error)}"
         ) from error
@@ -92,7 +95,10 @@ def _find(name: str) -> Callable[..., Any]:
         sys.path.append(here)
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:  # an import runs a user's code, which may raise anything
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # a user's code may raise anything, or exit
         raise ConfigurationError(
             _LAW_KEY, name, f"{module_name} cannot be imported: {_described(error)}"
         ) from error
@@ -102,5 +108,5 @@ def _find(name: str) -> Callable[..., Any]:
     return make
 
 
-def _described(error: Exception) -> str:
+def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"

@@ -7,15 +7,16 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
+from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
+from controller.laws.custom import is_custom
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
@@ -26,6 +27,7 @@ from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
 from plant_emulator.plant_loop import PlantLoop
 
 ScenarioArgument = Annotated[
@@ -46,31 +48,22 @@ RequireBounds = Annotated[
 ]
 
 
-_STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
 def parse_laws(text: str | None) -> list[str] | None:
     """Names of laws from ``a,b,…``; None for all, where none is given.
 
     Raises:
-        ScenarioError: there is no name in it.
+        ScenarioError: there is no name in it, or one that no law has.
     """
     if text is None:
         return None
     laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not laws:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
+    for law in laws:
+        if law not in LAWS and not is_custom(law):
+            allowed = f"{', '.join(LAWS)}, or module:Class for a law of your own"
+            raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
     return laws
-
-
-def on_interrupt(stop: Callable[[], None]) -> None:
-    """Call `stop` when the user or the system wants an end."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        stop()
-
-    signal.signal(signal.SIGINT, handle)
-    signal.signal(signal.SIGTERM, handle)
 
 
 def watching(
@@ -93,7 +86,7 @@ def watching(
             stop.set()
             loop.request_stop()
 
-        on_interrupt(request_stop)
+        on_stop(request_stop)
 
     return watch
 
@@ -152,14 +145,11 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
 
     What is written by then stays; `funnel-hil report` works out the rest.
     """
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        raise _StoppedError
-
-    before = {number: signal.signal(number, stop) for number in _STOPS}
+    before = {number: signal.getsignal(number) for number in STOPS}
+    stop_at_once()
     try:
         yield
-    except _StoppedError:
+    except Stopped:
         console.print(
             f"stopped while judging: funnel-hil report {folder.path} does it again", soft_wrap=True
         )
@@ -167,10 +157,6 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-class _StoppedError(BaseException):
-    """A request to stop, which nothing that handles errors takes for one."""
 
 
 def finish(

@@ -16,7 +16,6 @@ from deploy.cli.common import (
     RequireBounds,
     ScenarioArgument,
     finish,
-    on_interrupt,
     watching,
 )
 from deploy.cli.progress import CommandProgress
@@ -27,6 +26,7 @@ from deploy.processes.real_delay import check_real_delay, knowing_real_delay, re
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
+from deploy.stop_signals import on_stop
 
 RealDelayOption = Annotated[
     float | None,
@@ -62,7 +62,7 @@ def run(
         launcher = Launcher(
             setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay
         )
-        on_interrupt(launcher.request_stop)
+        on_stop(launcher.request_stop)
         with CommandProgress(
             console, setup.scenario.name, setup.scenario.duration_s, "s"
         ) as progress:

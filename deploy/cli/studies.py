@@ -12,14 +12,7 @@ import typer
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import (
-    Out,
-    Overrides,
-    Overwrite,
-    judging,
-    on_interrupt,
-    show_places,
-)
+from deploy.cli.common import Out, Overrides, Overwrite, judging, show_places
 from deploy.cli.margin_options import (
     MarginOptions,
     Plants,
@@ -46,6 +39,7 @@ from deploy.reports.study_tables import (
 from deploy.reports.terminal import print_table
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
+from deploy.stop_signals import on_stop
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
@@ -160,7 +154,7 @@ def _conduct(
         folder = StudyFolder(path or create_folder(study, out, overwrite=overwrite), study)
         folder.lock()
         with folder:
-            on_interrupt(stop.set)
+            on_stop(stop.set)
             name = study.definition.name
             with CommandProgress(console, name, study.expected, "runs") as progress:
                 try:

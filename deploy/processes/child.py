@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from deploy.exit_codes import INTERRUPTED
 from deploy.processes.command_process import start
 from deploy.processes.status import StatusMessage
 
@@ -105,6 +106,8 @@ class Child:
             reader.join(timeout=_OUTPUT_TIMEOUT_S)
         if code == -signal.SIGTERM and self._was_asked_to_stop:
             return None  # it had not got as far as to leave in order, or was past it
+        if code == INTERRUPTED and not self._faults:
+            return None  # it was asked to stop, by whomever, and left in order
         if code < 0:
             by = signal.Signals(-code).name
             return Failure(f"the {self.role} was killed by {by}", is_cause=True)

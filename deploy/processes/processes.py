@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -28,11 +26,12 @@ from bus_schema.runtime.realtime import (
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.torque_guard import ControllerError
-from deploy.exit_codes import FAULT, FINISHED
+from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
 from deploy.scenario.setup import Setup
+from deploy.stop_signals import ignore_stops, on_stop
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
 
@@ -40,24 +39,17 @@ _PROGRESS_S = 0.2
 
 
 class StopRequest:
-    """Set by SIGINT or SIGTERM; a process looks at it and leaves in order."""
+    """Set by a signal to stop; a process looks at it and leaves in order."""
 
-    def __init__(self, on_stop: Callable[[], None] | None = None) -> None:
-        self._on_stop = on_stop
+    def __init__(self, then: Callable[[], None] | None = None) -> None:
+        self._then = then
         self.is_set = False
-        signal.signal(signal.SIGINT, self._handle)
-        signal.signal(signal.SIGTERM, self._handle)
+        on_stop(self._set)
 
-    def _handle(self, _number: int, _frame: FrameType | None) -> None:
+    def _set(self) -> None:
         self.is_set = True
-        if self._on_stop is not None:
-            self._on_stop()
-
-
-def _ignore_stop_requests() -> None:
-    """From here on a request to stop comes too late, and must not kill what is leaving anyway."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        if self._then is not None:
+            self._then()
 
 
 def run_plant(
@@ -90,12 +82,14 @@ def run_plant(
         reporter.report(
             "result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s
         )
-        return FAULT if outcome.faults else FINISHED
+        if outcome.faults:
+            return FAULT
+        return INTERRUPTED if stop.is_set else FINISHED
     except BusError as error:
         reporter.report("fault", text=str(error))
         return FAULT
     finally:
-        _ignore_stop_requests()
+        ignore_stops()
         if link is not None:
             link.close()
         arm.close()
@@ -128,7 +122,7 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
         reporter.report("fault", text=str(error))
         return FAULT
     finally:
-        _ignore_stop_requests()
+        ignore_stops()
         link.close()
 
 
@@ -183,7 +177,7 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
     except BusError as error:
         reporter.report("fault", text=str(error))
         code = FAULT
-    _ignore_stop_requests()
+    ignore_stops()
     recorder.close()
     if recorder.failure is not None:
         reporter.report(
@@ -223,7 +217,7 @@ def run_relay(
             "note", text=f"holds back by {delay_ms:g} ms each way at {listen[0]}:{listen[1]}"
         )
         relay.run(lambda: stop.is_set)
-    _ignore_stop_requests()
+    ignore_stops()
     reporter.report("result", chunks=relay.chunks, lateness_us=relay.lateness_us())
     return FINISHED
 

@@ -10,6 +10,7 @@ import time
 from itertools import chain, count
 from pathlib import Path
 
+from bus_schema.configuration import shortened
 from deploy.scenario.yaml_files import ScenarioError
 
 _RESULTS = (
@@ -70,11 +71,12 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
     """
     if overwrite and out is None:
         raise ScenarioError("--overwrite: must come with --out; another folder is always a new one")
-    path = (out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")).resolve()
+    path = resolved_out(out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}"))
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
+        reason = error.strerror
+        raise ScenarioError(f"--out {shortened(str(path))}: cannot be created: {reason}") from error
     if not os.access(path, os.W_OK):
         raise ScenarioError(f"--out {path}: is not writable")
     lock = FolderLock(path)
@@ -83,6 +85,18 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
     finally:
         lock.close()
     return path
+
+
+def resolved_out(path: Path) -> Path:
+    """The absolute path of a folder for results, which may not be there yet.
+
+    Raises:
+        ScenarioError: its symbolic links lead nowhere.
+    """
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ScenarioError(f"--out {shortened(str(path))}: cannot be created: {error}") from error
 
 
 def _clear(path: Path, *, overwrite: bool) -> None:

@@ -17,6 +17,7 @@ from bus_schema.arrays import Matrix
 from bus_schema.configuration import (
     ConfigurationError,
     expand,
+    shown,
 )
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
@@ -24,6 +25,7 @@ from bus_schema.runtime.clock import TickGrid
 from controller.reference import Reference, sample_positions
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
+from deploy.scenario.explanation import Origin
 from deploy.scenario.referenced_files import find_delay_files, find_urdf
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
@@ -49,12 +51,13 @@ _MOST_CHECKED = 20_000
 _SIZED_BY = 100
 
 
-def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
+def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str = "--set") -> Setup:
     """Load, override and check a scenario.
 
     Args:
         name_or_path: a scenario file, or the name of a shipped scenario.
         overrides: ``dotted.key=value``; values are YAML.
+        given_by: what they were set with, for messages.
 
     Raises:
         ScenarioError: anything about it is wrong.
@@ -63,10 +66,11 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
     values = _read_scenario(path)
     for text in overrides:
         set_value(values, *parse_override(text))
-    scenario = validated(values, Scenario, path)
+    origin = Origin(path, tuple(overrides), given_by)
+    scenario = validated(values, Scenario, origin)
     with naming(path):
         _check_judged_time(scenario, overrides)
-    return check(scenario, path)
+    return check(scenario, origin)
 
 
 def effective_scenario(setup: Setup) -> str:
@@ -101,8 +105,13 @@ def _read_scenario(path: Path) -> dict[str, Any]:
     if base is None:
         return values
     if not isinstance(base, str):
-        raise ScenarioError(f"{path}: extends = {base!r}: must be the name or path of a scenario")
-    base_values = read_yaml(find_yaml(base, SHIPPED, path.parent))
+        allowed = "must be the name or path of a scenario"
+        raise ScenarioError(f"{path}: extends = {shown(base)}: {allowed}")
+    try:
+        base_path = find_yaml(base, SHIPPED, path.parent)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: extends = {error}") from error
+    base_values = read_yaml(base_path)
     if "extends" in base_values:
         raise ScenarioError(f"{path}: extends = {base!r}: must be a scenario that extends no other")
     return _merged(base_values, values)
@@ -116,17 +125,17 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def check(scenario: Scenario, source: Path) -> Setup:
+def check(scenario: Scenario, origin: Origin) -> Setup:
     """Check a scenario against the files and the robot it refers to.
 
     Raises:
         ScenarioError: something does not fit.
     """
-    with naming(source):
+    with naming(origin):
         try:
-            return _check(scenario, source)
+            return _check(scenario, origin.file)
         except RobotDescriptionError as error:
-            raise ScenarioError(f"robot.urdf = {scenario.robot.urdf!r}: {error}") from error
+            raise ConfigurationError("robot.urdf", scenario.robot.urdf, str(error)) from error
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:

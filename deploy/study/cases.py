@@ -11,12 +11,13 @@ from typing import Any
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
+from deploy.scenario.definition import Name
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW, SEED, laws_beside, require_effect
 from deploy.scenario.yaml_files import override
 from deploy.study.quantities import Direction, Quantity, build_quantity
-from deploy.study.study import Different, Name, StudyDefinition, scenario_name
+from deploy.study.study import Different, StudyDefinition, scenario_name
 
 CASE_COLUMNS = {
     "arm": "string", "compensation": "bool", "drive_feedback": "bool", "running": "bool",

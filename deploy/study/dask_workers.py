@@ -119,7 +119,8 @@ class DaskWorkers:
 
 def dask_setup(_worker: Worker) -> None:
     """Called by Dask in every worker process of our own: Ctrl-C is for the command that began."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):  # which a terminal sends to all processes
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _connect(scheduler: str) -> Client:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
-from deploy.runs.new_folder import new_folder
+from deploy.runs.new_folder import new_folder, resolved_out
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolderError,
@@ -23,7 +23,7 @@ from deploy.runs.run_folder import (
 from deploy.runs.run_rows import Row, read_rows, write_rows
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
+from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
 from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness
 from deploy.study.study import Run, Study
@@ -118,9 +118,9 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     if out is None:
         begun = sorted(Path("runs").glob(f"{_folder_name(study)}-*"), reverse=True)
         return next((path.resolve() for path in begun if _can_go_on(path, wanted)), None)
-    path = out.resolve()
+    path = resolved_out(out)
     file = path / STUDY_FILE
-    if not file.exists():
+    if not is_file(file):
         return None
     if read_yaml(file) != wanted:
         raise ScenarioError(

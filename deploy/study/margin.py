@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import Field
 
-from bus_schema.configuration import Positive
+from bus_schema.configuration import Number, Positive
 from deploy.runs.run_rows import Row
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
@@ -42,9 +42,9 @@ class MarginDefinition(CasesDefinition):
     """
 
     seeds: Seeds = Field(default=[1, 2])
-    offsets: Different[float] = Field(default=[1.0, -0.5])
+    offsets: Different[Number] = Field(default=[1.0, -0.5])
     resolution: Positive | None = None
-    limit: float | None = None
+    limit: Number | None = None
 
 
 @dataclass

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from bus_schema.configuration import Number, Whole
 from deploy.runs.run_rows import Row
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
@@ -55,9 +56,9 @@ class RobustnessDefinition(CasesDefinition, UncertainDefinition):
         seeds: a plant keeps its bounds at a value if it does with every seed.
     """
 
-    plants: Annotated[int, Field(ge=1, le=1000)]
-    values: Annotated[Different[float], Field(min_length=1)]
-    kept_share: Annotated[float, Field(gt=0, le=1)] = 0.95
+    plants: Annotated[Whole, Field(ge=1, le=1000)]
+    values: Annotated[Different[Number], Field(min_length=1)]
+    kept_share: Annotated[Number, Field(gt=0, le=1)] = 0.95
     seeds: Seeds = Field(default=[1])
 
 

@@ -19,6 +19,7 @@ from bus_schema.configuration import StrictModel
 from deploy.runs.metrics import summarise
 from deploy.runs.run_rows import Row, failed_row, row
 from deploy.runs.simulate import attempt
+from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -55,8 +56,6 @@ def _to_seeds(value: Any) -> Any:
 
 Seeds = Annotated[list[int], BeforeValidator(_to_seeds)]
 """Given as a list, or as a number n for 1 to n."""
-
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
 class StudyDefinition(StrictModel):

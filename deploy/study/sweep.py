@@ -39,6 +39,7 @@ from deploy.study.statistics import badness, held, spread_of_runs
 from deploy.study.study import SHIPPED, Run, Study, require_different, scenario_name
 
 _MOST_VALUES = 10_000
+_MOST_RUNS = 100_000
 
 
 def _to_values(given: Any) -> Any:
@@ -96,9 +97,10 @@ class Sweep(Study):
         axes = {key: _kind(values) for keys, values in self.axes.items() for key in keys}
         with naming(source):
             _check_keys(self.axes, given)
+            _check_runs(self.axes, given)
             scenario = scenario_name(given.scenario, source.parent)
             self.definition = given.model_copy(update={"scenario": scenario})
-            self.bases = [load_setup(scenario, given.fixed_overrides)]
+            self.bases = [load_setup(scenario, given.fixed_overrides, "set")]
             self.plants = draw_plants(given, self.bases[0], [*axes, SEED])
             self.columns = {**axes, **draw_columns(given, self.bases)}
             self._check()
@@ -162,7 +164,7 @@ class Sweep(Study):
             plant = self.plants[index % len(self.plants)]
             if index < len(self.plants) or plant is self.plants[0]:
                 try:
-                    load_setup(run.scenario, run.overrides)
+                    load_setup(run.scenario, run.overrides, "grid")
                 except ScenarioError as error:
                     raise refused(plant, error) from error
 
@@ -237,6 +239,15 @@ def _check_keys(axes: Mapping[tuple[str, ...], list[Any]], given: SweepDefinitio
         others = dict.fromkeys((other for other in keys if other != key), once)
         for value in tried:
             require_effect({key: value}, own | others)
+
+
+def _check_runs(axes: Mapping[tuple[str, ...], Any], given: SweepDefinition) -> None:
+    """Each point is checked before the first is run, and every row is kept: both have an end."""
+    points, plants = math.prod(map(len, axes.values())), given.plants or 1
+    runs = points * plants * len(given.seeds)
+    if runs > _MOST_RUNS:
+        many = f"{points} points × {plants} plants × {len(given.seeds)} seeds are {runs} runs"
+        raise ScenarioError(f"grid: {many}; at most {_MOST_RUNS} are allowed")
 
 
 def _kind(values: list[Any]) -> str:
