@@ -30,7 +30,7 @@ from deploy.reports.run_tables import (
     timing_table,
     transport_table,
 )
-from deploy.reports.tables import number, percent
+from deploy.reports.tables import margin_text, number, percent
 from deploy.reports.verdict import verdict_on_run
 from deploy.runs.run_data import RunData
 
@@ -164,7 +164,7 @@ def _facts(summary: dict[str, Any]) -> list[Fact]:
     return [
         *(Fact(name.capitalize(), summary[name]) for name in names),
         Fact("Duration", f"{summary['duration_s']:g} s"),
-        Fact("Smallest margin", number(summary["bounds"]["margin_min"], 100, " %"),
+        Fact("Smallest margin", margin_text(summary["bounds"]["margin_min"]),
              "1 − |e| / bound; negative outside the bounds"),
         Fact("Success rate", percent(summary["timing"]["success_rate"]),
              "share of the ticks that met their deadline"),

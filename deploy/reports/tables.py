@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 ABSENT = "–"
+_FAR_OUTSIDE = -1.0
+"""Margin below which an error is told as a multiple of its bound."""
 
 Value = str | float | None
 """A text, a number in the unit of its column, or nothing known."""
@@ -31,6 +33,24 @@ def percent(value: float | None) -> str:
     if value is None:
         return ABSENT
     return "100 %" if value == 1.0 else f"{min(100 * value, 99.999):.5g} %"
+
+
+def margin_percent(margin: float | None) -> Value:
+    """1 − |e| / bound in per cent; where the error was beyond twice its bound, in words.
+
+    Per cent of a bound that was left far behind say nothing to a reader.
+    """
+    if margin is None or margin >= _FAR_OUTSIDE:
+        return scaled(margin, 100.0)
+    return f"at most {number(1.0 - margin)} times its bound"
+
+
+def margin_text(margin: float | None) -> str:
+    """A margin with its unit, as `margin_percent`."""
+    value = margin_percent(margin)
+    return (
+        value if isinstance(value, str) else number(value, unit=" %" if value is not None else "")
+    )
 
 
 def scaled(value: float | None, factor: float) -> float | None:
