@@ -19,10 +19,11 @@ from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
+from deploy.runs.conditions import conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_manifest
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
@@ -126,6 +127,7 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     summary = summarise(run)
     summary["faults"] = [*more_faults, *summary["faults"]]
     summary["completed"] = summary["completed"] and not more_faults
+    summary["conditions"] = conditions_of_runs([run.setup], read_manifest(folder.path))
     write_json(folder.summary, summary)
     if (record := fault_record(run)) is not None:
         write_json(folder.fault, record)

@@ -33,6 +33,7 @@ from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL
+from deploy.runs.conditions import conditions_line
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
@@ -147,8 +148,12 @@ def _conclude_comparison(
 ) -> None:
     """Write rows, summary and report, and show what came of it."""
     folder.conclude(comparison)
-    write_comparison_report(comparison, folder.report)
+    conditions = folder.conditions(comparison)
+    write_comparison_report(comparison, folder.report, conditions)
     _show_comparison(console, comparison)
+    console.print(
+        conditions_line(conditions), markup=False, highlight=False, soft_wrap=True, style="dim"
+    )
     show_places(console, folder)
 
 

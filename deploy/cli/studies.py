@@ -37,8 +37,11 @@ from deploy.reports.study_tables import (
     write_margin_table,
 )
 from deploy.reports.terminal import print_table
+from deploy.runs.conditions import conditions_line
+from deploy.runs.run_folder import read_manifest
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
+from deploy.study.conditions import conditions_of_study
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
@@ -151,8 +154,9 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
 
 def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     """Write table, summary and report; whether the study is complete."""
-    folder.put_together()
     summary = study.summary(folder.rows)
+    summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
+    folder.put_together(summary["conditions"])
     write_json(folder.summary, summary)
     write_study_report(summary, folder)
     show_study(console, summary)
@@ -179,5 +183,8 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")
+    console.print(
+        conditions_line(summary.get("conditions", {})), markup=False, highlight=False, style="dim"
+    )
     if summary["runs_failed"]:
         console.print(f"[bold red]{summary['runs_failed']} runs failed[/]; their rows say why")

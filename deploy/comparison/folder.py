@@ -12,7 +12,9 @@ from pydantic import TypeAdapter
 from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
+from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.metrics import summarise
+from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
@@ -20,6 +22,7 @@ from deploy.runs.run_folder import (
     load_run,
     manifest_of,
     new_folder,
+    read_manifest,
     read_summary,
 )
 from deploy.runs.run_rows import row, write_rows
@@ -62,14 +65,21 @@ class ComparisonFolder(ResultFolder):
         folder = RunFolder.begin(setup, self._law_path(law))
         simulation.write_log(folder.log)
         data = simulation.data()
-        run = LawRun(law, data, summarise(data))
+        run = LawRun(law, data, self._judged(data))
         write_json(folder.summary, run.summary)
         return run
 
     def conclude(self, comparison: Comparison) -> None:
-        """Write rows and summary of all runs."""
-        write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
-        write_json(self.summary, _summary(comparison))
+        """Write rows and summary of all runs, with their conditions."""
+        conditions = self.conditions(comparison)
+        rows = [row(run.summary, run.seed) for run in comparison.runs]
+        write_rows(rows, self.rows, conditions=conditions)
+        write_json(self.summary, {**_summary(comparison), "conditions": conditions})
+
+    def conditions(self, comparison: Comparison) -> Conditions:
+        """Under what conditions the runs came about; none where there is no run."""
+        setups = [run.data.setup for run in comparison.runs]
+        return conditions_of_runs(setups, read_manifest(self.path)) if setups else {}
 
     def load(self) -> Comparison:
         """The comparison, read back from the recordings of its runs, which are judged again.
@@ -83,9 +93,16 @@ class ComparisonFolder(ResultFolder):
             raise RunFolderError(f"{self.summary}: names no laws")
         loaded = {law: load_run(self._law_path(law))[0] for law in laws}
         return Comparison(
-            [LawRun(law, data, summarise(data)) for law, data in loaded.items()],
+            [LawRun(law, data, self._judged(data)) for law, data in loaded.items()],
             SETTLING.validate_python(summary.get("settling", [])),
         )
+
+    def _judged(self, data: RunData) -> dict[str, Any]:
+        folder = self._law_path(data.setup.scenario.controller.law)
+        return {
+            **summarise(data),
+            "conditions": conditions_of_runs([data.setup], read_manifest(folder)),
+        }
 
     def _law_path(self, law: str) -> Path:
         return self.path / re.sub(r"[^A-Za-z0-9_.-]", "_", law)

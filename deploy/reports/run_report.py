@@ -147,6 +147,7 @@ def write_report(run: RunData, summary: dict[str, Any], path: Path) -> None:
         title=f"{summary['scenario']} · {summary['law']} · {verdict.headline}",
         verdict=verdict,
         facts=_facts(summary),
+        conditions=summary.get("conditions", {}),
         from_s=f"{from_s:g}",
         rms_facts=[Fact(joint, number(rms, unit=" mrad")) for joint, rms in rms_errors],
         joint_table=joint_table(summary, from_s),

@@ -6,9 +6,11 @@ A table is built once from a summary; `terminal.print_table`, the templates of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
+
+from deploy.runs.conditions import conditions_line
 
 ABSENT = "–"
 _FAR_OUTSIDE = -1.0
@@ -121,6 +123,12 @@ class Table:
             [entry if isinstance(entry, Cell) else Cell(entry) for entry in row]
             for row in self.rows
         ]
+
+
+def quotable(table: Table, conditions: Mapping[str, str]) -> str:
+    """A table for documents that stands alone: what it is and its conditions are below it."""
+    note = f"{table.title}. {table.note}".rstrip()
+    return "\n\n".join([as_markdown(table), note, conditions_line(conditions)]) + "\n"
 
 
 def as_markdown(table: Table) -> str:

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
+from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
 from deploy.processes.recorder import (
     DELAYS_ATTACHMENT,
@@ -30,8 +30,9 @@ from deploy.processes.recorder import (
 )
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.referenced_files import DIRECTIONS
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
 _LATER_LOG = re.compile(r"run-\d+(\.partial)?\.mcap|can-\d+\.log")
@@ -75,7 +76,7 @@ class RunFolder(ResultFolder):
             ScenarioError: as `new_folder`.
         """
         folder = RunFolder(new_folder(setup.scenario.name, out))
-        write_whole(folder.scenario, effective_scenario(setup))
+        write_scenario(setup, folder.scenario)
         folder.write_manifest(setup, {})
         return folder
 
@@ -117,8 +118,17 @@ def new_folder(name: str, out: Path | None) -> Path:
 
 def read_summary(path: Path) -> dict[str, Any]:
     """What ``summary.json`` of a folder says; empty where there is none."""
+    return _read_json(path / "summary.json")
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What ``manifest.json`` of a folder says; empty where there is none."""
+    return _read_json(path / "manifest.json")
+
+
+def _read_json(file: Path) -> dict[str, Any]:
     try:
-        values = json.loads((path / "summary.json").read_text())
+        values = json.loads(file.read_text())
     except (OSError, ValueError):
         return {}
     return values if isinstance(values, dict) else {}
@@ -176,6 +186,7 @@ def manifest_of(
     return {
         **provenance(),
         "realtime": dict(grants),
+        "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
         "gains": {setup.scenario.controller.law: plain(setup.gains) for setup in setups},
         "scenario": plain(setups[0].scenario),
     }
@@ -190,6 +201,9 @@ def provenance() -> dict[str, Any]:
             "machine": platform.machine(),
             "kernel": platform.release(),
             "cpus": os.cpu_count(),
+            "usable_cpus": len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else None,
             "python": platform.python_version(),
         },
         "versions": {name: _version(name) for name in _LIBRARIES},

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
+from deploy.runs.conditions import Conditions
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolderError,
@@ -24,6 +25,7 @@ from deploy.runs.run_folder import (
 from deploy.runs.run_rows import Row, read_rows, write_rows
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness
@@ -98,10 +100,14 @@ class StudyFolder(ResultFolder):
             self._unwritten = []
         self._flushed_s = time.monotonic()
 
-    def put_together(self) -> None:
-        """Make one table of all rows, in order, of the parts."""
+    def put_together(self, conditions: Conditions | None = None) -> None:
+        """Make one table of all rows, in order, of the parts.
+
+        Args:
+            conditions: what the rows are to be quoted with.
+        """
         self.flush()
-        write_rows(self.rows, self.rows_file, self._columns)
+        write_rows(self.rows, self.rows_file, self._columns, conditions)
         shutil.rmtree(self._parts, ignore_errors=True)
 
     def rerun_command(self, point: str) -> str:
@@ -114,7 +120,7 @@ class StudyFolder(ResultFolder):
             return
         self.scenarios.mkdir(exist_ok=True)
         setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
-        write_whole(file, effective_scenario(setup))
+        write_scenario(setup, file)
 
 
 def find_folder(study: Study, out: Path | None) -> Path | None:

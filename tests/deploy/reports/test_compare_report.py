@@ -58,7 +58,7 @@ def page_of(tmp_path_factory):
         for subject, page in pages:
             if subject is comparison:
                 return page
-        write_comparison_report(comparison, path)
+        write_comparison_report(comparison, path, {"law": HOSTILE})
         pages.append((comparison, path.read_text(encoding="utf-8").replace(get_plotlyjs(), "")))
         return pages[-1][1]
 
