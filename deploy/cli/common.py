@@ -19,7 +19,7 @@ from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
-from deploy.runs.conditions import conditions_of_runs
+from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
@@ -127,12 +127,16 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     summary = summarise(run)
     summary["faults"] = [*more_faults, *summary["faults"]]
     summary["completed"] = summary["completed"] and not more_faults
-    summary["conditions"] = conditions_of_runs([run.setup], read_manifest(folder.path))
     write_json(folder.summary, summary)
     if (record := fault_record(run)) is not None:
         write_json(folder.fault, record)
-    write_report(run, summary, folder.report)
+    write_report(run, summary, folder.report, conditions_in(folder, run))
     return summary
+
+
+def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
+    """Under what conditions a run came about, as its folder has them."""
+    return conditions_of_runs([run.setup], read_manifest(folder.path))
 
 
 def finish(
@@ -148,7 +152,7 @@ def finish(
         write_json(folder.summary, {"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
     summary = conclude(folder, data, outcome.failures)
-    show_summary(console, data, summary)
+    show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
         interrupted=outcome.interrupted,

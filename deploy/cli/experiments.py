@@ -15,6 +15,7 @@ from deploy.cli.common import (
     RequireBounds,
     ScenarioArgument,
     conclude,
+    conditions_in,
     leave,
     parse_laws,
     show_places,
@@ -106,7 +107,7 @@ def report(
     else:
         data, _ = load_run(run_dir)
         folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-        show_summary(console, data, conclude(folder, data))
+        show_summary(console, data, conclude(folder, data), conditions_in(folder, data))
         console.print(f"report: {folder.report}", soft_wrap=True)
 
 

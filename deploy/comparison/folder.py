@@ -14,7 +14,6 @@ from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
 from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.metrics import summarise
-from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
@@ -65,7 +64,7 @@ class ComparisonFolder(ResultFolder):
         folder = RunFolder.begin(setup, self._law_path(law))
         simulation.write_log(folder.log)
         data = simulation.data()
-        run = LawRun(law, data, self._judged(data))
+        run = LawRun(law, data, summarise(data))
         write_json(folder.summary, run.summary)
         return run
 
@@ -93,16 +92,9 @@ class ComparisonFolder(ResultFolder):
             raise RunFolderError(f"{self.summary}: names no laws")
         loaded = {law: load_run(self._law_path(law))[0] for law in laws}
         return Comparison(
-            [LawRun(law, data, self._judged(data)) for law, data in loaded.items()],
+            [LawRun(law, data, summarise(data)) for law, data in loaded.items()],
             SETTLING.validate_python(summary.get("settling", [])),
         )
-
-    def _judged(self, data: RunData) -> dict[str, Any]:
-        folder = self._law_path(data.setup.scenario.controller.law)
-        return {
-            **summarise(data),
-            "conditions": conditions_of_runs([data.setup], read_manifest(folder)),
-        }
 
     def _law_path(self, law: str) -> Path:
         return self.path / re.sub(r"[^A-Za-z0-9_.-]", "_", law)

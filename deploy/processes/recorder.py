@@ -20,8 +20,8 @@ from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import delay_files
-from deploy.scenario.scenario import effective_scenario
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import portable_scenario
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
@@ -51,7 +51,7 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     )
     log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
     scenario = setup.scenario
-    log.attach(SCENARIO_ATTACHMENT, "application/yaml", effective_scenario(setup).encode())
+    log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
     log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
     for direction, file in delay_files(scenario.link).items():
         name = DELAYS_ATTACHMENT.format(direction=direction)

@@ -25,19 +25,28 @@ def write_scenario(setup: Setup, path: Path) -> None:
     Raises:
         OSError: the disk does not take it.
     """
-    robot = setup.robot
-    files = {"robot.urdf": _copy(robot.portable_urdf(), robot.path, path.parent)}
-    for direction, file in delay_files(setup.scenario.link).items():
-        name = _copy(file.read_text(), file, path.parent)
-        files[f"link.{direction}.distribution_file"] = name
-    write_whole(path, effective_scenario(setup, files))
+    texts = _texts(setup)
+    for name, text in texts.values():
+        if not (path.parent / name).exists():
+            write_whole(path.parent / name, text)
+    write_whole(path, portable_scenario(setup))
 
 
-def _copy(text: str, original: Path, folder: Path) -> str:
-    """The name of a file of this text in a folder, written unless it is there."""
+def portable_scenario(setup: Setup) -> str:
+    """The scenario in force as `write_scenario` writes it, and as recordings hold it."""
+    return effective_scenario(setup, {key: name for key, (name, _) in _texts(setup).items()})
+
+
+def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
+    """Name and text of a copy of each file that a scenario refers to, by its key."""
+    robot, links = setup.robot, delay_files(setup.scenario.link)
+    found = {"robot.urdf": (robot.path, robot.portable_urdf())}
+    for direction, file in links.items():
+        found[f"link.{direction}.distribution_file"] = (file, file.read_text())
+    return {key: (_name(file, text), text) for key, (file, text) in found.items()}
+
+
+def _name(original: Path, text: str) -> str:
     digest = hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
     stem = original.stem.removesuffix(f"-{digest}")  # it may itself be such a copy
-    name = f"{stem}-{digest}{original.suffix}"
-    if not (folder / name).exists():
-        write_whole(folder / name, text)
-    return name
+    return f"{stem}-{digest}{original.suffix}"
