@@ -45,6 +45,15 @@ class RobotDescription:
     def joints(self) -> int:
         return len(self.joint_names)
 
+    def portable_urdf(self) -> str:
+        """The URDF as it is, for another folder: mesh files by absolute path."""
+        root = ET.fromstring(self.text)
+        if root.find(".//mesh") is None:
+            return self.text
+        for mesh in root.iter("mesh"):
+            mesh.set("filename", _absolute(mesh.get("filename", ""), self.path.parent))
+        return ET.tostring(root, encoding="unicode")
+
     def resolved_urdf(self, payload_kg: float = 0.0) -> str:
         """The URDF with every joint either revolute or fixed, mesh files by absolute path.
 

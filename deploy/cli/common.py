@@ -21,10 +21,11 @@ from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
+from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_manifest
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
@@ -130,13 +131,18 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     try:
         if (record := fault_record(run)) is not None:
             write_json(folder.fault, record)
-        write_report(run, summary, folder.report)
+        write_report(run, summary, folder.report, conditions_in(folder, run))
     except OSError as error:
         summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
         summary["completed"] = False
     with contextlib.suppress(OSError):  # a full disk has the one from before
         write_json(folder.summary, summary)
     return summary
+
+
+def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
+    """Under what conditions a run came about, as its folder has them."""
+    return conditions_of_runs([run.setup], read_manifest(folder.path))
 
 
 @contextlib.contextmanager
@@ -165,7 +171,7 @@ def finish(
     """Judge a run, show the result, and leave with the exit code it deserves."""
     with judging(console, folder):
         data, summary = _judge(console, folder, outcome)
-    show_summary(console, data, summary)
+    show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
         interrupted=outcome.interrupted,

@@ -17,6 +17,7 @@ from deploy.cli.common import (
     RequireBounds,
     ScenarioArgument,
     conclude,
+    conditions_in,
     judging,
     leave,
     parse_laws,
@@ -36,6 +37,7 @@ from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL, damaged
+from deploy.runs.conditions import conditions_line
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
@@ -140,7 +142,7 @@ def report(
         with folder:
             with judging(console, folder):
                 summary = conclude(folder, data)
-            show_summary(console, data, summary)
+            show_summary(console, data, summary, conditions_in(folder, data))
             console.print(f"report: {folder.report}", soft_wrap=True)
         raise typer.Exit(FAULT if data.damage else FINISHED)
 
@@ -184,8 +186,12 @@ def _conclude_comparison(
     """Write rows, summary and report, and show what came of it."""
     with judging(console, folder):
         folder.conclude(comparison)
-        write_comparison_report(comparison, folder.report)
+        conditions = folder.conditions(comparison)
+        write_comparison_report(comparison, folder.report, conditions)
     _show_comparison(console, comparison)
+    console.print(
+        conditions_line(conditions), markup=False, highlight=False, soft_wrap=True, style="dim"
+    )
     show_places(console, folder)
 
 

@@ -37,9 +37,12 @@ from deploy.reports.study_tables import (
     write_margin_table,
 )
 from deploy.reports.terminal import print_table
+from deploy.runs.conditions import conditions_line
+from deploy.runs.run_folder import read_manifest
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.stop_signals import on_stop
+from deploy.study.conditions import conditions_of_study
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
@@ -174,8 +177,9 @@ def _conduct(
 def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     """Write table, summary and report; whether the study is complete."""
     with judging(console, folder):
-        folder.put_together()
         summary = study.summary(folder.rows)
+        summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
+        folder.put_together(summary["conditions"])
         write_json(folder.summary, {**summary, "completed": False})  # until all is written
         write_study_report(summary, folder)
         write_json(folder.summary, summary)
@@ -208,6 +212,9 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")
+    console.print(
+        conditions_line(summary.get("conditions", {})), markup=False, highlight=False, style="dim"
+    )
     if summary["runs_failed"]:
         count = f"{summary['runs_failed']} of {summary['runs']}"
         console.print(f"[bold red]{count} runs failed[/]; their rows say why. The commonest error:")

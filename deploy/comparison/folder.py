@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
+from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.new_folder import new_folder
@@ -21,6 +22,7 @@ from deploy.runs.run_folder import (
     RunFolderError,
     load_run,
     manifest_of,
+    read_manifest,
     read_summary,
 )
 from deploy.runs.run_rows import row, write_rows
@@ -74,9 +76,16 @@ class ComparisonFolder(ResultFolder):
         return run
 
     def conclude(self, comparison: Comparison) -> None:
-        """Write rows and summary of all runs."""
-        write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
-        write_json(self.summary, _summary(comparison))
+        """Write rows and summary of all runs, with their conditions."""
+        conditions = self.conditions(comparison)
+        rows = [row(run.summary, run.seed) for run in comparison.runs]
+        write_rows(rows, self.rows, conditions=conditions)
+        write_json(self.summary, {**_summary(comparison), "conditions": conditions})
+
+    def conditions(self, comparison: Comparison) -> Conditions:
+        """Under what conditions the runs came about; none where there is no run."""
+        setups = [run.data.setup for run in comparison.runs]
+        return conditions_of_runs(setups, read_manifest(self.path)) if setups else {}
 
     def load(self) -> Comparison:
         """The comparison, read back from the recordings of its runs, which are judged again.

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from bus_schema.arrays import Vector
+from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
@@ -26,10 +27,12 @@ class LinkRun(PlantTask):
     Attributes:
         bus: what both sides share inside one process; None between processes.
         can_log: file for the frames of a CAN bus; None for no log.
+        agreement: what the processes of the run must agree on; None inside one process.
     """
 
     bus: InProcessBus | None = None
     can_log: Path | None = None
+    agreement: Agreement | None = None
 
 
 class LinkKind(ABC, Generic[Arm]):

@@ -7,16 +7,18 @@ import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bus_schema.errors import BusError
+from bus_schema.errors import BusError, ScenarioMismatchError
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
+from bus_schema.runtime.own_cpu import claim_cpu, none_is_free
 from bus_schema.runtime.realtime import (
     RealtimeSetting,
     go_realtime,
@@ -26,16 +28,20 @@ from bus_schema.runtime.realtime import (
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.torque_guard import ControllerError
-from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
+from deploy.link_kinds.kind import LinkRun
 from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
+from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup
 from deploy.stop_signals import ignore_stops, on_stop
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
 
 _PROGRESS_S = 0.2
+_BEHIND_OTHERS = 49
+"""Priority of a loop without a CPU of its own: loops of other runs that have one go first."""
 
 
 class StopRequest:
@@ -62,7 +68,7 @@ def run_plant(
     _set_up_scheduling(setup, reporter, Role.PLANT)
     link = None
     try:
-        run = setup.link_run(lockstep=lockstep, can_log=can_log)
+        run = _between_processes(setup, can_log)
         link = setup.link_kind.open_plant(run, arm, clock)
         request = partial(reporter.request, await_execution=lockstep)
         actions = process_actions(setup.scenario.faults, request)
@@ -87,7 +93,7 @@ def run_plant(
         return INTERRUPTED if stop.is_set else FINISHED
     except BusError as error:
         reporter.report("fault", text=str(error))
-        return FAULT
+        return _exit_code(error)
     finally:
         ignore_stops()
         if link is not None:
@@ -99,7 +105,7 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
     _set_up_scheduling(setup, reporter, Role.CONTROLLER)
-    run = setup.link_run(lockstep=setup.scenario.clock == "lockstep")
+    run = _between_processes(setup)
     try:
         link = setup.link_kind.open_controller(run)
     except BusError as error:
@@ -120,7 +126,7 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
         return _end(loop, link, failure, reporter)
     except BusError as error:
         reporter.report("fault", text=str(error))
-        return FAULT
+        return _exit_code(error)
     finally:
         ignore_stops()
         link.close()
@@ -156,7 +162,7 @@ def _end(
         loop.stop(reason)
     reporter.report("result", **loop.end())
     link.await_recorded()
-    return FINISHED if failure is None else FAULT
+    return FINISHED if failure is None else _exit_code(failure)
 
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
@@ -176,7 +182,7 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
         recorder.run(lambda: stop.is_set)
     except BusError as error:
         reporter.report("fault", text=str(error))
-        code = FAULT
+        code = _exit_code(error)
     ignore_stops()
     recorder.close()
     if recorder.failure is not None:
@@ -222,12 +228,28 @@ def run_relay(
     return FINISHED
 
 
+def _between_processes(setup: Setup, can_log: Path | None = None) -> LinkRun:
+    run = setup.link_run(lockstep=setup.scenario.clock == "lockstep", can_log=can_log)
+    return replace(run, agreement=agreement_of(setup))
+
+
+def _exit_code(error: Exception) -> int:
+    """Different scenarios are bad input, though it shows only once both are there."""
+    return BAD_INPUT if isinstance(error, ScenarioMismatchError) else FAULT
+
+
 def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> None:
     """For a loop; before other threads exist."""
-    if setup.scenario.clock == "realtime":
-        _report_settings(go_realtime(cpu=_own_cpu(setup, role)), reporter)
-    else:
+    if setup.scenario.clock != "realtime":
         use_batch_scheduling()
+        return
+    candidates = _cpus_for(setup, role)
+    cpu = claim_cpu(candidates)
+    if cpu is None and candidates:
+        settings = [none_is_free(candidates), *go_realtime(_BEHIND_OTHERS)]
+    else:
+        settings = go_realtime(cpu=cpu)
+    _report_settings(settings, reporter)
 
 
 def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
@@ -237,15 +259,15 @@ def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) 
             reporter.report("lacks", text=f"works without {setting.name}: {setting.detail}")
 
 
-def _own_cpu(setup: Setup, role: Role) -> int | None:
-    """One of the usable CPUs for each loop, the last for the plant: it owns the clock, and the
-    first often has the interrupts. None for no choice: where there is but one, or where the link
-    has threads that need the others.
+def _cpus_for(setup: Setup, role: Role) -> list[int]:
+    """The usable CPUs, the best for a loop first: the last for the plant, as it owns the clock and
+    the first often has the interrupts. None for no choice: where there is but one, or where the
+    link has threads that need the others.
     """
     usable = sorted(os.sched_getaffinity(0))
     if len(usable) == 1 or not setup.link_kind.may_pin_loops:
-        return None
-    return usable[-1] if role is Role.PLANT else usable[0]
+        return []
+    return usable[::-1] if role is Role.PLANT else usable
 
 
 @contextlib.contextmanager

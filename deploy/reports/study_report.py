@@ -35,6 +35,7 @@ def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
             Fact("Failed runs", str(summary["runs_failed"])),
             Fact("Seeds", _shortened(summary["seeds"])),
         ],
+        conditions=summary.get("conditions", {}),
         study=content,
         summary=summary,
         folder=folder,

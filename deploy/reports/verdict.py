@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from deploy.reports.tables import number
+from deploy.reports.tables import margin_text, number
 from deploy.runs.run_data import RunData
 from deploy.runs.stalls import STALL_MS
 
@@ -88,9 +88,10 @@ def _bounds_sentence(summary: dict[str, Any]) -> str:
     if bounds["kept"]:
         return (
             f"The true error of every joint was inside its bounds at all {ticks:,} ticks; the"
-            f" smallest margin was {number(bounds['margin_min'], 100, ' %')}."
+            f" smallest margin was {margin_text(bounds['margin_min'])}."
         )
     return (
         f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
-        f" of the ticks, for the first time at {bounds['first_violation_s']:.3f} s."
+        f" of the ticks, for the first time at {bounds['first_violation_s']:.3f} s, and at most"
+        f" {number(1.0 - bounds['margin_min'])} times its bound."
     )

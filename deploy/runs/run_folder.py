@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
+from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
 from controller.laws.custom import custom_laws_left_out
 from deploy.processes.recorder import (
@@ -30,8 +30,9 @@ from deploy.processes.recorder import (
 from deploy.runs.new_folder import FolderLock, new_folder
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.referenced_files import DIRECTIONS
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
@@ -91,7 +92,7 @@ class RunFolder(ResultFolder):
         """
         folder = RunFolder(new_folder(setup.scenario.name, out, overwrite=overwrite))
         folder.lock()
-        write_whole(folder.scenario, effective_scenario(setup))
+        write_scenario(setup, folder.scenario)
         folder.write_manifest(setup, {})
         return folder
 
@@ -111,8 +112,17 @@ class RunFolder(ResultFolder):
 
 def read_summary(path: Path) -> dict[str, Any]:
     """What ``summary.json`` of a folder says; empty where there is none."""
+    return _read_json(path / "summary.json")
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What ``manifest.json`` of a folder says; empty where there is none."""
+    return _read_json(path / "manifest.json")
+
+
+def _read_json(file: Path) -> dict[str, Any]:
     try:
-        values = json.loads((path / "summary.json").read_text())
+        values = json.loads(file.read_text())
     except (OSError, ValueError):
         return {}
     return values if isinstance(values, dict) else {}
@@ -186,6 +196,7 @@ def manifest_of(
     return {
         **provenance(),
         "realtime": dict(grants),
+        "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
         "gains": {setup.scenario.controller.law: plain(setup.gains) for setup in setups},
         "scenario": plain(setups[0].scenario),
     }
@@ -200,6 +211,9 @@ def provenance() -> dict[str, Any]:
             "machine": platform.machine(),
             "kernel": platform.release(),
             "cpus": os.cpu_count(),
+            "usable_cpus": len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else None,
             "python": platform.python_version(),
         },
         "versions": {name: _version(name) for name in _LIBRARIES},

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
+from deploy.runs.conditions import Conditions
 from deploy.runs.new_folder import new_folder, resolved_out
 from deploy.runs.run_folder import (
     ResultFolder,
@@ -23,6 +24,7 @@ from deploy.runs.run_folder import (
 from deploy.runs.run_rows import Row, read_rows, write_rows
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
 from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness
@@ -84,10 +86,14 @@ class StudyFolder(ResultFolder):
             self._unwritten = []
         self._flushed_s = time.monotonic()
 
-    def put_together(self) -> None:
-        """Make one table of all rows, in order, of the parts."""
+    def put_together(self, conditions: Conditions | None = None) -> None:
+        """Make one table of all rows, in order, of the parts.
+
+        Args:
+            conditions: what the rows are to be quoted with.
+        """
         self.flush()
-        write_rows(self.rows, self.rows_file, self._columns)
+        write_rows(self.rows, self.rows_file, self._columns, conditions)
         shutil.rmtree(self._parts, ignore_errors=True)
 
     def rerun_command(self, point: str) -> str:
@@ -100,7 +106,7 @@ class StudyFolder(ResultFolder):
             return
         self.scenarios.mkdir(exist_ok=True)
         setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
-        write_whole(file, effective_scenario(setup))
+        write_scenario(setup, file)
 
 
 def find_folder(study: Study, out: Path | None) -> Path | None:
