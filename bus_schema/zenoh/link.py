@@ -67,6 +67,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         silence = self.watch_silence(Role.CONTROLLER)
         while not self.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
             silence.look()
+            self.require_same_scenario(Role.CONTROLLER)  # which saw it first, and left
             now_s = time.monotonic()
             # A client without rmw_zenoh's tokens can be known by its subscription only. Our own
             # controller subscribes long before it is ready, and is waited for.

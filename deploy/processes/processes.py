@@ -83,6 +83,8 @@ def run_plant(
         with _reporting_progress(reporter, lambda: _plant_progress(loop, setup)):
             outcome = loop.run()
         link.await_recorded()
+        if outcome.faults:  # of a controller that left at once, it shows late why
+            link.require_same_scenario(Role.CONTROLLER)
         for fault in outcome.faults:
             reporter.report("fault", text=fault)
         reporter.report(

@@ -95,10 +95,10 @@ def test_fault_that_it_reports_ends_the_run_by_its_name() -> None:
 @pytest.mark.parametrize(
     ("override", "told"),
     [
-        ("link.playout_ms=3", r"paper_arm\.yaml: link\.playout_ms = 3\.0: nothing is held back"),
+        ("link.playout_ms=3", r"link\.playout_ms=3: link\.playout_ms = 3\.0: nothing is held back"),
         (
             "faults=[{kind: link_cut, direction: uplink, at_s: 0}]",
-            r"paper_arm\.yaml: faults\.0\.kind = 'link_cut': it cannot be cut",
+            r"at_s: 0}\]: faults\.0\.kind = 'link_cut': it cannot be cut",
         ),
     ],
 )

@@ -39,7 +39,7 @@ HARD = {
 
 
 def run(*overrides, duration_s=4):
-    settings = [f"duration_s={duration_s}", "metrics.from_s=1", *overrides]
+    settings = [f"duration_s={duration_s}", f"metrics.from_s={0.25 * duration_s}", *overrides]
     return simulate(load_setup("paper_arm", settings))
 
 

@@ -278,8 +278,8 @@ def test_table_in_the_readme_is_what_is_measured():
 
 def test_report_shades_the_time_of_a_fault():
     figure = with_faults(error_in_funnel)(measured("faults/encoder_stuck").run)
-    shades = [(shape.x0, shape.x1) for shape in figure.layout.shapes if shape.fillcolor == ALARM]
-    assert shades == [(1.0, 1.3)] * 3  # one for each joint
+    shades = [shape.path for shape in figure.layout.shapes if shape.fillcolor == ALARM]
+    assert shades == ["M1.0,0 L1.0,1 L1.3,1 L1.3,0 Z"] * 3  # one for each joint
     assert fault_spans_s(measured("faults/payload_dropped").run) == [(1.0, 2.0)]
 
 

@@ -184,6 +184,6 @@ def test_scenario_that_does_not_fit_it_is_refused(override: str, told: str) -> N
 
 
 def test_unknown_protocol_is_refused_whatever_the_link() -> None:
-    told = r"paper_arm\.yaml: link\.can\.protocol = 'semaphore': must be"
+    told = r"semaphore: link\.can\.protocol = 'semaphore': must be"
     with pytest.raises(ScenarioError, match=told):
         load_setup("paper_arm", ["link.can.protocol=semaphore"])
