@@ -7,7 +7,7 @@ from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, PlainValidator, create_model, field_validator
+from pydantic import Field, PlainValidator, create_model, field_validator, model_validator
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
@@ -25,10 +25,16 @@ from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
+from controller.external.configuration import ExternalLawConfiguration
+from controller.external.external_law import ExternalLaw
 from controller.laws import LAWS
 from controller.laws.custom import build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
+
+
+EXTERNAL = "external"
+"""Name of the law that is a program of its own."""
 
 
 class DelayCompensationConfiguration(StrictModel):
@@ -88,15 +94,18 @@ class ControllerConfiguration(StrictModel):
     """The controller.
 
     Attributes:
-        law: name of the control law, or ``module:Class`` for one of the user's own.
+        law: name of the control law, ``module:Class`` for one of the user's own, or ``external``
+            for one in a program of its own.
         gains: gains by law; ``custom`` are keyword arguments for a law of the user's own. A law
             without an entry derives its gains from the arm's nominal inertia.
+        external: that program.
         model_scale: factor on the masses and inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
     """
 
     law: str = "fixed_time_neural"
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
+    external: ExternalLawConfiguration | None = None
     model_scale: Positive = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
@@ -105,9 +114,18 @@ class ControllerConfiguration(StrictModel):
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS and not is_custom(law):
-            raise ValueError(f"one of {', '.join(LAWS)}, or module:Class for a law of your own")
+        if law not in LAWS and law != EXTERNAL and not is_custom(law):
+            raise ValueError(
+                f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
+                " program of your own"
+            )
         return law
+
+    @model_validator(mode="after")
+    def _has_a_program(self) -> ControllerConfiguration:
+        if self.law == EXTERNAL and self.external is None:
+            raise ValueError(f"law {EXTERNAL} needs external.command, the program and its arguments")
+        return self
 
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
         """The gains of the configured law, expanded to the robot's joints.
@@ -120,6 +138,8 @@ class ControllerConfiguration(StrictModel):
         Raises:
             ConfigurationError: there are as many values of a gain as suits another arm.
         """
+        if self.law == EXTERNAL:
+            return {}
         if self.law not in LAWS:
             return self.gains["custom"]
         gains = self.gains.get(self.law)
@@ -133,6 +153,9 @@ class ControllerConfiguration(StrictModel):
         Raises:
             ConfigurationError: a law of the user's own cannot be made.
         """
+        if self.law == EXTERNAL:
+            assert self.external is not None  # as a validator saw to
+            return ExternalLaw(self.external, robot.effort_limits_nm)
         model = self.nominal_model(robot)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
