@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     PlainSerializer,
@@ -28,7 +32,7 @@ class ConfigurationError(BusError, ValueError):
     """
 
     def __init__(self, key: str, value: Any, allowed: str) -> None:
-        super().__init__(f"{key} = {_shown(value)}: {allowed}")
+        super().__init__(f"{key} = {shown(value)}: {allowed}")
         self.key = key
         self.value = value
         self.allowed = allowed
@@ -40,15 +44,38 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+@dataclass(frozen=True)
+class Sections:
+    """For `Annotated`, where a function checks a value: the classes that have its keys.
+
+    Attributes:
+        find: gives them, as they are by now.
+    """
+
+    find: Callable[[], Iterable[type]]
+
+
+LARGEST = 1e12
+"""No number may be larger, of either sign: what is computed from it would overflow."""
+
+
+def _not_boolean(value: Any) -> Any:
+    """Pydantic takes true for 1."""
+    if isinstance(value, bool):
+        raise ValueError("a number, not true or false")  # noqa: TRY004 (pydantic takes these alone)
+    return value
+
+
 def _to_vector(value: Any) -> Vector:
     given = value if isinstance(value, list | tuple | np.ndarray) else [value]
-    values = [_number_in(v) if isinstance(v, str) else v for v in given]
+    values: list[Any] = [_number_in(v) if isinstance(v, str) else v for v in given]
     if any(isinstance(v, bool) or not isinstance(v, int | float | np.number) for v in values):
         raise ValueError("a number, or a list of numbers with one per joint")
-    vector = np.array(values, dtype=np.float64)
-    if vector.size == 0 or not np.all(np.isfinite(vector)):
+    if not values or not all(-math.inf < v < math.inf for v in values):
         raise ValueError("finite numbers, one for all joints or one per joint")
-    return vector
+    if any(abs(v) > LARGEST for v in values):  # of which an int may be too large for an array
+        raise ValueError(f"numbers of at most {LARGEST:g} in size")
+    return np.array(values, dtype=np.float64)
 
 
 def _number_in(text: str) -> float | str:
@@ -79,10 +106,12 @@ PerJoint = Annotated[
 PerJointPositive = Annotated[PerJoint, AfterValidator(_require_positive)]
 PerJointNonNegative = Annotated[PerJoint, AfterValidator(_require_non_negative)]
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-PowerAboveOne = Annotated[float, Field(gt=1)]
-PowerBelowOne = Annotated[float, Field(gt=0, lt=1)]
+Number = Annotated[float, BeforeValidator(_not_boolean), Field(ge=-LARGEST, le=LARGEST)]
+Whole = Annotated[int, BeforeValidator(_not_boolean)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
+PowerAboveOne = Annotated[Number, Field(gt=1)]
+PowerBelowOne = Annotated[Number, Field(gt=0, lt=1)]
 
 Gains = TypeVar("Gains", bound=tuple[Any, ...])
 
@@ -110,6 +139,11 @@ def expand_fields(gains: Gains, joints: int, key: str) -> Gains:
     return gains._replace(**values)  # type: ignore[attr-defined,no-any-return]
 
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
+def shown(value: Any) -> str:
+    """A value as messages show it: as Python writes it, cut off where that is long."""
+    return shortened(repr(value))
+
+
+def shortened(text: str, longest: int = 120) -> str:
+    """A text, cut off where it is long."""
+    return text if len(text) <= longest else text[: longest - 3] + "..."

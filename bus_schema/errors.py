@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+_SHOWN_KEYS = 12
+
 
 class BusError(Exception):
     """Root of all errors of this package."""
@@ -31,6 +35,23 @@ class PeerSilentError(BusError, TimeoutError):
         super().__init__(f"the {peer} is silent: no {awaited} within {waited_s:g} s")
         self.peer = peer
         self.waited_s = waited_s
+
+
+class ScenarioMismatchError(BusError):
+    """A peer runs another scenario; the message names the keys that differ.
+
+    Attributes:
+        keys: dotted keys.
+    """
+
+    def __init__(self, peer: str, keys: Sequence[str]) -> None:
+        shown = ", ".join(keys[:_SHOWN_KEYS])
+        more = f" and {len(keys) - _SHOWN_KEYS} more" if len(keys) > _SHOWN_KEYS else ""
+        super().__init__(
+            f"the {peer} runs another scenario; what differs: {shown}{more}: start both with the"
+            " same file and the same --set"
+        )
+        self.keys = list(keys)
 
 
 class RobotDescriptionError(BusError, ValueError):

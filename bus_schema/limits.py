@@ -12,6 +12,7 @@ from pydantic import Field
 
 from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.configuration import (
+    Number,
     PerJointNonNegative,
     PerJointPositive,
     StrictModel,
@@ -51,7 +52,7 @@ class LimitsConfiguration(StrictModel):
     torque_rate_nm_s: PerJointPositive | None = None
     velocity_rad_s: PerJointPositive | None = None
     position_margin_rad: PerJointNonNegative = Field(default_factory=lambda: np.zeros(1))
-    velocity_margin: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    velocity_margin: Annotated[Number, Field(ge=0, lt=1)] = 0.0
     on_position: Reaction = "cut"
     on_velocity: Reaction = "count"
 

@@ -11,11 +11,10 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.urdf_checks import ACTUATED_TYPES, check_urdf, finite_number
 
-ACTUATED_TYPES = ("revolute", "continuous")
 PAYLOAD_LINK = "funnel_hil_payload"
 _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
-_INERTIA_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -45,6 +44,15 @@ class RobotDescription:
     @property
     def joints(self) -> int:
         return len(self.joint_names)
+
+    def portable_urdf(self) -> str:
+        """The URDF as it is, for another folder: mesh files by absolute path."""
+        root = ET.fromstring(self.text)
+        if root.find(".//mesh") is None:
+            return self.text
+        for mesh in root.iter("mesh"):
+            mesh.set("filename", _absolute(mesh.get("filename", ""), self.path.parent))
+        return ET.tostring(root, encoding="unicode")
 
     def resolved_urdf(self, payload_kg: float = 0.0) -> str:
         """The URDF with every joint either revolute or fixed, mesh files by absolute path.
@@ -78,10 +86,8 @@ def load_robot(path: Path) -> RobotDescription:
     joints = [j for j in root.findall("joint") if j.get("type") in ACTUATED_TYPES]
     if not joints:
         raise RobotDescriptionError(f"{path} has no revolute or continuous joint")
-    _require_physical(path, root)
+    check_urdf(path, root)
     names = tuple(joint.get("name", "") for joint in joints)
-    if len(set(names)) != len(names) or "" in names:
-        raise RobotDescriptionError(f"{path}: joint names must be unique and not empty: {names}")
     return RobotDescription(
         path=path,
         text=text,
@@ -90,7 +96,7 @@ def load_robot(path: Path) -> RobotDescription:
         velocity_limits_rad_s=_limits(path, joints, "velocity", math.inf),
         lower_rad=_limits(path, joints, "lower", -math.inf),
         upper_rad=_limits(path, joints, "upper", math.inf),
-        tip_link=_tip_link(path, root),
+        tip_link=_tip_link(root),
     )
 
 
@@ -117,25 +123,6 @@ def _absolute(name: str, base: Path) -> str:
     return str(base / inside)
 
 
-def _require_physical(path: Path, root: ET.Element) -> None:
-    """Refuse inertias that no body has: pybullet would silently set them to zero."""
-    for link in root.findall("link"):
-        inertia = link.find("inertial/inertia")
-        if inertia is None:
-            continue
-        xx, xy, xz, yy, yz, zz = (
-            _number(path, f"link {link.get('name')}", name, inertia.get(name, "0"))
-            for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        )
-        principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        slack = _INERTIA_TOLERANCE * max(abs(principal[-1]), 1e-12)
-        if principal[0] < -slack or principal[-1] > principal[0] + principal[1] + slack:
-            raise RobotDescriptionError(
-                f"{path}: link {link.get('name')} has principal moments of inertia"
-                f" {principal.tolist()}; none may be negative or exceed the sum of the others"
-            )
-
-
 def _parse(path: Path) -> tuple[str, ET.Element]:
     try:
         text = path.read_text()
@@ -158,29 +145,20 @@ def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float
         if text is None or (is_range and joint.get("type") == "continuous"):
             values.append(missing)
             continue
-        value = _number(path, f"joint {joint.get('name')}", attribute, text)
+        try:
+            value = finite_number(f"joint {joint.get('name')}", attribute, text)
+        except RobotDescriptionError as error:
+            raise RobotDescriptionError(f"{path}: {error}") from error
         # A zero effort or velocity limit is how many exporters write "unknown".
         values.append(missing if value <= 0.0 and not is_range else value)
     return np.array(values)
 
 
-def _number(path: Path, owner: str, attribute: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise RobotDescriptionError(f"{path}: {attribute}={text!r} of {owner} is no finite number")
-    return value
-
-
-def _tip_link(path: Path, root: ET.Element) -> str:
+def _tip_link(root: ET.Element) -> str:
     parents = {}
     for joint in root.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is None or child is None:
-            raise RobotDescriptionError(f"{path}: joint {joint.get('name')} lacks parent or child")
-        parents[child.get("link", "")] = parent.get("link", "")
+        ends = {end.tag: end.get("link", "") for end in joint if end.tag in ("parent", "child")}
+        parents[ends["child"]] = ends["parent"]
 
     def depth(link: str) -> int:
         steps = 0

@@ -12,8 +12,10 @@ from pydantic import Field, PlainValidator, create_model, field_validator, model
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
     NonNegative,
+    Number,
     PerJointPositive,
     Positive,
+    Sections,
     StrictModel,
     expand,
     expand_fields,
@@ -28,13 +30,9 @@ from controller.control_law import ControlLaw
 from controller.external.configuration import ExternalLawConfiguration
 from controller.external.external_law import ExternalLaw
 from controller.laws import LAWS
-from controller.laws.custom import build_custom, is_custom
+from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
-
-
-EXTERNAL = "external"
-"""Name of the law that is a program of its own."""
 
 
 class DelayCompensationConfiguration(StrictModel):
@@ -74,9 +72,12 @@ class DriveFeedbackConfiguration(StrictModel):
 
 def _check_gains(given: Any) -> dict[str, Any]:
     """Gains by law, for the laws that the table has by now."""
-    types = tuple((law, entry.gains) for law, entry in LAWS.items())
-    checked = _gains_section(types).model_validate(given)
+    checked = _section_now().model_validate(given)
     return {law: gains for law, gains in checked if gains is not None}
+
+
+def _section_now() -> type[StrictModel]:
+    return _gains_section(tuple((law, entry.gains) for law, entry in LAWS.items()))
 
 
 @cache  # it takes 15 ms to make, as often as a scenario is read
@@ -87,7 +88,9 @@ def _gains_section(types: tuple[tuple[str, Any], ...]) -> type[StrictModel]:
     return create_model("Gains", __base__=StrictModel, **fields)
 
 
-GainsByLaw = Annotated[dict[str, Any], PlainValidator(_check_gains)]
+GainsByLaw = Annotated[
+    dict[str, Any], PlainValidator(_check_gains), Sections(lambda: [_section_now()])
+]
 
 
 class ControllerConfiguration(StrictModel):
@@ -106,7 +109,7 @@ class ControllerConfiguration(StrictModel):
     law: str = "fixed_time_neural"
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     external: ExternalLawConfiguration | None = None
-    model_scale: Positive = 1.0
+    model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
@@ -114,7 +117,7 @@ class ControllerConfiguration(StrictModel):
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS and law != EXTERNAL and not is_custom(law):
+        if law not in LAWS and not is_custom(law):
             raise ValueError(
                 f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
                 " program of your own"
@@ -124,7 +127,9 @@ class ControllerConfiguration(StrictModel):
     @model_validator(mode="after")
     def _has_a_program(self) -> ControllerConfiguration:
         if self.law == EXTERNAL and self.external is None:
-            raise ValueError(f"law {EXTERNAL} needs external.command, the program and its arguments")
+            raise ValueError(
+                f"law {EXTERNAL} needs external.command, the program and its arguments"
+            )
         return self
 
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
@@ -154,6 +159,8 @@ class ControllerConfiguration(StrictModel):
             ConfigurationError: a law of the user's own cannot be made.
         """
         if self.law == EXTERNAL:
+            if are_left_out():
+                return LeftOut(robot.joints)
             assert self.external is not None  # as a validator saw to
             return ExternalLaw(self.external, robot.effort_limits_nm)
         model = self.nominal_model(robot)

@@ -33,6 +33,7 @@ from controller.control_law import ControlLaw, Tracking, release
 from controller.control_status import ControlStatus
 from controller.errors import ControllerError
 from controller.funnel import Funnel
+from controller.law_error import LawError
 from controller.reference import Reference
 from controller.torque_guard import TorqueGuard
 
@@ -106,15 +107,23 @@ class ControlLoop:
         link.serve(self.cycle)
 
     def warm_up(self) -> None:
-        """Compile the law before time counts, and leave no trace of it."""
+        """Compile the law before time counts, and leave no trace of it.
+
+        Raises:
+            ControllerError: the law raised, or returned something that is no torque.
+        """
         reference, funnel = self._task.reference, self._task.funnel
         situation = self.tracking
         situation.update(0.0, 0.0, reference, funnel)
         if self._compensation is not None:
             self._compensation.warm_up(self.tracking, reference, funnel)
             situation = self._compensation.predicted  # a law binds its kernels to what it is shown
-        self._guard.admit(self._task.law.torque(situation), 0, 0.0)
-        self._task.law.reset()
+        try:
+            torque_nm = self._task.law.torque(situation)
+            self._task.law.reset()
+        except (Exception, SystemExit) as error:
+            raise LawError(self._task.law_name, None, error) from error
+        self._guard.admit(torque_nm, 0, 0.0)
         self._guard.reset()
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
         RunEvent(0, Role.CONTROLLER, EventKind.STARTED, "").encode()
@@ -124,7 +133,7 @@ class ControlLoop:
 
         Raises:
             InvalidTorqueError: the law returned something that is no torque.
-            Exception: whatever else the law raised; the controller has stopped then.
+            LawError: it raised; the controller has stopped then.
         """
         started_ns = time.perf_counter_ns()
         if self.mode is Mode.FAULT:
@@ -216,7 +225,10 @@ class ControlLoop:
             situation = self._compensation.predict(
                 situation, self.stamp_ns, self._feedback, self._task.reference, self._task.funnel
             )
-        torque_nm = self._task.law.torque(situation)
+        try:
+            torque_nm = self._task.law.torque(situation)
+        except (Exception, SystemExit) as error:  # a law of the user's own may raise anything
+            raise LawError(self._task.law_name, self.cycles, error) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
         self._take_torque()
 

@@ -11,6 +11,8 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
 from controller.rigid_bodies import RigidBodies
 
+_NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
+
 
 class ManipulatorModel:
     """Rigid-body dynamics M(q) q̈ + C(q, q̇) q̇ + G(q) = τ of an arm.
@@ -36,9 +38,12 @@ class ManipulatorModel:
             self._model.inertias[index] = pinocchio.Inertia(
                 scale * inertia.mass, inertia.lever, scale * inertia.inertia
             )
+        missing = [name for name in robot.joint_names if not self._model.existJointName(name)]
+        if missing:
+            raise RobotDescriptionError(f"{robot.path}: pinocchio makes no joint of {missing}")
         self._data = self._model.createData()
         self._names = robot.joint_names
-        self._tip = self._model.getFrameId(robot.tip_link)
+        self._tip = self._model.getFrameId(robot.tip_link, pinocchio.FrameType.BODY)
         self.joints = robot.joints
         # pinocchio may order the joints otherwise than the URDF file: the place of each one there.
         self._order = np.array(
@@ -91,9 +96,17 @@ class ManipulatorModel:
 
         Args:
             positions: joint positions on the motion, shape (samples, joints), rad.
+
+        Raises:
+            RobotDescriptionError: a joint has no inertia.
         """
-        inverses = [np.linalg.inv(self.mass_matrix(position)) for position in positions]
+        try:
+            inverses = [np.linalg.inv(self.mass_matrix(position)) for position in positions]
+        except np.linalg.LinAlgError as error:
+            raise RobotDescriptionError(_NO_INERTIA) from error
         felt = np.min([1.0 / np.diag(inverse) for inverse in inverses], axis=0)
+        if not np.all(felt > 0.0) or not np.all(np.isfinite(felt)):
+            raise RobotDescriptionError(_NO_INERTIA)
         fastest = max(np.linalg.eigvals(inverse * felt).real.max() for inverse in inverses)
         return np.asarray(felt / fastest)
 

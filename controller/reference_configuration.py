@@ -8,7 +8,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
-from bus_schema.configuration import NonNegative, PerJoint, Positive, StrictModel, expand
+from bus_schema.configuration import (
+    NonNegative,
+    Number,
+    PerJoint,
+    Positive,
+    StrictModel,
+    expand,
+)
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference
@@ -29,11 +36,11 @@ class _Timed(StrictModel):
 class AxisConfiguration(StrictModel):
     """One Cartesian axis: offset + velocity t + amplitude sin(frequency t + phase)."""
 
-    offset_m: float
-    velocity_m_s: float = 0.0
-    amplitude_m: float = 0.0
-    frequency_rad_s: float = 0.0
-    phase_rad: float = 0.0
+    offset_m: Number
+    velocity_m_s: Number = 0.0
+    amplitude_m: Number = 0.0
+    frequency_rad_s: Number = 0.0
+    phase_rad: Number = 0.0
 
     def at_speed(self, speed: float) -> list[float]:
         """Offset, velocity, amplitude, frequency and phase with time that runs faster."""

@@ -16,6 +16,7 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.rejections import Rejections
 from bus_schema.runtime.compiled import bind
 from bus_schema.runtime.finite import all_finite
+from plant_emulator.sender_numbers import SenderNumbers
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +43,10 @@ class CommandGate:
 
     The first sender of a valid command becomes the commander, and no other is heard until it has
     left the bus. A controller that was started again is another session, and so another sender.
+
+    Only a command that comes through moves the fences: what is refused uses up its own number, and
+    changes nothing else. Without link.security anybody can send under the commander's id. The
+    fences are not made against that; `second_source` says when it shows.
 
     Args:
         joint_names: names of the joints.
@@ -75,6 +80,12 @@ class CommandGate:
         self.is_waiting = False
         self._awaited_ns = -1
         self.commander: bytes | None = None
+        self._numbers = SenderNumbers()
+
+    @property
+    def second_source(self) -> str | None:
+        """What shows that two send under the commander's id; None for nothing."""
+        return self._numbers.second_source
 
     def admit(self, arrival: CommandArrival, newest_state_ns: int) -> Command | None:
         """The command in `arrival`, or None if it must change nothing.
@@ -115,7 +126,9 @@ class CommandGate:
             raise InvalidMessageError("stale", "it answers a state no newer than the last one did")
         self.newest_ns = stamp_ns
         self._newest_sequence = arrival.sequence
-        self.commander = arrival.sender
+        if arrival.sender != self.commander:
+            self.commander, self._numbers = arrival.sender, SenderNumbers()
+            self._numbers.is_new(arrival.sequence, arrival.payload)
         return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target)
 
     def _target_given(self) -> Matrix | None:
@@ -133,8 +146,10 @@ class CommandGate:
         A sender that gives no numbers has the stamps alone to protect it.
         """
         if arrival.sender == self.commander:
-            if arrival.sequence <= self._newest_sequence and self._newest_sequence:
+            number, is_known = arrival.sequence, False
+            if arrival.sender and number:
+                is_known = not self._numbers.is_new(number, arrival.payload)
+            if is_known or (number <= self._newest_sequence and self._newest_sequence):
                 raise InvalidMessageError("replayed", "its number is no newer than the last one's")
-            self._newest_sequence = arrival.sequence
         elif self.commander is not None and not self._has_left(self.commander):
             raise InvalidMessageError("other_commander", "another session is in command")

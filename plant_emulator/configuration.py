@@ -9,10 +9,12 @@ from pydantic import Field
 
 from bus_schema.configuration import (
     NonNegative,
+    Number,
     PerJointNonNegative,
     PerJointPositive,
     Positive,
     StrictModel,
+    Whole,
     expand,
 )
 from bus_schema.drive_feedback import DriveGains
@@ -52,23 +54,23 @@ class ConstantTerm(_Term):
     """A constant torque."""
 
     kind: Literal["constant"]
-    torque_nm: float
+    torque_nm: Number
 
 
 class SineTerm(_Term):
     """amplitude sin(frequency t + phase)."""
 
     kind: Literal["sine"]
-    amplitude_nm: float
+    amplitude_nm: Number
     frequency_rad_s: Positive
-    phase_rad: float = 0.0
+    phase_rad: Number = 0.0
 
 
 class StepTerm(_Term):
     """A torque from a time on."""
 
     kind: Literal["step"]
-    torque_nm: float
+    torque_nm: Number
     start_s: NonNegative
 
 
@@ -76,7 +78,7 @@ class PulseTerm(_Term):
     """A torque for a time."""
 
     kind: Literal["pulse"]
-    torque_nm: float
+    torque_nm: Number
     start_s: NonNegative
     duration_s: Positive
 
@@ -178,8 +180,8 @@ class PlantConfiguration(StrictModel):
         gui: open pybullet's window.
     """
 
-    substeps: Annotated[int, Field(ge=1, le=100)] = 4
-    payload_kg: NonNegative = 0.0
+    substeps: Annotated[Whole, Field(ge=1, le=100)] = 4
+    payload_kg: Annotated[NonNegative, Field(le=1e6)] = 0.0
     command_timeout_ms: Positive = 200.0
     safe_stop: Literal["brake", "damping", "zero_torque"] = "brake"
     stop_damping_nm_s: PerJointPositive = Field(default_factory=lambda: np.array([20.0]))

@@ -76,6 +76,7 @@ class PlantLoop:
         )
         self._instruments = Instruments(names, arm, self._commands)
         self._controller_is_lost = False
+        self._second_source_is_told = False
         self._end_tick = task.ticks
         self._outcome = PlantOutcome()
         self._stop_requested = False
@@ -226,6 +227,9 @@ class PlantLoop:
             self._commands.reject(arrivals)
         elif arrivals:
             self._commands.take_in(arrivals, self._newest_state_ns)
+            if self._gate.second_source is not None and not self._second_source_is_told:
+                self._second_source_is_told = True
+                self._fail(f"two sources send as the one commander: {self._gate.second_source}")
 
     def _skip_to(self, tick: int) -> None:
         """Let the physics go through the ticks before this one, at which nothing is measured."""

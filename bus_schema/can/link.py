@@ -21,7 +21,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import Topic
+from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock, TickGrid
 
 logger = logging.getLogger(__name__)
@@ -103,6 +103,7 @@ class CanControllerLink(ControllerLink):
         try:
             if not self._master.enable(self._run.link.connect_timeout_s, is_stop_requested):
                 return
+            self._telemetry.require_same_scenario(Role.PLANT)
             self._clock.start()
             while tick < self._run.ticks and not is_stop_requested():
                 self._cycle(tick, is_stop_requested)

@@ -14,6 +14,7 @@ from typing import Any
 import can
 
 from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.this_machine import hear_this_machine_only
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -126,6 +127,8 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
         )  # fmt: skip
     try:
         bus = can.Bus(interface=interface, channel=channel, **_arguments(configuration))
+        if interface == "udp_multicast" and not configuration.hop_limit:
+            hear_this_machine_only(bus.fileno())
     except Exception as error:
         raise _explained(error, interface, channel) from error
     return PythonCanBus(bus, channel, receives_own=interface == "udp_multicast")
@@ -167,7 +170,11 @@ def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
         rates |= {"fd": True, "data_bitrate": configuration.data_bitrate}
     others: dict[str, dict[str, Any]] = {
         "virtual": {"protocol": can.CanProtocol.CAN_FD},
-        "udp_multicast": {"port": configuration.port, "fd": configuration.fd},
+        "udp_multicast": {
+            "port": configuration.port,
+            "fd": configuration.fd,
+            "hop_limit": configuration.hop_limit,
+        },
         "socketcan": {"fd": configuration.fd},
     }
     return others.get(configuration.interface, rates)

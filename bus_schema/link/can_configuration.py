@@ -11,9 +11,11 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from bus_schema.configuration import (
     ConfigurationError,
     NonNegative,
+    Number,
     PerJointPositive,
     Positive,
     StrictModel,
+    Whole,
 )
 
 _DESCRIPTIONS = Path(str(resources.files("bus_schema").joinpath("can")))
@@ -31,6 +33,9 @@ def _check_node_ids(node_ids: tuple[int, ...]) -> tuple[int, ...]:
     return node_ids
 
 
+NodeId = Annotated[Whole, Field(ge=1, le=127)]
+
+
 class CanFaults(StrictModel):
     """What goes wrong on an emulated bus, and with the drives on it.
 
@@ -42,7 +47,7 @@ class CanFaults(StrictModel):
             ``encoder-frozen`` and ``over-temperature``.
     """
 
-    frame_error_probability: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    frame_error_probability: Annotated[Number, Field(ge=0, le=0.5)] = 0.0
     bus_off_s: NonNegative | None = None
     drives: tuple[str, ...] = ()
 
@@ -56,6 +61,8 @@ class CanConfiguration(StrictModel):
         channel: what the interface calls the bus; by default ``vcan0``, a multicast address, or a
             name.
         port: UDP port of ``udp_multicast``.
+        hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
+            machine alone; 1 its network, where anybody can then command the drives; more routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
         fd: the bus carries CAN FD frames too. Neither protocol sends any.
         data_bitrate: bit rate of the data phase of FD frames.
@@ -75,21 +82,19 @@ class CanConfiguration(StrictModel):
 
     interface: str = "socketcan"
     channel: str | None = None
-    port: Annotated[int, Field(ge=1, le=65_535)] = 43_113
+    port: Annotated[Whole, Field(ge=1, le=65_535)] = 43_113
+    hop_limit: Annotated[Whole, Field(ge=0, le=255)] = 0
     bitrate: Literal[125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
     fd: bool = False
-    data_bitrate: Annotated[int, Field(ge=125_000, le=8_000_000)] | None = None
+    data_bitrate: Annotated[Whole, Field(ge=125_000, le=8_000_000)] | None = None
     protocol: Annotated[str, BeforeValidator(str)] = "cia402"
-    node_ids: (
-        Annotated[tuple[Annotated[int, Field(ge=1, le=127)], ...], AfterValidator(_check_node_ids)]
-        | None
-    ) = None
+    node_ids: Annotated[tuple[NodeId, ...], AfterValidator(_check_node_ids)] | None = None
     eds: str | None = None
-    encoder_bits: Annotated[int, Field(ge=8, le=24)] = 20
+    encoder_bits: Annotated[Whole, Field(ge=8, le=24)] = 20
     rated_torque_nm: PerJointPositive | None = None
-    heartbeat_ms: Annotated[int, Field(ge=1, le=30_000)] = 20
-    heartbeat_timeout_ms: Annotated[int, Field(ge=2, le=65_000)] = 70
-    command_timeout_ms: Annotated[int, Field(ge=2, le=65_000)] = 50
+    heartbeat_ms: Annotated[Whole, Field(ge=1, le=30_000)] = 20
+    heartbeat_timeout_ms: Annotated[Whole, Field(ge=2, le=65_000)] = 70
+    command_timeout_ms: Annotated[Whole, Field(ge=2, le=65_000)] = 50
     answer_timeout_s: Positive = 2.0
     faults: CanFaults = CanFaults()
 

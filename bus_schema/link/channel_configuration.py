@@ -9,9 +9,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bus_schema.configuration import NonNegative, Positive, StrictModel
+from bus_schema.configuration import (
+    NonNegative,
+    Number,
+    Positive,
+    StrictModel,
+)
 
-Probability = Annotated[float, Field(ge=0, le=1)]
+Probability = Annotated[Number, Field(ge=0, le=1)]
 Distribution = Literal["uniform", "normal", "pareto", "empirical"]
 
 
@@ -31,11 +36,11 @@ class BurstLossConfiguration(StrictModel):
     """
 
     p: Probability | None = None
-    r: Annotated[float, Field(gt=0, le=1)] | None = None
+    r: Annotated[Number, Field(gt=0, le=1)] | None = None
     loss_in_bad: Probability = 1.0
     loss_in_good: Probability = 0.0
-    mean_loss: Annotated[float, Field(ge=0, lt=1)] | None = None
-    mean_burst: Annotated[float, Field(ge=1)] | None = None
+    mean_loss: Annotated[Number, Field(ge=0, lt=1)] | None = None
+    mean_burst: Annotated[Number, Field(ge=1)] | None = None
 
     @model_validator(mode="after")
     def _check_form(self) -> BurstLossConfiguration:

@@ -7,7 +7,12 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
-from bus_schema.configuration import NonNegative, Positive, StrictModel
+from bus_schema.configuration import (
+    NonNegative,
+    Positive,
+    StrictModel,
+    Whole,
+)
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
@@ -69,7 +74,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     """
 
     kind: Annotated[str, BeforeValidator(str)] = "zenoh"  # the table of kinds says which there are
-    domain: Annotated[int, Field(ge=0, le=232)] = 0
+    domain: Annotated[Whole, Field(ge=0, le=232)] = 0
     security: SecurityConfiguration = SecurityConfiguration()
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"

@@ -80,6 +80,9 @@ class InProcessNode:
     def sees(self, role: Role) -> bool:
         return not self._bus.has_left[role].is_set()
 
+    def require_same_scenario(self, role: Role) -> None:
+        """There is but one inside a process."""
+
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:

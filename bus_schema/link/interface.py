@@ -61,6 +61,13 @@ class Telemetry(Link, Protocol):
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""
 
+    def require_same_scenario(self, role: Role) -> None:
+        """Check that a process of ours runs the same scenario, as far as it has said so.
+
+        Raises:
+            ScenarioMismatchError: it does not.
+        """
+
 
 class PlantLink(Link, Protocol):
     """The plant's side. `overflow`, `fault` and `report` have defaults, for links without them."""

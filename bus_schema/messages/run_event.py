@@ -73,6 +73,6 @@ class RunEvent:
         """The JSON object in `detail`; empty where there is none."""
         try:
             parsed = json.loads(self.detail)
-        except (json.JSONDecodeError, RecursionError):  # its sender may be anybody
+        except (ValueError, RecursionError):  # its sender may be anybody
             return {}
         return parsed if isinstance(parsed, dict) else {}

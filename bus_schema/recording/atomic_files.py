@@ -7,9 +7,10 @@ become ``run.mcap`` is ``run.partial.mcap``.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,26 +20,47 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
+def is_partial(path: Path) -> bool:
+    """Whether a file has the name of one that is not complete."""
+    return path.stem.endswith(".partial")
+
+
 def complete(path: Path) -> None:
     """Give a file that is written its name, once it is safe on the disk.
 
     Raises:
-        OSError: it cannot be brought to the disk.
+        OSError: it cannot be brought to the disk; the file is named.
     """
-    with partial_path(path).open("rb") as file:
-        os.fsync(file.fileno())
-    partial_path(path).replace(path)
+    with naming_file(path):
+        with partial_path(path).open("rb") as file:
+            os.fsync(file.fileno())
+        partial_path(path).replace(path)
+
+
+@contextlib.contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """What the disk does not take is told with the file's name, which writing leaves out.
+
+    Raises:
+        OSError: as within, with a file name.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OSError(error.errno or errno.EIO, reason, str(path)) from error
 
 
 def write_whole(path: Path, text: str) -> None:
     """Write a text file; whatever happens, there is all of it or none.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written; the file is named.
     """
     partial = partial_path(path)
     try:
-        partial.write_text(text, encoding="utf-8")
+        with naming_file(path):
+            partial.write_text(text, encoding="utf-8")
         complete(path)
     except OSError:
         partial.unlink(missing_ok=True)

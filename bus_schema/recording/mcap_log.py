@@ -1,14 +1,13 @@
 """Recordings: MCAP files with profile ``ros2``, schemas in ``ros2msg`` and payloads in ``cdr``.
 
 What is written is what was on the wire. What a kill left behind can be read up to the last chunk
-that reached the disk.
+that reached the disk. A file that is not what was written is told as damaged (`checked_records`).
 """
 
 from __future__ import annotations
 
 import logging
 import os
-import struct
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,23 +15,20 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, cast
 
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.writer import CompressionType, Writer
-from zstandard import ZstdError
 
 from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
-from bus_schema.recording.atomic_files import RecordFile, complete, partial_path
+from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, partial_path
+from bus_schema.recording.checked_records import CheckedRecords
 from bus_schema.recording.older_messages import Translate, translation
 
 logger = logging.getLogger(__name__)
 
 _LARGEST_CHUNK_BYTES = 256 * 1024
 _RESERVE_BYTES = 64 * 1024
-_TORN = (McapError, EOFError, ValueError, LookupError, struct.error, ZstdError)
-"""What reading a torn file ends in, depending on where it was torn."""
+_SHOWN_DAMAGE = 10
 
 
 class McapLog:
@@ -64,7 +60,10 @@ class McapLog:
         self._file = RecordFile(partial_path(path))
         chunk_size = int(min(max(bytes_per_s / 4, 1024), _LARGEST_CHUNK_BYTES))
         self._writer = Writer(
-            cast("IO[bytes]", self._file), chunk_size=chunk_size, compression=CompressionType.ZSTD
+            cast("IO[bytes]", self._file),
+            chunk_size=chunk_size,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
         )
         self._writer.start(profile="ros2", library="funnel-hil")
         self._channels: dict[str, int] = {}
@@ -157,7 +156,10 @@ class LogContents:
         sequences: their sequence numbers.
         attachments: attached files by name.
         metadata: metadata tables by name.
-        complete: the file was finished; otherwise its end is missing.
+        complete: the file was finished, and every byte of it is as it was written.
+        damage: what is not, and how much can be read all the same, a sentence each.
+        lacks_checksums: no checksum covers all of its data, only messages and attachments, as in
+            recordings of older versions.
     """
 
     payloads: dict[str, list[bytes]] = field(default_factory=lambda: defaultdict(list))
@@ -165,39 +167,82 @@ class LogContents:
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     complete: bool = False
+    damage: list[str] = field(default_factory=list)
+    lacks_checksums: bool = False
+
+
+class _Sorter:
+    """Sorts records into the contents of a recording; messages of older versions in today's form.
+
+    A message whose channel was described in a damaged chunk waits for the summary, which describes
+    all channels again.
+    """
+
+    def __init__(self) -> None:
+        self.contents = LogContents()
+        self.messages = 0
+        self.expected: int | None = None
+        self._topics: dict[int, str] = {}
+        self._translations: dict[int, Translate | None] = {}  # by schema
+        self._translate: dict[int, Translate | None] = {}  # by channel
+        self._waiting: list[Message] = []
+
+    def take(self, record: McapRecord) -> None:
+        """Sort one record in."""
+        match record:
+            case Schema() if record.id not in self._translations:
+                text = record.data.decode(errors="replace")
+                self._translations[record.id] = translation(record.name, text)
+            case Channel() if record.id not in self._topics:
+                self._topics[record.id] = record.topic.strip("/")
+                self._translate[record.id] = self._translations.get(record.schema_id)
+            case Message() if record.channel_id in self._topics:
+                self._take_message(record)
+            case Message():
+                self._waiting.append(record)
+            case Attachment():
+                self.contents.attachments[record.name] = record.data
+            case Metadata():
+                self.contents.metadata[record.name] = record.metadata
+            case Statistics():
+                self.expected = record.message_count
+
+    def take_waiting(self) -> None:
+        """Sort in what waited, as far as its channels are known by now."""
+        for message in self._waiting:
+            if message.channel_id in self._topics:
+                self._take_message(message)
+
+    def _take_message(self, message: Message) -> None:
+        update = self._translate[message.channel_id]
+        data = message.data if update is None else update(message.data)
+        topic = self._topics[message.channel_id]
+        self.contents.payloads[topic].append(data)
+        self.contents.sequences[topic].append(message.sequence)
+        self.messages += 1
 
 
 def read_log(path: Path) -> LogContents:
-    """Read a recording, or what there is of it; messages of older versions in today's form.
+    """Read a recording, or what there is of it.
 
     Raises:
-        OSError: the file cannot be opened.
+        OSError: the file cannot be read.
     """
-    contents = LogContents()
-    topics: dict[int, str] = {}
-    translations: dict[int, Translate | None] = {}  # by schema
-    translate: dict[int, Translate | None] = {}  # by channel
+    sorter, size = _Sorter(), path.stat().st_size
     with path.open("rb") as file:
-        try:
-            for record in StreamReader(file).records:
-                match record:
-                    case Schema():
-                        text = record.data.decode(errors="replace")
-                        translations[record.id] = translation(record.name, text)
-                    case Channel():
-                        topics[record.id] = record.topic.strip("/")
-                        translate[record.id] = translations.get(record.schema_id)
-                    case Message():
-                        update = translate[record.channel_id]
-                        data = record.data if update is None else update(record.data)
-                        contents.payloads[topics[record.channel_id]].append(data)
-                        contents.sequences[topics[record.channel_id]].append(record.sequence)
-                    case Attachment():
-                        contents.attachments[record.name] = record.data
-                    case Metadata():
-                        contents.metadata[record.name] = record.metadata
-                    case Footer():
-                        contents.complete = True
-        except _TORN:
-            contents.complete = False
+        records = CheckedRecords(file, size)
+        for record in records:
+            sorter.take(record)
+    sorter.take_waiting()
+    contents, damage = sorter.contents, records.damage
+    if records.cut_off_at is not None and not is_partial(path):
+        damage.append(f"nothing from byte {records.cut_off_at} of {size} on can be read")
+    if damage:
+        shown = damage[:_SHOWN_DAMAGE]
+        if len(damage) > _SHOWN_DAMAGE:
+            shown.append(f"{len(damage) - _SHOWN_DAMAGE} more places are damaged")
+        of_all = "" if sorter.expected is None else f" of {sorter.expected}"
+        contents.damage = [*shown, f"{sorter.messages}{of_all} messages could be read"]
+    contents.complete = records.is_finished and not damage
+    contents.lacks_checksums = records.lacks_checksums
     return contents

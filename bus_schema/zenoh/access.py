@@ -19,6 +19,13 @@ def recorded_key_expression(domain: int, gid: str = "*") -> str:
     return f"funnel_hil/{domain}/recorded/{gid}"
 
 
+def scenario_key_expression(
+    domain: int, role: str = "*", session: str = "*", digests: str = "*"
+) -> str:
+    """Liveliness token by which a process tells which scenario it runs."""
+    return f"funnel_hil/{domain}/scenario/{role}/{session}/{digests}"
+
+
 def secure_settings(role: Role, domain: int, keys: KeyFolder) -> dict[str, Any]:
     """Settings of a session that speaks to holders of our authority's certificates alone.
 
@@ -65,9 +72,12 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
     allowed = {
         "put": [topic.key_expression(domain) for topic in topics_of(speaker)],
         "declare_subscriber": [f"{domain}/**"],
-        "liveliness_token": [node_tokens(domain, speaker)],
+        "liveliness_token": [
+            node_tokens(domain, speaker), scenario_key_expression(domain, speaker)
+        ],
         "declare_liveliness_subscriber": [
-            graph_key_expression(domain), recorded_key_expression(domain)
+            graph_key_expression(domain), recorded_key_expression(domain),
+            scenario_key_expression(domain),
         ],
     }  # fmt: skip
     if speaker is Role.RECORDER:

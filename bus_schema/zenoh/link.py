@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 
 from bus_schema.errors import PeerSilentError
+from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages import topics
@@ -34,10 +35,18 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         link: section ``link`` of the scenario.
         clock: the plant's clock, which stamps arrivals.
         lossless: rather wait for a slow recorder than go on without it.
+        agreement: what the controller must agree on.
     """
 
-    def __init__(self, link: LinkConfiguration, clock: Clock, *, lossless: bool) -> None:
-        super().__init__(link, Role.PLANT, lossless=lossless)
+    def __init__(
+        self,
+        link: LinkConfiguration,
+        clock: Clock,
+        *,
+        lossless: bool,
+        agreement: Agreement | None = None,
+    ) -> None:
+        super().__init__(link, Role.PLANT, lossless=lossless, agreement=agreement)
         self._clock = clock
         self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._pending: list[CommandArrival] = []
@@ -59,14 +68,17 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         while not self.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
             silence.look()
             now_s = time.monotonic()
-            # A client without rmw_zenoh's tokens can be known by its subscription only.
-            if self._states.has_subscribers() and not self.sees(Role.RECORDER):
+            # A client without rmw_zenoh's tokens can be known by its subscription only. Our own
+            # controller subscribes long before it is ready, and is waited for.
+            ours = self.sees(Role.RECORDER) or self.sees(Role.CONTROLLER)
+            if self._states.has_subscribers() and not ours:
                 subscribed_since_s = now_s if subscribed_since_s is None else subscribed_since_s
                 if now_s - subscribed_since_s > _GRACE_S:
                     return
             if now_s > give_up_s:
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
             time.sleep(POLL_S)
+        self.require_same_scenario(Role.CONTROLLER)
         self._commander_was_seen = True
 
     def send_state(self, state: bytes, status: bytes) -> None:
@@ -108,13 +120,16 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
     Args:
         link: section ``link`` of the scenario.
         lossless: rather wait for a slow recorder than go on without it.
+        agreement: what the plant must agree on.
 
     Attributes:
         failure: the exception that ended the service of states, if any.
     """
 
-    def __init__(self, link: LinkConfiguration, *, lossless: bool) -> None:
-        super().__init__(link, Role.CONTROLLER, lossless=lossless)
+    def __init__(
+        self, link: LinkConfiguration, *, lossless: bool, agreement: Agreement | None = None
+    ) -> None:
+        super().__init__(link, Role.CONTROLLER, lossless=lossless, agreement=agreement)
         self._on_state: StateHandler | None = None
         self._status = b""
         self._states_seen = 0
@@ -138,6 +153,8 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
         plant_was_there = False
         silence = self.watch_silence(Role.PLANT)
         while not self._over.wait(POLL_S) and not is_stop_requested():
+            if not self._states_seen:
+                self.require_same_scenario(Role.PLANT)
             plant_is_there = self.has_publisher(topics.JOINT_STATES)
             if plant_was_there and not plant_is_there:
                 return
@@ -168,18 +185,21 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
             self._over.set()
 
 
-def open_telemetry(link: LinkConfiguration, role: Role, *, lossless: bool) -> ZenohNode:
+def open_telemetry(
+    link: LinkConfiguration, role: Role, *, lossless: bool, agreement: Agreement | None = None
+) -> ZenohNode:
     """Telemetry of a loop whose states and torques do not go over Zenoh.
 
     Args:
         link: section ``link`` of the scenario.
         role: whose it is.
         lossless: rather wait for a slow recorder than go on without it.
+        agreement: what the other side must agree on.
 
     Raises:
         SessionError: an endpoint cannot be served.
     """
-    node = ZenohNode(link, role, lossless=lossless)
+    node = ZenohNode(link, role, lossless=lossless, agreement=agreement)
     for topic in topics.TOPICS:
         # Commands are told of by the plant's side, since it is there that they take effect.
         sender = Role.PLANT if topic is topics.JOINT_COMMANDS else topic.sender

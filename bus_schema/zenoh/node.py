@@ -7,12 +7,17 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable
 
-from bus_schema.errors import PeerSilentError
+from bus_schema.errors import PeerSilentError, ScenarioMismatchError
+from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import never
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Rate, Role, Topic
-from bus_schema.zenoh.access import recorded_key_expression, secure_settings
+from bus_schema.zenoh.access import (
+    recorded_key_expression,
+    scenario_key_expression,
+    secure_settings,
+)
 from bus_schema.zenoh.diagnosis import SilenceWatch
 from bus_schema.zenoh.ros_graph import (
     Attachment,
@@ -41,9 +46,17 @@ class ZenohNode:
         link: section ``link`` of the scenario.
         role: what this node is.
         lossless: rather wait for a slow recorder than go on without it.
+        agreement: what others must agree on; None asks nobody.
     """
 
-    def __init__(self, link: LinkConfiguration, role: Role, *, lossless: bool) -> None:
+    def __init__(
+        self,
+        link: LinkConfiguration,
+        role: Role,
+        *,
+        lossless: bool,
+        agreement: Agreement | None = None,
+    ) -> None:
         listen, connect = _endpoints(link, role)
         # A recorder may fall behind, and must not hold up the loop when it does.
         self._session = ZenohSession(
@@ -66,6 +79,13 @@ class ZenohNode:
         self._waiting_lock = threading.Lock()
         self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
         self._sequences: defaultdict[str, int] = defaultdict(int)
+        self._agreement = agreement
+        self._differences: dict[str, list[str]] = {}
+        # Before all other tokens: whoever sees this node knows which scenario it runs.
+        self._session.watch_tokens(scenario_key_expression(link.domain), self._on_scenario)
+        if agreement is not None:
+            own = (role.value, self._session.identifier, agreement.encode())
+            self._session.announce(scenario_key_expression(link.domain, *own))
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
 
     def announce(self) -> None:
@@ -140,6 +160,15 @@ class ZenohNode:
         name = node_name(role)
         return any(entity.node == name for entity in self._others(EntityKind.NODE))
 
+    def require_same_scenario(self, role: Role) -> None:
+        """Check what the last process of a role announced; others announce nothing.
+
+        Raises:
+            ScenarioMismatchError: it runs another scenario.
+        """
+        if keys := self._differences.get(role.value):
+            raise ScenarioMismatchError(role, keys)
+
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
@@ -174,6 +203,12 @@ class ZenohNode:
         return endpoint_token(
             self._domain, self._session.identifier, self._node, entity_id, kind, topic
         )
+
+    def _on_scenario(self, token: str, alive: bool) -> None:
+        """Remember what differs; also of a peer that has seen it first, and left."""
+        *_, role, session, theirs = token.split("/")
+        if alive and self._agreement is not None and session != self._session.identifier:
+            self._differences[role] = self._agreement.differences(theirs)
 
     def _on_token(self, token: str, alive: bool) -> None:
         entity = Entity.from_token(token)

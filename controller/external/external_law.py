@@ -27,7 +27,9 @@ class ExternalLaw:
         joints = torque_limits_nm.size
         hindrance = why_not_startable(configuration.command)
         if hindrance is not None:
-            raise ConfigurationError("controller.external.command", configuration.command, hindrance)
+            raise ConfigurationError(
+                "controller.external.command", configuration.command, hindrance
+            )
         self.diagnostics = Diagnostics(joints)
         self._configuration = configuration
         self._question: Vector = np.zeros(len(HEADER) + len(ROWS) * joints)

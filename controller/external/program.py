@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
+import numpy as np
+
 from bus_schema.arrays import Vector
 from controller.errors import ControllerError
 
@@ -35,7 +37,7 @@ class Program:
 
     def __init__(self, command: Sequence[str], question: Vector, answer: Vector) -> None:
         self._name = " ".join(command)
-        self._question, self._answer = memoryview(question).cast("B"), memoryview(answer).cast("B")
+        self._question, self._answer = question.view(np.uint8).data, answer.view(np.uint8).data
         self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as this)
         try:
             self._process = subprocess.Popen(
@@ -43,7 +45,9 @@ class Program:
                 bufsize=0,
             )  # fmt: skip
         except OSError as error:
-            raise ExternalLawError(f"external law {self._name} cannot be started: {error}") from None
+            raise ExternalLawError(
+                f"external law {self._name} cannot be started: {error}"
+            ) from None
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._to, self._from = self._process.stdin.fileno(), self._process.stdout.fileno()

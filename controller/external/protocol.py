@@ -3,7 +3,7 @@
 The program reads questions from its standard input and writes answers to its standard output. A
 question is `HEADER` values and then `ROWS` rows of one value per joint; an answer is one value,
 `DONE` or a number of the program's own for a failure, and then a torque per joint, N m. Each
-question has one answer; the end of input is the end of the run. `funnel_hil_law.h` is the same in C.
+question has one answer; the end of input is the end of the run. `funnel_hil_law.h` says it in C.
 """
 
 from __future__ import annotations

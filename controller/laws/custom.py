@@ -1,38 +1,88 @@
-"""Laws of a user's own, named ``module:Class`` in a scenario."""
+"""Laws of a user's own, named ``module:Class`` in a scenario, or programs: ``external``."""
 
 from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
+from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
-from controller.control_law import ControlLaw, Diagnostics, Dynamics
+from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
+
+EXTERNAL = "external"
+"""Name of the law that is a program of its own."""
 
 _LAW_KEY = "controller.law"
+_left_out: ContextVar[bool] = ContextVar("custom laws are left out", default=False)
 _GAINS_KEY = "controller.gains.custom"
 
 
 def is_custom(name: str) -> bool:
-    """Whether a law's name is a ``module:Class``."""
+    """Whether a law is a user's own: a ``module:Class`` or a program."""
+    if name == EXTERNAL:
+        return True
     module, separator, class_name = name.partition(":")
     parts = module.split(".")
     return bool(separator) and all(part.isidentifier() for part in (*parts, class_name))
 
 
+@contextmanager
+def custom_laws_left_out() -> Iterator[None]:
+    """Import and start no law of a user's own meanwhile: scenarios can be read, but not run.
+
+    For scenarios that come with a recording, which may be anybody's.
+    """
+    before = _left_out.set(True)
+    try:
+        yield
+    finally:
+        _left_out.reset(before)
+
+
+def are_left_out() -> bool:
+    """Whether `custom_laws_left_out` holds."""
+    return _left_out.get()
+
+
+class LeftOut:
+    """Stands for a law that must not be imported or started; it gives no torque."""
+
+    def __init__(self, joints: int) -> None:
+        self.diagnostics = Diagnostics(joints)
+
+    def reset(self) -> None:
+        """There is nothing to forget."""
+
+    def torque(self, _tracking: Tracking) -> Vector:
+        """None.
+
+        Raises:
+            RuntimeError: always.
+        """
+        raise RuntimeError("the law was left out")
+
+
 def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLaw:
-    """A fresh ``Class(model, **gains)``.
+    """A fresh ``Class(model, **gains)``, or within `custom_laws_left_out` what stands for it.
 
     Raises:
         ConfigurationError: there is no such class, it refuses the gains, or what it makes is no
             control law.
     """
+    if are_left_out():
+        return LeftOut(model.joints)
     make = _find(name)
     try:
         law = make(model, **gains)
-    except Exception as error:  # whatever a user's constructor objects to, the input is bad
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # whatever a constructor objects to, the input is bad
         raise ConfigurationError(
             _GAINS_KEY, gains, f"{name} cannot be made from these: {_described(error)}"
         ) from error
@@ -55,7 +105,10 @@ def _find(name: str) -> Callable[..., Any]:
         sys.path.append(here)
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:  # an import runs a user's code, which may raise anything
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # a user's code may raise anything, or exit
         raise ConfigurationError(
             _LAW_KEY, name, f"{module_name} cannot be imported: {_described(error)}"
         ) from error
@@ -65,5 +118,5 @@ def _find(name: str) -> Callable[..., Any]:
     return make
 
 
-def _described(error: Exception) -> str:
+def _described(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"

@@ -76,7 +76,7 @@ class FixedTimeNeuralGains(NamedTuple):
         return cls(
             k_1=80.0 * inertia_kg_m2,
             k_2=80.0 * inertia_kg_m2,
-            k_3=200.0 * inertia_kg_m2,
+            k_3=300.0 * inertia_kg_m2,
             adaptation_rate=500.0 * inertia_kg_m2,
             node_width=1.5,
         )

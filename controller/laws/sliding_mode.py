@@ -24,6 +24,7 @@ from pydantic import Field
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
     NonNegative,
+    Number,
     PerJointNonNegative,
     PerJointPositive,
     Positive,
@@ -101,7 +102,7 @@ class FtsmcGains(NamedTuple):
     beta: PerJointPositive
     switching: PerJointNonNegative
     linear: PerJointNonNegative
-    phi: Annotated[float, Field(ge=1)] = 1.0
+    phi: Annotated[Number, Field(ge=1)] = 1.0
     psi: PowerBelowOne = 7.0 / 9.0
     eta: Positive = 1e-3
     boundary_layer: NonNegative = 0.0

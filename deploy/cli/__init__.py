@@ -13,8 +13,10 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from deploy.exit_codes import BAD_INPUT, FAULT
+from deploy.cli.closed_output import outlive_readers
+from deploy.exit_codes import BAD_INPUT, FAULT, INTERRUPTED
 from deploy.scenario.yaml_files import InputError
+from deploy.stop_signals import Stopped, stop_at_once
 
 _COMMANDS = {
     "run": "deploy.cli.run:run",
@@ -32,6 +34,7 @@ _COMMANDS = {
     "bench": "deploy.cli.experiments:bench",
     "drives": "deploy.cli.drives:drives",
     "doctor": "deploy.cli.doctor:doctor",
+    "includes": "deploy.cli.includes:includes",
 }
 """Where each command is: a function, or a group of commands."""
 
@@ -77,7 +80,9 @@ def funnel_hil() -> None:
 
 
 def main() -> None:
-    """Entry point; bad input ends here with one message and exit code 2."""
+    """Entry point; bad input and requests to stop end here, with one message and their code."""
+    stop_at_once()
+    outlive_readers()
     gc.set_threshold(_NEW_OBJECTS)
     atexit.register(gc.freeze)  # at the end the system takes all memory back without a search
     logging.basicConfig(level=logging.ERROR, format="%(message)s", stream=sys.stderr)
@@ -88,6 +93,9 @@ def main() -> None:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
+    except Stopped:
+        print("stopped", file=sys.stderr)
+        sys.exit(INTERRUPTED)
     except OSError as error:  # a disk that is full or gone
         print(f"error: {error}", file=sys.stderr)
         sys.exit(FAULT)

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
+from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
+from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
+from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_manifest
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
 from plant_emulator.plant_loop import PlantLoop
 
 ScenarioArgument = Annotated[
@@ -37,33 +41,30 @@ Overrides = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
 ]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
+]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
 
 
-def parse_laws(text: str | None) -> list[str]:
-    """Names of laws from ``a,b,…``; all registered ones by default.
+def parse_laws(text: str | None) -> list[str] | None:
+    """Names of laws from ``a,b,…``; None for all, where none is given.
 
     Raises:
-        ScenarioError: there is no name in it.
+        ScenarioError: there is no name in it, or one that no law has.
     """
     if text is None:
-        return list(LAWS)
+        return None
     laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not laws:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
+    for law in laws:
+        if law not in LAWS and not is_custom(law):
+            allowed = f"{', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL}"
+            raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
     return laws
-
-
-def on_interrupt(stop: Callable[[], None]) -> None:
-    """Call `stop` when the user or the system wants an end."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        stop()
-
-    signal.signal(signal.SIGINT, handle)
-    signal.signal(signal.SIGTERM, handle)
 
 
 def watching(
@@ -86,7 +87,7 @@ def watching(
             stop.set()
             loop.request_stop()
 
-        on_interrupt(request_stop)
+        on_stop(request_stop)
 
     return watch
 
@@ -126,17 +127,63 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     summary = summarise(run)
     summary["faults"] = [*more_faults, *summary["faults"]]
     summary["completed"] = summary["completed"] and not more_faults
-    write_json(folder.summary, summary)
-    if (record := fault_record(run)) is not None:
-        write_json(folder.fault, record)
-    write_report(run, summary, folder.report)
+    write_json(folder.summary, {**summary, "completed": False})  # until all is written
+    try:
+        if (record := fault_record(run)) is not None:
+            write_json(folder.fault, record)
+        write_report(run, summary, folder.report, conditions_in(folder, run))
+    except OSError as error:
+        summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
+        summary["completed"] = False
+    with contextlib.suppress(OSError):  # a full disk has the one from before
+        write_json(folder.summary, summary)
     return summary
+
+
+def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
+    """Under what conditions a run came about, as its folder has them."""
+    return conditions_of_runs([run.setup], read_manifest(folder.path))
+
+
+@contextlib.contextmanager
+def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
+    """For what is worked out once the runs are over: a request to stop ends it at once.
+
+    What is written by then stays; `funnel-hil report` works out the rest.
+    """
+    before = {number: signal.getsignal(number) for number in STOPS}
+    stop_at_once()
+    try:
+        yield
+    except Stopped:
+        console.print(
+            f"stopped while judging: funnel-hil report {folder.path} does it again", soft_wrap=True
+        )
+        raise typer.Exit(INTERRUPTED) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def finish(
     console: Console, folder: RunFolder, outcome: RunOutcome, *, require_bounds: bool
 ) -> None:
     """Judge a run, show the result, and leave with the exit code it deserves."""
+    with judging(console, folder):
+        data, summary = _judge(console, folder, outcome)
+    show_summary(console, data, summary, conditions_in(folder, data))
+    show_places(console, folder)
+    leave(
+        interrupted=outcome.interrupted,
+        whole=summary["completed"] and not summary["faults"],
+        kept=summary["bounds"]["kept"] or not require_bounds,
+    )
+
+
+def _judge(
+    console: Console, folder: RunFolder, outcome: RunOutcome
+) -> tuple[RunData, dict[str, Any]]:
+    """The data of a run, and its summary; leaves where there is nothing to judge."""
     try:
         data, _ = load_run(folder.path)
     except RunFolderError as error:
@@ -145,11 +192,4 @@ def finish(
             console.print(escape(fault))
         write_json(folder.summary, {"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
-    summary = conclude(folder, data, outcome.failures)
-    show_summary(console, data, summary)
-    show_places(console, folder)
-    leave(
-        interrupted=outcome.interrupted,
-        whole=summary["completed"] and not summary["faults"],
-        kept=summary["bounds"]["kept"] or not require_bounds,
-    )
+    return data, conclude(folder, data, outcome.failures)

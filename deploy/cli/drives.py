@@ -13,11 +13,12 @@ from bus_schema.can.session import open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.cli.common import Overrides, ScenarioArgument, on_interrupt
+from deploy.cli.common import Overrides, ScenarioArgument
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
+from deploy.stop_signals import on_stop
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
@@ -76,7 +77,7 @@ def _serve(
         arm, monitor.bank, bus, clock, setup.grid,
         faults=plan, on_frame=monitor.on_heard, on_event=monitor.print,
     )  # fmt: skip
-    on_interrupt(rig.request_stop)
+    on_stop(rig.request_stop)
     clock.start()
     nodes = ", ".join(str(each) for each in can.node_ids_of(robot.joints))
     monitor.print(f"{can.protocol} drives {nodes} on {can.interface} {can.resolved_channel}")

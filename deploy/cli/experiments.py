@@ -9,12 +9,16 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from controller.laws.custom import custom_laws_left_out, is_custom
 from deploy.cli.common import (
     Out,
     Overrides,
+    Overwrite,
     RequireBounds,
     ScenarioArgument,
     conclude,
+    conditions_in,
+    judging,
     leave,
     parse_laws,
     show_places,
@@ -32,11 +36,13 @@ from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_
 from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_table
-from deploy.reports.verdict import PARTIAL
+from deploy.reports.verdict import PARTIAL, damaged
+from deploy.runs.conditions import conditions_line
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import ScenarioError, naming
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 
@@ -53,39 +59,59 @@ def compare(
     ] = False,
     overrides: Overrides = None,
     out: Out = None,
+    overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
 ) -> None:
     """Run a scenario under several laws in virtual time, and set their results side by side."""
     setups = load_setups(scenario, overrides or [], parse_laws(laws))
-    folder = ComparisonFolder.begin(setups, out)
-    console, stop = Console(), threading.Event()
-    comparison = Comparison(_run_all(setups, folder, console, stop))
-    interrupted = stop.is_set()
-    if settling and not interrupted:
-        for setup in setups:
-            test = settling_test(setup)
-            comparison.settling.append(test)
-            console.print(settling_sentence(test), markup=False, highlight=False)
-    _conclude_comparison(comparison, folder, console)
-    leave(
-        interrupted=interrupted,
-        whole=all(run.is_whole for run in comparison.runs),
-        kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
-    )
+    folder = ComparisonFolder.begin(setups, out, overwrite=overwrite)
+    with folder:
+        console, stop = Console(), threading.Event()
+        comparison = Comparison(_run_all(setups, folder, console, stop))
+        interrupted = stop.is_set()
+        if settling and not interrupted:
+            for setup in setups:
+                test = settling_test(setup)
+                comparison.settling.append(test)
+                console.print(settling_sentence(test), markup=False, highlight=False)
+        _conclude_comparison(comparison, folder, console)
+        leave(
+            interrupted=interrupted,
+            whole=all(run.is_whole for run in comparison.runs),
+            kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
+        )
 
 
-def replay(run_dir: RunDirectory) -> None:
+def replay(
+    run_dir: RunDirectory,
+    allow_custom_law: Annotated[
+        bool,
+        typer.Option(
+            "--allow-custom-law",
+            help="Run the law of one's own that the recording names.",
+        ),
+    ] = False,
+) -> None:
     """Feed a recorded run to the law again and compare the torques bit for bit."""
     data, contents = load_run(run_dir)
-    result = replay_run(data.setup, contents)
+    law = data.setup.scenario.controller.law
+    if is_custom(law) and not allow_custom_law:
+        raise ScenarioError(
+            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
+            " which is code from wherever its module or program is found"
+        )
+    with naming(run_dir):
+        result = replay_run(data.setup, contents)
     console = Console()
-    if not data.complete:
+    if data.damage:
+        console.print(damaged(data.damage), markup=False)
+    elif not data.complete:
         console.print(PARTIAL)
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
     if result.is_identical:
-        console.print("[bold green]identical[/]")
-        return
+        console.print("[bold green]identical[/]" + " as far as can be read" * bool(data.damage))
+        raise typer.Exit(FAULT if data.damage else FINISHED)
     console.print(f"[bold red]different[/] from command {result.first_difference} on")
     raise typer.Exit(FAULT)
 
@@ -95,18 +121,30 @@ def report(
         Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
     ],
 ) -> None:
-    """Judge what was recorded again: summary.json and report.html of what a folder holds."""
+    """Judge what was recorded again: summary.json and report.html of what a folder holds.
+
+    No law of one's own is imported. A damaged recording is judged as far as it can be read, and
+    ends with exit code 1.
+    """
     console = Console()
     if is_study(run_dir):
-        report_study(run_dir, console)
+        with custom_laws_left_out():
+            report_study(run_dir, console)
     elif read_summary(run_dir).get("kind") == KIND:
         comparison_folder = ComparisonFolder(run_dir)
-        _conclude_comparison(comparison_folder.load(), comparison_folder, console)
+        comparison_folder.lock()
+        with comparison_folder:
+            _conclude_comparison(comparison_folder.load(), comparison_folder, console)
     else:
         data, _ = load_run(run_dir)
         folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-        show_summary(console, data, conclude(folder, data))
-        console.print(f"report: {folder.report}", soft_wrap=True)
+        folder.lock()
+        with folder:
+            with judging(console, folder):
+                summary = conclude(folder, data)
+            show_summary(console, data, summary, conditions_in(folder, data))
+            console.print(f"report: {folder.report}", soft_wrap=True)
+        raise typer.Exit(FAULT if data.damage else FINISHED)
 
 
 def bench(
@@ -146,9 +184,14 @@ def _conclude_comparison(
     comparison: Comparison, folder: ComparisonFolder, console: Console
 ) -> None:
     """Write rows, summary and report, and show what came of it."""
-    folder.conclude(comparison)
-    write_comparison_report(comparison, folder.report)
+    with judging(console, folder):
+        folder.conclude(comparison)
+        conditions = folder.conditions(comparison)
+        write_comparison_report(comparison, folder.report, conditions)
     _show_comparison(console, comparison)
+    console.print(
+        conditions_line(conditions), markup=False, highlight=False, soft_wrap=True, style="dim"
+    )
     show_places(console, folder)
 
 

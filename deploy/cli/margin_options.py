@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
-import yaml
 
-from deploy.cli.common import Out, Overrides, parse_laws
-from deploy.scenario.yaml_files import ScenarioError, parse_override
+from deploy.cli.common import Out, Overrides, Overwrite, parse_laws
+from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override
 
 WorkerCount = Annotated[
     int | None,
@@ -99,6 +98,7 @@ class MarginOptions:
     workers: WorkerCount = None
     scheduler: Scheduler = None
     out: Out = None
+    overwrite: Overwrite = False
 
 
 def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:
@@ -109,21 +109,21 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     """
     given = {
         "scenarios": options.scenario or None,
-        "laws": None if options.laws is None else parse_laws(options.laws),
-        "compensation": _listed(options.compensation),
-        "drive_feedback": _listed(options.drive_feedback),
-        "running": _listed(options.running),
+        "laws": parse_laws(options.laws),
+        "compensation": _listed("--compensation", options.compensation),
+        "drive_feedback": _listed("--drive-feedback", options.drive_feedback),
+        "running": _listed("--running", options.running),
         "quantity": options.quantity,
         "direction": options.direction,
-        "seeds": None if options.seeds is None else yaml.safe_load(options.seeds),
-        "offsets": _listed(options.offsets),
+        "seeds": None if options.seeds is None else option_value("--seeds", options.seeds),
+        "offsets": _listed("--offsets", options.offsets),
         "duration_s": options.duration,
         "resolution": options.resolution,
         "limit": options.limit,
         "plants": options.plants,
         "plant_seed": options.plant_seed,
         "uncertainty": options.uncertainty,
-        "values": _listed(options.values),
+        "values": _listed("--values", options.values),
         "kept_share": options.kept_share,
     }
     fixed = dict(map(parse_override, options.overrides or []))
@@ -140,6 +140,6 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     return values | {"set": {**own, **fixed}}
 
 
-def _listed(text: str | None) -> list[Any] | None:
+def _listed(option: str, text: str | None) -> list[Any] | None:
     """Values from ``a,b,…``, typed as YAML has them."""
-    return None if text is None else [yaml.safe_load(part) for part in text.split(",")]
+    return None if text is None else [option_value(option, part) for part in text.split(",")]

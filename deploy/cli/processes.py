@@ -10,7 +10,7 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import partial_path
-from deploy.cli.common import Out, Overrides, ScenarioArgument, finish
+from deploy.cli.common import Out, Overrides, Overwrite, ScenarioArgument, finish
 from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.links import check_link, require_keys
@@ -70,6 +70,7 @@ def record(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     out: Out = None,
+    overwrite: Overwrite = False,
     log: Annotated[Path | None, typer.Option("--log", hidden=True)] = None,
     parent_pid: ParentPid = None,
 ) -> None:
@@ -80,12 +81,13 @@ def record(
     stop = StopRequest()
     if log is not None:
         raise typer.Exit(run_recorder(setup, log, reporter, stop))
-    folder = RunFolder.begin(setup, out)
-    code = run_recorder(setup, folder.log, reporter, stop)
-    if code == FINISHED or partial_path(folder.log).exists():
-        outcome = RunOutcome(interrupted=stop.is_set)
-        finish(Console(), folder, outcome, require_bounds=False)
-    raise typer.Exit(code)
+    folder = RunFolder.begin(setup, out, overwrite=overwrite)
+    with folder:
+        code = run_recorder(setup, folder.log, reporter, stop)
+        if code == FINISHED or partial_path(folder.log).exists():
+            outcome = RunOutcome(interrupted=stop.is_set)
+            finish(Console(), folder, outcome, require_bounds=False)
+        raise typer.Exit(code)
 
 
 def relay(

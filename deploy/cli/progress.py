@@ -83,7 +83,7 @@ class CommandProgress:
 
     def say(self, text: str) -> None:
         """Print a line that stays."""
-        self._console.print(text, markup=False, highlight=False)
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def _watch(self) -> None:
         while not self._over.wait(_POLL_S):

@@ -12,10 +12,10 @@ from bus_schema.messages.topics import Role
 from deploy.cli.common import (
     Out,
     Overrides,
+    Overwrite,
     RequireBounds,
     ScenarioArgument,
     finish,
-    on_interrupt,
     watching,
 )
 from deploy.cli.progress import CommandProgress
@@ -26,6 +26,7 @@ from deploy.processes.real_delay import check_real_delay, knowing_real_delay, re
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
+from deploy.stop_signals import on_stop
 
 RealDelayOption = Annotated[
     float | None,
@@ -42,6 +43,7 @@ def run(
     scenario: ScenarioArgument = "paper_arm",
     overrides: Overrides = None,
     out: Out = None,
+    overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
     real_delay_ms: RealDelayOption = None,
 ) -> None:
@@ -55,35 +57,40 @@ def run(
     setup = with_free_endpoints(setup)
     delay = None if real_delay_ms is None else real_delay(setup, real_delay_ms)
     console = Console()
-    folder = RunFolder.begin(setup, out)
-    launcher = Launcher(
-        setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay
-    )
-    on_interrupt(launcher.request_stop)
-    with CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s") as progress:
-        outcome = launcher.run(status_handler(progress))
-    held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
-    folder.write_manifest(setup, outcome.realtime, held_back)
-    if held_back is not None:
-        show_relay(console, held_back)
-    finish(console, folder, outcome, require_bounds=require_bounds)
+    folder = RunFolder.begin(setup, out, overwrite=overwrite)
+    with folder:
+        launcher = Launcher(
+            setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay
+        )
+        on_stop(launcher.request_stop)
+        with CommandProgress(
+            console, setup.scenario.name, setup.scenario.duration_s, "s"
+        ) as progress:
+            outcome = launcher.run(status_handler(progress))
+        held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
+        folder.write_manifest(setup, outcome.realtime, held_back)
+        if held_back is not None:
+            show_relay(console, held_back)
+        finish(console, folder, outcome, require_bounds=require_bounds)
 
 
 def simulate(
     scenario: ScenarioArgument = "paper_arm",
     overrides: Overrides = None,
     out: Out = None,
+    overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
 ) -> None:
     """Run a scenario in one process and in virtual time."""
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=True)
     console = Console()
-    folder = RunFolder.begin(setup, out)
-    name, stop = setup.scenario.name, threading.Event()
-    with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
-        watch = watching(progress, setup, name, stop)
-        simulation = simulate_setup(setup, watch, folder.can_log)
-    simulation.write_log(folder.log)
-    outcome = RunOutcome(interrupted=stop.is_set())
-    finish(console, folder, outcome, require_bounds=require_bounds)
+    folder = RunFolder.begin(setup, out, overwrite=overwrite)
+    with folder:
+        name, stop = setup.scenario.name, threading.Event()
+        with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
+            watch = watching(progress, setup, name, stop)
+            simulation = simulate_setup(setup, watch, folder.can_log)
+        simulation.write_log(folder.log)
+        outcome = RunOutcome(interrupted=stop.is_set())
+        finish(console, folder, outcome, require_bounds=require_bounds)

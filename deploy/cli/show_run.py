@@ -14,6 +14,7 @@ from deploy.reports.run_tables import joint_table, timing_table
 from deploy.reports.tables import number, percent
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import verdict_on_run
+from deploy.runs.conditions import Conditions, conditions_line
 from deploy.runs.run_data import RunData
 
 _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
@@ -35,8 +36,10 @@ def status_handler(progress: CommandProgress) -> Callable[[StatusMessage], None]
     return handle
 
 
-def show_summary(console: Console, run: RunData, summary: dict[str, Any]) -> None:
-    """The result of a run as two small tables and a verdict."""
+def show_summary(
+    console: Console, run: RunData, summary: dict[str, Any], conditions: Conditions
+) -> None:
+    """The result of a run as two small tables and a verdict, and what it is to be quoted with."""
     verdict = verdict_on_run(run, summary)
     console.print(
         f"{summary['scenario']} · {summary['law']} · {summary['clock']}", markup=False, style="bold"
@@ -45,7 +48,7 @@ def show_summary(console: Console, run: RunData, summary: dict[str, Any]) -> Non
     print_table(console, timing_table(summary))
     if verdict.faults:
         first, *others = verdict.faults
-        console.print(f"[bold red]fault[/]  {escape(first)}")
+        console.print(f"[bold red]fault[/]  {escape(first)}", soft_wrap=True)
         if others:
             console.print(f"[dim]{len(others)} more that followed are in the report[/]")
     headline = verdict.headline[0].lower() + verdict.headline[1:]
@@ -59,6 +62,8 @@ def show_summary(console: Console, run: RunData, summary: dict[str, Any]) -> Non
         + (f", real-time factor {factor:.2f}" if factor is not None else "")
         + f", digest {summary['digest'][:16]}"
     )
+    line = conditions_line(conditions)
+    console.print(line, markup=False, highlight=False, soft_wrap=True, style="dim")
 
 
 def show_relay(console: Console, held_back: dict[str, Any]) -> None:

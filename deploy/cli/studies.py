@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import Out, on_interrupt, show_places
+from deploy.cli.common import Out, Overrides, Overwrite, judging, show_places
 from deploy.cli.margin_options import (
     MarginOptions,
     Plants,
@@ -37,8 +37,12 @@ from deploy.reports.study_tables import (
     write_margin_table,
 )
 from deploy.reports.terminal import print_table
+from deploy.runs.conditions import conditions_line
+from deploy.runs.run_folder import read_manifest
 from deploy.runs.run_rows import Row
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
+from deploy.stop_signals import on_stop
+from deploy.study.conditions import conditions_of_study
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
@@ -46,6 +50,13 @@ from deploy.study.study import SHIPPED, Study
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
+_AUTHENTICATED = ("tls://", "wss://")
+_OPEN_SCHEDULER = (
+    "warning: --scheduler {}: anybody who reaches this scheduler can run code on it, on its workers"
+    " and here: without TLS, Dask asks nobody who they are and unpickles what comes. Keep it on"
+    " 127.0.0.1 or a network of your own, or run it under tls:// (deploy/README.md, Sweeps and"
+    " margins)"
+)
 _TABLES = {"margin": write_margin_table, "robustness": write_robustness_table}
 """What writes the table for documents, by kind of study."""
 
@@ -57,9 +68,11 @@ def sweep(
     plants: Plants = None,
     plant_seed: PlantSeed = None,
     uncertainty: UncertaintyOption = None,
+    overrides: Overrides = None,
     workers: WorkerCount = None,
     scheduler: Scheduler = None,
     out: Out = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run every point of a grid with every seed, on all cores or a Dask cluster.
 
@@ -68,7 +81,8 @@ def sweep(
     """
     given = {"plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty}
     more = {key: value for key, value in given.items() if value is not None}
-    _conduct(load_sweep(definition, more), workers, scheduler, out)
+    fixed = dict(map(parse_override, overrides or []))
+    _conduct(load_sweep(definition, more, fixed), workers, scheduler, out, overwrite=overwrite)
 
 
 def margin(**words: Any) -> None:
@@ -84,7 +98,10 @@ def margin(**words: Any) -> None:
         path = find_yaml(options.study, SHIPPED)
         values = read_yaml(path)
     values = definition_with(options, values)
-    _conduct(margin_study(values, path), options.workers, options.scheduler, options.out)
+    _conduct(
+        margin_study(values, path), options.workers, options.scheduler, options.out,
+        overwrite=options.overwrite,
+    )  # fmt: skip
 
 
 vars(margin)["__signature__"] = inspect.signature(MarginOptions, eval_str=True)  # for typer
@@ -118,32 +135,40 @@ def report_study(path: Path, console: Console) -> None:
     study = read_study(path)
     folder = StudyFolder(path.resolve(), study)
     folder.lock()
-    retrace(study, folder)
-    _conclude(study, folder, console)
+    with folder:
+        retrace(study, folder)
+        _conclude(study, folder, console)
 
 
-def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path | None) -> None:
+def _conduct(
+    study: Study, workers: int | None, scheduler: str | None, out: Path | None, *, overwrite: bool
+) -> None:
     """Carry a study out, or on, and show what came of it."""
     if workers is not None and scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
     stop, console, lost = threading.Event(), Console(), None
-    path = find_folder(study, out)
+    path = None if overwrite else find_folder(study, out)
     with DaskWorkers(workers, scheduler) as team:
-        folder = StudyFolder(path or create_folder(study, out), study)
+        if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
+            warning = _OPEN_SCHEDULER.format(scheduler)
+            Console(stderr=True).print(warning, markup=False, soft_wrap=True)
+        folder = StudyFolder(path or create_folder(study, out, overwrite=overwrite), study)
         folder.lock()
-        on_interrupt(stop.set)
-        name = study.definition.name
-        with CommandProgress(console, name, study.expected, "runs") as progress:
-            try:
-                carry_out(study, team, folder, RunCounter(progress), stop)
-            except ClusterLostError as error:
-                lost = error
-            finally:
-                folder.flush()
-    if _conclude(study, folder, console):
-        raise typer.Exit(FINISHED)
+        with folder:
+            on_stop(stop.set)
+            name = study.definition.name
+            with CommandProgress(console, name, study.expected, "runs") as progress:
+                try:
+                    carry_out(study, team, folder, RunCounter(progress), stop)
+                except ClusterLostError as error:
+                    lost = error
+                finally:
+                    folder.flush()
+            completed = _conclude(study, folder, console)
+    if completed:
+        raise typer.Exit(FINISHED if _has_results(folder) else FAULT)
     reason = f"{lost}; the" if lost else "The"
     console.print(f"{reason} same command goes on from here.", markup=False)
     raise typer.Exit(FAULT if lost else INTERRUPTED)
@@ -151,10 +176,13 @@ def _conduct(study: Study, workers: int | None, scheduler: str | None, out: Path
 
 def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     """Write table, summary and report; whether the study is complete."""
-    folder.put_together()
-    summary = study.summary(folder.rows)
-    write_json(folder.summary, summary)
-    write_study_report(summary, folder)
+    with judging(console, folder):
+        summary = study.summary(folder.rows)
+        summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
+        folder.put_together(summary["conditions"])
+        write_json(folder.summary, {**summary, "completed": False})  # until all is written
+        write_study_report(summary, folder)
+        write_json(folder.summary, summary)
     show_study(console, summary)
     write_table = _TABLES.get(study.kind)
     if write_table is not None:
@@ -162,6 +190,11 @@ def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
         console.print(f"table:   {folder.path / 'table.md'}", soft_wrap=True)
     show_places(console, folder)
     return bool(summary["completed"])
+
+
+def _has_results(folder: StudyFolder) -> bool:
+    """Whether a run came to anything."""
+    return any(row["error"] is None for row in folder.rows)
 
 
 def show_study(console: Console, summary: dict[str, Any]) -> None:
@@ -179,5 +212,10 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")
+    console.print(
+        conditions_line(summary.get("conditions", {})), markup=False, highlight=False, style="dim"
+    )
     if summary["runs_failed"]:
-        console.print(f"[bold red]{summary['runs_failed']} runs failed[/]; their rows say why")
+        count = f"{summary['runs_failed']} of {summary['runs']}"
+        console.print(f"[bold red]{count} runs failed[/]; their rows say why. The commonest error:")
+        console.print(summary["commonest_error"], markup=False, soft_wrap=True)

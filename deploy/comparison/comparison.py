@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from bus_schema.messages import topics
@@ -11,14 +12,26 @@ from deploy.comparison.settling import SettlingTest
 from deploy.runs.run_data import RunData
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import LAW, UNCERTAINTY, laws_beside, require_effect
+from deploy.scenario.yaml_files import naming, parse_override
 
 
-def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str]) -> list[Setup]:
+def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str] | None) -> list[Setup]:
     """The scenario under each law, all checked before any of them runs.
+
+    Args:
+        scenario: the scenario.
+        overrides: what is set in it.
+        laws: which; all shipped ones and the scenario's own if None.
 
     Raises:
         ScenarioError: anything about it is wrong, such as a law that does not exist.
     """
+    with naming(Path("compare")):
+        given = dict(map(parse_override, overrides))
+        require_effect(given, {LAW: "as --laws", UNCERTAINTY: "to sweep or margin"})
+    if laws is None:
+        laws = laws_beside(load_setup(scenario, overrides).scenario.controller.law)
     return [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
 
 

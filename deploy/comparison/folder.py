@@ -12,14 +12,17 @@ from pydantic import TypeAdapter
 from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
+from deploy.runs.conditions import Conditions, conditions_of_runs
+from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
+from deploy.runs.new_folder import new_folder
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
     RunFolderError,
     load_run,
     manifest_of,
-    new_folder,
+    read_manifest,
     read_summary,
 )
 from deploy.runs.run_rows import row, write_rows
@@ -39,18 +42,22 @@ class ComparisonFolder(ResultFolder):
         self.rows = path / "comparison.parquet"
 
     @staticmethod
-    def begin(setups: Sequence[Setup], out: Path | None) -> ComparisonFolder:
-        """The folder of a new comparison, with a manifest, by default ``runs/compare-<name>-…``.
+    def begin(
+        setups: Sequence[Setup], out: Path | None, *, overwrite: bool = False
+    ) -> ComparisonFolder:
+        """The folder of a new comparison, locked, with a manifest.
 
         Args:
             setups: the scenario under each law.
-            out: the folder asked for.
+            out: the folder asked for; ``runs/compare-<name>-<time>`` by default.
+            overwrite: remove results that are there.
 
         Raises:
-            ScenarioError: it cannot be created or written to.
+            ScenarioError: as `new_folder`.
         """
-        folder = ComparisonFolder(new_folder(f"compare-{setups[0].scenario.name}", out))
-        folder.rows.unlink(missing_ok=True)
+        name = f"compare-{setups[0].scenario.name}"
+        folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
+        folder.lock()
         laws = [setup.scenario.controller.law for setup in setups]
         write_json(folder.manifest, {**manifest_of(setups), "laws": laws})
         return folder
@@ -59,17 +66,26 @@ class ComparisonFolder(ResultFolder):
         """Write the run of one law to its folder, and judge it."""
         setup = simulation.setup
         law = setup.scenario.controller.law
-        folder = RunFolder.begin(setup, self._law_path(law))
+        folder = RunFolder.begin(setup, self._law_path(law), overwrite=True)
         simulation.write_log(folder.log)
         data = simulation.data()
         run = LawRun(law, data, summarise(data))
         write_json(folder.summary, run.summary)
+        if (record := fault_record(data)) is not None:
+            write_json(folder.fault, record)
         return run
 
     def conclude(self, comparison: Comparison) -> None:
-        """Write rows and summary of all runs."""
-        write_rows([row(run.summary, run.seed) for run in comparison.runs], self.rows)
-        write_json(self.summary, _summary(comparison))
+        """Write rows and summary of all runs, with their conditions."""
+        conditions = self.conditions(comparison)
+        rows = [row(run.summary, run.seed) for run in comparison.runs]
+        write_rows(rows, self.rows, conditions=conditions)
+        write_json(self.summary, {**_summary(comparison), "conditions": conditions})
+
+    def conditions(self, comparison: Comparison) -> Conditions:
+        """Under what conditions the runs came about; none where there is no run."""
+        setups = [run.data.setup for run in comparison.runs]
+        return conditions_of_runs(setups, read_manifest(self.path)) if setups else {}
 
     def load(self) -> Comparison:
         """The comparison, read back from the recordings of its runs, which are judged again.

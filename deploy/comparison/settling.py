@@ -9,6 +9,7 @@ import numpy as np
 
 from deploy.runs.metrics import summarise
 from deploy.runs.simulate import simulate
+from deploy.scenario.explanation import Origin
 from deploy.scenario.scenario import check
 from deploy.scenario.setup import Setup
 
@@ -91,4 +92,4 @@ def _started_off(setup: Setup, size_rad: float) -> Setup:
         "robot": scenario.robot.model_copy(update={"initial_offset_rad": offset}),
         "duration_s": min(LONGEST_S, scenario.duration_s),
     }
-    return check(scenario.model_copy(update=changes), setup.source)
+    return check(scenario.model_copy(update=changes), Origin(setup.source))

@@ -115,7 +115,7 @@ def over_real_delay(setup: Setup, round_trip_ms: float, folder: Path) -> Outcome
     """Run in real time as `run --real-delay` does."""
     setup = with_free_endpoints(knowing_real_delay(setup, round_trip_ms))
     delay = real_delay(setup, round_trip_ms)
-    files = RunFolder.begin(setup, folder)
+    files = RunFolder.begin(setup, folder, overwrite=True)
     launcher = Launcher(
         setup, scenario=files.scenario, log=files.log, can_log=files.can_log, delay=delay
     )

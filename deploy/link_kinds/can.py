@@ -115,7 +115,7 @@ def _open_bus(run: LinkRun) -> CanBus:
 def _open_telemetry(run: LinkRun, role: Role) -> Telemetry:
     if run.bus is not None:
         return InProcessNode(run.bus, role)
-    return open_telemetry(run.link, role, lossless=run.lockstep)
+    return open_telemetry(run.link, role, lossless=run.lockstep, agreement=run.agreement)
 
 
 def _check_unimpaired(link: LinkConfiguration) -> None:

@@ -18,6 +18,7 @@ class InProcessKind(LinkKind[ArmPlant]):
     name = "in_process"
     simulated_as = "in_process"
     arm_type = ArmPlant
+    draws_random_numbers = False
 
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if not one_process:

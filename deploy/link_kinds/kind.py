@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from bus_schema.arrays import Vector
+from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
@@ -26,10 +27,12 @@ class LinkRun(PlantTask):
     Attributes:
         bus: what both sides share inside one process; None between processes.
         can_log: file for the frames of a CAN bus; None for no log.
+        agreement: what the processes of the run must agree on; None inside one process.
     """
 
     bus: InProcessBus | None = None
     can_log: Path | None = None
+    agreement: Agreement | None = None
 
 
 class LinkKind(ABC, Generic[Arm]):
@@ -41,6 +44,7 @@ class LinkKind(ABC, Generic[Arm]):
         arm_type: the arm behind it: with motor drives or without.
         logs_frames: whether its plant's side can write a log of frames.
         may_pin_loops: whether each loop may be bound to a CPU of its own.
+        draws_random_numbers: whether the link itself does, in a simulation.
         simulates_process_faults: whether a controller can be silenced in a simulation.
         no_link_faults: what is allowed in place of scheduled faults of messages, where there are
             none that the plant could change; None where there are.
@@ -51,6 +55,7 @@ class LinkKind(ABC, Generic[Arm]):
     arm_type: type[Arm]
     logs_frames = False
     may_pin_loops = True
+    draws_random_numbers = True
     simulates_process_faults = True
     no_link_faults: str | None = None
 

@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from deploy.exit_codes import INTERRUPTED
 from deploy.processes.command_process import start
 from deploy.processes.status import StatusMessage
 
@@ -22,7 +23,8 @@ class Failure(NamedTuple):
 
     Attributes:
         text: one sentence.
-        is_cause: it was killed or frozen from outside, of which other failures are consequences.
+        is_cause: other failures are its consequences: it was killed or frozen from outside, or says
+            so itself.
     """
 
     text: str
@@ -48,7 +50,7 @@ class Child:
         self.has_started = threading.Event()
         self._inbox = inbox
         self._was_asked_to_stop = False
-        self._faults: list[str] = []
+        self._faults: list[Failure] = []
         self._errors: list[str] = []
         command = start(arguments)
         self._process, self._stdin = command.process, command.stdin
@@ -104,11 +106,13 @@ class Child:
             reader.join(timeout=_OUTPUT_TIMEOUT_S)
         if code == -signal.SIGTERM and self._was_asked_to_stop:
             return None  # it had not got as far as to leave in order, or was past it
+        if code == INTERRUPTED and not self._faults:
+            return None  # it was asked to stop, by whomever, and left in order
         if code < 0:
             by = signal.Signals(-code).name
             return Failure(f"the {self.role} was killed by {by}", is_cause=True)
         if self._faults:
-            return Failure(f"the {self.role} failed: {self._faults[0]}", is_cause=False)
+            return self._faults[0]
         if code:
             last = self._errors[-1] if self._errors else "it left no message"
             text = f"the {self.role} failed with exit code {code}: {last}"
@@ -125,7 +129,8 @@ class Child:
             if message.kind == "note":
                 self.has_started.set()
             elif message.kind == "fault":
-                self._faults.append(message.values["text"])
+                text = f"the {self.role} failed: {message.values['text']}"
+                self._faults.append(Failure(text, message.values.get("is_cause", False)))
             self._inbox.put(message)
 
     def _read_errors(self, pipe: IO[str]) -> None:

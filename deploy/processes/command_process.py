@@ -18,10 +18,11 @@ from typing import IO, NamedTuple
 
 from setproctitle import setproctitle
 
+from deploy.stop_signals import STOPS
+
 _PROGRAM = "deploy.cli"
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["deploy.processes.fork_server", f"{_PROGRAM}.processes"])
-_STOPS = (signal.SIGINT, signal.SIGTERM)
 _LONG_PATH = 60
 """Of the 107 characters that the path of a socket may have, 32 are Python's own."""
 
@@ -60,7 +61,7 @@ def _fork_server_survives() -> Iterator[None]:
     socket must be short, which not every TMPDIR is.
     """
     resource_tracker.ensure_running()  # which would let the signals through
-    signals = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     folder = tempfile.gettempdir()
     tempfile.tempdir = folder if len(folder) < _LONG_PATH else "/tmp"
     try:
@@ -78,7 +79,7 @@ def _file(end: Connection, mode: str) -> IO[str]:
 def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
     """Be the command."""
     os.setsid()
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
     os.chdir(folder)
     for number, stream in enumerate(streams):
         os.dup2(stream.fileno(), number)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 
-from bus_schema.errors import BusError
+from bus_schema.errors import BusError, ScenarioMismatchError
 from bus_schema.link.interface import ControllerLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
+from bus_schema.runtime.own_cpu import claim_cpu, none_is_free
 from bus_schema.runtime.realtime import (
     RealtimeSetting,
     go_realtime,
@@ -26,37 +26,36 @@ from bus_schema.runtime.realtime import (
     use_batch_scheduling,
 )
 from controller.control_law import LOWER, UPPER
-from controller.control_loop import ControlLoop
-from deploy.exit_codes import FAULT, FINISHED
+from controller.control_loop import ControlLoop, reason_of
+from controller.errors import ControllerError
+from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
+from deploy.link_kinds.kind import LinkRun
 from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
+from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup
+from deploy.stop_signals import ignore_stops, on_stop
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
 
 _PROGRESS_S = 0.2
+_BEHIND_OTHERS = 49
+"""Priority of a loop without a CPU of its own: loops of other runs that have one go first."""
 
 
 class StopRequest:
-    """Set by SIGINT or SIGTERM; a process looks at it and leaves in order."""
+    """Set by a signal to stop; a process looks at it and leaves in order."""
 
-    def __init__(self, on_stop: Callable[[], None] | None = None) -> None:
-        self._on_stop = on_stop
+    def __init__(self, then: Callable[[], None] | None = None) -> None:
+        self._then = then
         self.is_set = False
-        signal.signal(signal.SIGINT, self._handle)
-        signal.signal(signal.SIGTERM, self._handle)
+        on_stop(self._set)
 
-    def _handle(self, _number: int, _frame: FrameType | None) -> None:
+    def _set(self) -> None:
         self.is_set = True
-        if self._on_stop is not None:
-            self._on_stop()
-
-
-def _ignore_stop_requests() -> None:
-    """From here on a request to stop comes too late, and must not kill what is leaving anyway."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        if self._then is not None:
+            self._then()
 
 
 def run_plant(
@@ -69,7 +68,7 @@ def run_plant(
     _set_up_scheduling(setup, reporter, Role.PLANT)
     link = None
     try:
-        run = setup.link_run(lockstep=lockstep, can_log=can_log)
+        run = _between_processes(setup, can_log)
         link = setup.link_kind.open_plant(run, arm, clock)
         request = partial(reporter.request, await_execution=lockstep)
         actions = process_actions(setup.scenario.faults, request)
@@ -89,12 +88,14 @@ def run_plant(
         reporter.report(
             "result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s
         )
-        return FAULT if outcome.faults else FINISHED
+        if outcome.faults:
+            return FAULT
+        return INTERRUPTED if stop.is_set else FINISHED
     except BusError as error:
         reporter.report("fault", text=str(error))
-        return FAULT
+        return _exit_code(error)
     finally:
-        _ignore_stop_requests()
+        ignore_stops()
         if link is not None:
             link.close()
         arm.close()
@@ -104,7 +105,7 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
     _set_up_scheduling(setup, reporter, Role.CONTROLLER)
-    run = setup.link_run(lockstep=setup.scenario.clock == "lockstep")
+    run = _between_processes(setup)
     try:
         link = setup.link_kind.open_controller(run)
     except BusError as error:
@@ -112,40 +113,56 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
         return FAULT
     try:
         loop = ControlLoop(setup.control_task(), link)
-        loop.warm_up()
+        failure = _warm_up(loop)
         reporter.report(
             "note", text=f"looking for the plant at {setup.scenario.link.plant_endpoint}"
         )
         if await_recorder:
             link.await_recorder(run.link.connect_timeout_s, lambda: stop.is_set)
-        link.activate()
-        with _reporting_progress(reporter, lambda: _controller_progress(loop)):
-            return _control(loop, link, stop, reporter)
+        if failure is None:
+            link.activate()
+            with _reporting_progress(reporter, lambda: _controller_progress(loop)):
+                failure = _spin(link, stop)
+        return _end(loop, link, failure, reporter)
     except BusError as error:
         reporter.report("fault", text=str(error))
-        return FAULT
+        return _exit_code(error)
     finally:
-        _ignore_stop_requests()
+        ignore_stops()
         link.close()
 
 
-def _control(
-    loop: ControlLoop,
-    link: ControllerLink,
-    stop: StopRequest,
-    reporter: StatusReporter,
-) -> int:
-    """Answer states to the end, and leave the bus in order; the exit code."""
-    code = FINISHED
+def _warm_up(loop: ControlLoop) -> Exception | None:
+    """Make the controller ready; what kept it from that, if anything did."""
+    try:
+        loop.warm_up()
+    except Exception as error:  # noqa: BLE001 (whatever a law does, the end is in order)
+        return error
+    return None
+
+
+def _spin(link: ControllerLink, stop: StopRequest) -> Exception | None:
+    """Answer states to the end; what stopped that, if anything did."""
     try:
         link.spin(lambda: stop.is_set)
-    except Exception as error:  # noqa: BLE001 (whatever a law raises, the end is in order)
-        reporter.report("fault", text=str(error))
-        loop.stop(str(error))
-        code = FAULT
+    except Exception as error:  # noqa: BLE001 (whatever a law does, the end is in order)
+        return error
+    return None
+
+
+def _end(
+    loop: ControlLoop, link: ControllerLink, failure: Exception | None, reporter: StatusReporter
+) -> int:
+    """Leave the bus in order; the exit code."""
+    if failure is not None:
+        reason = reason_of(failure)
+        # What the bus does may follow from others; what the controller does is a cause.
+        is_cause = isinstance(failure, ControllerError)
+        reporter.report("fault", text=reason, is_cause=is_cause)
+        loop.stop(reason)
     reporter.report("result", **loop.end())
     link.await_recorded()
-    return code
+    return FINISHED if failure is None else _exit_code(failure)
 
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
@@ -165,8 +182,8 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
         recorder.run(lambda: stop.is_set)
     except BusError as error:
         reporter.report("fault", text=str(error))
-        code = FAULT
-    _ignore_stop_requests()
+        code = _exit_code(error)
+    ignore_stops()
     recorder.close()
     if recorder.failure is not None:
         reporter.report(
@@ -206,17 +223,33 @@ def run_relay(
             "note", text=f"holds back by {delay_ms:g} ms each way at {listen[0]}:{listen[1]}"
         )
         relay.run(lambda: stop.is_set)
-    _ignore_stop_requests()
+    ignore_stops()
     reporter.report("result", chunks=relay.chunks, lateness_us=relay.lateness_us())
     return FINISHED
 
 
+def _between_processes(setup: Setup, can_log: Path | None = None) -> LinkRun:
+    run = setup.link_run(lockstep=setup.scenario.clock == "lockstep", can_log=can_log)
+    return replace(run, agreement=agreement_of(setup))
+
+
+def _exit_code(error: Exception) -> int:
+    """Different scenarios are bad input, though it shows only once both are there."""
+    return BAD_INPUT if isinstance(error, ScenarioMismatchError) else FAULT
+
+
 def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> None:
     """For a loop; before other threads exist."""
-    if setup.scenario.clock == "realtime":
-        _report_settings(go_realtime(cpu=_own_cpu(setup, role)), reporter)
-    else:
+    if setup.scenario.clock != "realtime":
         use_batch_scheduling()
+        return
+    candidates = _cpus_for(setup, role)
+    cpu = claim_cpu(candidates)
+    if cpu is None and candidates:
+        settings = [none_is_free(candidates), *go_realtime(_BEHIND_OTHERS)]
+    else:
+        settings = go_realtime(cpu=cpu)
+    _report_settings(settings, reporter)
 
 
 def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
@@ -226,15 +259,15 @@ def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) 
             reporter.report("lacks", text=f"works without {setting.name}: {setting.detail}")
 
 
-def _own_cpu(setup: Setup, role: Role) -> int | None:
-    """One of the usable CPUs for each loop, the last for the plant: it owns the clock, and the
-    first often has the interrupts. None for no choice: where there is but one, or where the link
-    has threads that need the others.
+def _cpus_for(setup: Setup, role: Role) -> list[int]:
+    """The usable CPUs, the best for a loop first: the last for the plant, as it owns the clock and
+    the first often has the interrupts. None for no choice: where there is but one, or where the
+    link has threads that need the others.
     """
     usable = sorted(os.sched_getaffinity(0))
     if len(usable) == 1 or not setup.link_kind.may_pin_loops:
-        return None
-    return usable[-1] if role is Role.PLANT else usable[0]
+        return []
+    return usable[::-1] if role is Role.PLANT else usable
 
 
 @contextlib.contextmanager

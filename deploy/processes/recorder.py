@@ -18,9 +18,10 @@ from bus_schema.recording.mcap_log import McapLog
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
+from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import delay_files
-from deploy.scenario.scenario import effective_scenario
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import portable_scenario
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
@@ -50,7 +51,7 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     )
     log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
     scenario = setup.scenario
-    log.attach(SCENARIO_ATTACHMENT, "application/yaml", effective_scenario(setup).encode())
+    log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
     log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
     for direction, file in delay_files(scenario.link).items():
         name = DELAYS_ATTACHMENT.format(direction=direction)
@@ -112,7 +113,12 @@ class Recorder:
         self._gaps = GapCounter()
         self._last_stamp_ns = 0
         lossless = setup.scenario.clock == "lockstep"
-        self._node = ZenohNode(setup.scenario.link, Role.RECORDER, lossless=lossless)
+        self._node = ZenohNode(
+            setup.scenario.link,
+            Role.RECORDER,
+            lossless=lossless,
+            agreement=agreement_of(setup),
+        )
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG, lossless=lossless)
         self._node.announce()
 
@@ -136,12 +142,16 @@ class Recorder:
 
         Raises:
             PeerSilentError: nobody came.
+            ScenarioMismatchError: who came runs another scenario, and would be judged by this one.
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
         has_received = False
         silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
         while not is_stop_requested():
             a_peer_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
+            if not has_received:
+                for role in (Role.PLANT, Role.CONTROLLER):
+                    self._node.require_same_scenario(role)
             time.sleep(_PAUSE_S)
             has_written = self._write_what_came()
             has_received = has_received or has_written

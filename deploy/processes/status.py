@@ -5,12 +5,18 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
+import time
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from plant_emulator.faults.process_faults import ProcessAction
+
+_PROGRESS_EVERY_S = 5.0
+_UNITS = {"s": "s", "us": "µs", "mrad": "mrad"}
+"""Of values whose names end in them."""
 
 
 class StatusMessage(NamedTuple):
@@ -44,6 +50,27 @@ class StatusMessage(NamedTuple):
         return ProcessAction(**self.values)._replace(target=Role(self.values["target"]))
 
 
+def in_words(values: Mapping[str, Any]) -> str:
+    """Values by name as a sentence for people: ``ticks 500, wall 0.5 s, rejected: none``."""
+    return ", ".join(_value_in_words(name, value) for name, value in values.items())
+
+
+def _value_in_words(name: str, value: Any) -> str:
+    stem, _, unit = name.rpartition("_")
+    title, suffix = (stem, f" {_UNITS[unit]}") if unit in _UNITS else (name, "")
+    title = title.replace("_", " ")
+    match value:
+        case bool():
+            return title if value else f"not {title}"
+        case dict():
+            counted = {key: count for key, count in value.items() if count}
+            return f"{title}: {in_words(counted) or 'none'}{suffix if counted else ''}"
+        case float():
+            return f"{title} {value:.4g}{suffix}"
+        case _:
+            return f"{title} {value}{suffix}"
+
+
 class StatusReporter:
     """Sends the status messages of a process.
 
@@ -56,6 +83,7 @@ class StatusReporter:
         self._role = role
         self._to_parent = to_parent
         self._console = Console(highlight=False)
+        self._next_progress_s = time.monotonic()
 
     def report(self, kind: str, **values: Any) -> None:
         """Report something; the kinds are those of a `StatusMessage`."""
@@ -66,9 +94,16 @@ class StatusReporter:
                 sys.stdout.flush()
         elif kind in ("note", "lacks", "fault"):
             self._console.print(f"{self._role}: {values['text']}", markup=False)
-        elif kind in ("progress", "result"):
-            shown = ", ".join(f"{name} {value}" for name, value in values.items())
-            self._console.print(f"{self._role}: {shown}", markup=False)
+        elif kind == "result" or (kind == "progress" and values and self._is_time_for_progress()):
+            self._console.print(f"{self._role}: {in_words(values)}", markup=False)
+
+    def _is_time_for_progress(self) -> bool:
+        """`run` draws a bar from every message; a person reads a line now and then."""
+        now_s = time.monotonic()
+        if now_s < self._next_progress_s:
+            return False
+        self._next_progress_s = now_s + _PROGRESS_EVERY_S
+        return True
 
     def request(self, action: ProcessAction, *, await_execution: bool) -> None:
         """Have `run` do something to a process; without `run` nobody does."""

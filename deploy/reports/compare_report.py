@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -90,7 +91,9 @@ PANELS: list[Panel[Comparison]] = [
 """The figures of the report, in order; another one is another entry."""
 
 
-def write_comparison_report(comparison: Comparison, path: Path) -> None:
+def write_comparison_report(
+    comparison: Comparison, path: Path, conditions: Mapping[str, str]
+) -> None:
     """Write the report of a comparison with at least one run to an HTML file."""
     verdict = verdict_on_laws(comparison)
     write_page(
@@ -101,6 +104,7 @@ def write_comparison_report(comparison: Comparison, path: Path) -> None:
         title=f"{comparison.runs[0].summary['scenario']} · {verdict.headline}",
         verdict=verdict,
         facts=_facts(comparison),
+        conditions=conditions,
         verdict_table=verdict_table(comparison),
         joint_tables=[joint_table(comparison, quantity) for quantity in quantities.BY_LAW],
     )

@@ -8,7 +8,16 @@ from typing import Any
 
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.reports import quantities
-from deploy.reports.tables import Cell, Column, Table, number, scaled
+from deploy.reports.tables import (
+    Cell,
+    Column,
+    Table,
+    Value,
+    margin_percent,
+    margin_text,
+    number,
+    scaled,
+)
 from deploy.reports.verdict import Verdict
 
 _SHOWN_FAULTS = 2
@@ -19,9 +28,13 @@ def _percentage(section: str, key: str) -> Callable[[dict[str, Any]], float | No
     return lambda summary: scaled(summary[section][key], 100.0)
 
 
-_NUMBERS = [
+def _margin(summary: dict[str, Any]) -> Value:
+    return margin_percent(summary["bounds"]["margin_min"])
+
+
+_NUMBERS: list[tuple[Column, Callable[[dict[str, Any]], Value], bool]] = [
     (Column("Ticks outside", "%", "Outside"), _percentage("bounds", "violation_fraction"), False),
-    (Column("Smallest margin", "%", "Margin"), _percentage("bounds", "margin_min"), False),
+    (Column("Smallest margin", "%", "Margin"), _margin, False),
     (replace(quantities.RMS_ERROR.column, brief=None), quantities.RMS_ERROR.of_worst_joint, True),
     (quantities.TOTAL_VARIATION.column, quantities.TOTAL_VARIATION.of_worst_joint, True),
     (quantities.SHARE_ABOVE_50_HZ.column, quantities.SHARE_ABOVE_50_HZ.of_worst_joint, True),
@@ -54,10 +67,11 @@ def bounds_sentence(run: LawRun) -> str:
     if not run.is_whole:
         return "; ".join(faults[:_SHOWN_FAULTS]) or "did not come to its end"
     if bounds["kept"]:
-        return f"kept its bounds, smallest margin {number(bounds['margin_min'], 100.0, ' %')}"
+        return f"kept its bounds, smallest margin {margin_text(bounds['margin_min'])}"
     return (
         f"left its bounds at {bounds['first_violation_s']:.3f} s, outside at"
-        f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks"
+        f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks, at most"
+        f" {number(1.0 - bounds['margin_min'])} times its bound"
     )
 
 
@@ -78,7 +92,7 @@ def verdict_table(comparison: Comparison) -> Table:
             *(column for column, _, _ in _NUMBERS),
         ],
         rows,
-        "The best of all laws that finished is set off. RMS errors from"
+        "The best of all laws that kept their bounds is set off. RMS errors from"
         f" {scenario.metrics.from_s:g} s on; everything else over the whole run."
         f" {quantities.SETTLED}",
     )
@@ -104,34 +118,37 @@ def _status(run: LawRun) -> Cell:
 
 
 def _mark_best(comparison: Comparison, rows: list[list[Cell]], columns: Iterable[int]) -> None:
-    """Set off the smallest number of each column, where several laws that finished have one."""
-    finished = [row for row, run in zip(rows, comparison.runs, strict=True) if run.is_whole]
+    """Set off the smallest number of each column, where several laws kept their bounds.
+
+    What a law does that left its funnel is no standard for others, however smooth it is.
+    """
+    kept = [row for row, run in zip(rows, comparison.runs, strict=True) if run.kept_bounds]
     for column in columns:
-        values = [row[column].value for row in finished]
+        values = [row[column].value for row in kept]
         known = [value for value in values if isinstance(value, float)]
         if len(known) > 1:
-            best = finished[values.index(min(known))]
+            best = kept[values.index(min(known))]
             best[column] = Cell(best[column].value, "best")
 
 
 def _ranking(comparison: Comparison) -> list[str]:
-    """Who is most precise, joint by joint, and who is smoothest."""
-    whole = [run for run in comparison.runs if run.is_whole]
+    """Who of those that kept their bounds is most precise, joint by joint, and who smoothest."""
+    kept = [run for run in comparison.runs if run.kept_bounds]
     sentences = []
     for what, section, key in (
         ("Smallest RMS error", "tracking", "rms_rad"),
         ("Least total variation of torque", "torque", "total_variation_nm_per_s"),
     ):
-        competing = {run.law: run.summary[section][key] for run in whole}
+        competing = {run.law: run.summary[section][key] for run in kept}
         competing = {law: values for law, values in competing.items() if values is not None}
         if len(competing) > 1:
-            sentences.append(f"{what}: {_winners(competing, whole)}.")
+            sentences.append(f"{what}: {_winners(competing, kept)}.")
     return sentences
 
 
-def _winners(competing: dict[str, list[float]], whole: list[LawRun]) -> str:
+def _winners(competing: dict[str, list[float]], kept: list[LawRun]) -> str:
     """Who has the smallest number on which joints, and how much less than the next best."""
-    names = whole[0].summary["tracking"]["joint_names"]
+    names = kept[0].summary["tracking"]["joint_names"]
     won: dict[str, dict[str, float]] = {}
     for joint, name in enumerate(names):
         first, second = sorted(competing, key=lambda law: competing[law][joint])[:2]

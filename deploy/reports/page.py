@@ -70,7 +70,8 @@ def write_page(
         template: file name of the template of this kind of report.
         panels: its figures, in order.
         subject: what they show.
-        values: what else the template asks for: always `title`, `verdict` and `facts`.
+        values: what else the template asks for: always `title`, `verdict`, `facts`
+            and `conditions`.
     """
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.reports.study_text import COMPENSATION, case_name, optional_columns
-from deploy.reports.tables import ABSENT, Column, Table, Value, as_markdown
+from deploy.reports.tables import ABSENT, Column, Table, Value, quotable
 
 _SHOWN_EFFECTS = 6
 
@@ -129,5 +129,7 @@ def _effect(one: dict[str, Any]) -> str:
 
 
 def write_robustness_table(summary: dict[str, Any], path: Path) -> None:
-    """Write the shares as a Markdown table."""
-    path.write_text(as_markdown(robustness_table(summary)) + "\n", encoding="utf-8")
+    """Write the shares as a Markdown table, with the conditions that hold for them."""
+    path.write_text(
+        quotable(robustness_table(summary), summary.get("conditions", {})), encoding="utf-8"
+    )

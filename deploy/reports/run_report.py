@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from deploy.reports.figures.arm_pictures import arm_pictures
@@ -30,7 +32,7 @@ from deploy.reports.run_tables import (
     timing_table,
     transport_table,
 )
-from deploy.reports.tables import number, percent
+from deploy.reports.tables import margin_text, number, percent
 from deploy.reports.verdict import verdict_on_run
 from deploy.runs.run_data import RunData
 
@@ -129,13 +131,19 @@ PANELS: list[Panel[RunData]] = [
 """The figures of the report, in order; another one is another entry."""
 
 
-def write_report(run: RunData, summary: dict[str, Any], path: Path) -> None:
+def write_report(
+    run: RunData,
+    summary: dict[str, Any],
+    path: Path,
+    conditions: Mapping[str, str] = MappingProxyType({}),
+) -> None:
     """Write the report of a run.
 
     Args:
         run: the run.
         summary: what `metrics.summarise` says of it.
         path: the HTML file to write.
+        conditions: under which it came about.
     """
     verdict, from_s = verdict_on_run(run, summary), run.setup.scenario.metrics.from_s
     rms_errors = zip(summary["tracking"]["joint_names"], RMS_ERROR.of_joints(summary), strict=True)
@@ -147,6 +155,7 @@ def write_report(run: RunData, summary: dict[str, Any], path: Path) -> None:
         title=f"{summary['scenario']} · {summary['law']} · {verdict.headline}",
         verdict=verdict,
         facts=_facts(summary),
+        conditions=conditions,
         from_s=f"{from_s:g}",
         rms_facts=[Fact(joint, number(rms, unit=" mrad")) for joint, rms in rms_errors],
         joint_table=joint_table(summary, from_s),
@@ -164,7 +173,7 @@ def _facts(summary: dict[str, Any]) -> list[Fact]:
     return [
         *(Fact(name.capitalize(), summary[name]) for name in names),
         Fact("Duration", f"{summary['duration_s']:g} s"),
-        Fact("Smallest margin", number(summary["bounds"]["margin_min"], 100, " %"),
+        Fact("Smallest margin", margin_text(summary["bounds"]["margin_min"]),
              "1 − |e| / bound; negative outside the bounds"),
         Fact("Success rate", percent(summary["timing"]["success_rate"]),
              "share of the ticks that met their deadline"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from deploy.reports.margin_report import margin_content
@@ -10,6 +11,7 @@ from deploy.reports.page import Fact, write_page
 from deploy.reports.robustness_report import robustness_content
 from deploy.reports.study_content import Study
 from deploy.reports.sweep_report import sweep_content
+from deploy.reports.verdict import Verdict
 from deploy.study.folder import StudyFolder
 
 _CONTENTS = {"sweep": sweep_content, "margin": margin_content, "robustness": robustness_content}
@@ -18,24 +20,37 @@ _CONTENTS = {"sweep": sweep_content, "margin": margin_content, "robustness": rob
 def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
     """Write the report of a sweep or of margins to its folder."""
     content = _CONTENTS[summary["kind"]](summary)
+    verdict = _with_failures(content.verdict, summary)
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
     write_page(
         folder.report,
         "study.html",
         content.panels if summary["runs"] else (),
         Study(summary, folder.rerun_command),
-        title=f"{summary['name']} · {content.verdict.headline}",
-        verdict=content.verdict,
+        title=f"{summary['name']} · {verdict.headline}",
+        verdict=verdict,
         facts=[
             *content.facts,
             Fact("Runs", runs),
             Fact("Failed runs", str(summary["runs_failed"])),
             Fact("Seeds", _shortened(summary["seeds"])),
         ],
+        conditions=summary.get("conditions", {}),
         study=content,
         summary=summary,
         folder=folder,
     )
+
+
+def _with_failures(verdict: Verdict, summary: dict[str, Any]) -> Verdict:
+    """The verdict with what kept runs from being judged."""
+    failed = summary["runs_failed"]
+    if not failed:
+        return verdict
+    said = replace(verdict, faults=[f"{failed} runs, most of them: {summary['commonest_error']}"])
+    if failed < summary["runs"]:
+        return said
+    return replace(said, level="broken", headline="Every run failed")
 
 
 def _shortened(seeds: Sequence[int]) -> str:

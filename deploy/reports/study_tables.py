@@ -14,7 +14,7 @@ from deploy.reports.study_text import (
     optional_columns,
     setting_text,
 )
-from deploy.reports.tables import ABSENT, Column, Table, Value, as_markdown, scaled
+from deploy.reports.tables import ABSENT, Column, Table, Value, quotable, scaled
 
 
 def shown_value(value: Any) -> str:
@@ -146,9 +146,15 @@ def margins_by_law(summary: dict[str, Any]) -> Table:
     ceilings = [ceiling_text(case) for case in columns.values()]
     if any(ceilings):
         rows.append(["held-arm ceiling", *(ceiling or ABSENT for ceiling in ceilings)])
-    return Table("Margins", list(map(Column, ("law", *headings))), rows)
+    return Table(
+        f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
+        list(map(Column, ("law", *headings))),
+        rows,
+    )
 
 
 def write_margin_table(summary: dict[str, Any], path: Path) -> None:
     """Write margins as a Markdown table: a row per law, a column per arm and compensation."""
-    path.write_text(as_markdown(margins_by_law(summary)) + "\n", encoding="utf-8")
+    path.write_text(
+        quotable(margins_by_law(summary), summary.get("conditions", {})), encoding="utf-8"
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -53,8 +54,8 @@ def _curve_panels(summary: Summary) -> list[Panel[Study]]:
     x = next((axis for axis in order if _is_numeric(summary["axes"][axis])), order[0])
     lines: dict[str, list[Summary]] = {}
     for point in summary["points"]:
-        others = (value for axis, value in enumerate(point["values"]) if axis != x)
-        lines.setdefault(", ".join(map(shown_value, others)) or "all runs", []).append(point)
+        others = [axis for axis in order if axis != x]
+        lines.setdefault(_given(summary, point, others) or "all runs", []).append(point)
     caption = "Lines are means over all runs, the shades reach from the best run to the worst."
     if summary["plants"]:
         caption = caption[:-1] + "; for plants kept, shares with Wilson's 95 % intervals."
@@ -102,7 +103,7 @@ def _heat_map_panels(summary: Summary) -> list[Panel[Study]]:
 
     return [
         Panel("Heat maps", f"field-{quantity.key}-{index}",
-              " · ".join([quantity.title, *map(shown_value, chosen)]),
+              " · ".join([quantity.title, *_named(summary, others, chosen)]),
               partial(draw, chosen=chosen, quantity=quantity),
               _heat_caption(quantity), is_clickable=True)
         for index, chosen in enumerate(itertools.islice(combinations, _MOST_HEAT_MAPS))
@@ -127,8 +128,18 @@ def _quantities(summary: Summary) -> list[many_runs.StudyQuantity]:
 
 
 def _name(summary: Summary, point: Summary) -> str:
-    given = zip(map(_title, summary["axes"]), point["values"], strict=True)
-    return ", ".join(f"{keys} = {shown_value(value)}" for keys, value in given) or "all"
+    return _given(summary, point, range(len(summary["axes"]))) or "all"
+
+
+def _given(summary: Summary, point: Summary, axes: Iterable[int]) -> str:
+    """What a point has on some axes, each value with its keys."""
+    places = list(axes)
+    return ", ".join(_named(summary, places, [point["values"][axis] for axis in places]))
+
+
+def _named(summary: Summary, axes: Iterable[int], values: Iterable[Any]) -> list[str]:
+    titles = (_title(summary["axes"][axis]) for axis in axes)
+    return [f"{keys} = {shown_value(value)}" for keys, value in zip(titles, values, strict=True)]
 
 
 def _title(axis: Summary) -> str:

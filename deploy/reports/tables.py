@@ -6,11 +6,15 @@ A table is built once from a summary; `terminal.print_table`, the templates of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from deploy.runs.conditions import conditions_line
+
 ABSENT = "–"
+_FAR_OUTSIDE = -1.0
+"""Margin below which an error is told as a multiple of its bound."""
 
 Value = str | float | None
 """A text, a number in the unit of its column, or nothing known."""
@@ -31,6 +35,24 @@ def percent(value: float | None) -> str:
     if value is None:
         return ABSENT
     return "100 %" if value == 1.0 else f"{min(100 * value, 99.999):.5g} %"
+
+
+def margin_percent(margin: float | None) -> Value:
+    """1 − |e| / bound in per cent; where the error was beyond twice its bound, in words.
+
+    Per cent of a bound that was left far behind say nothing to a reader.
+    """
+    if margin is None or margin >= _FAR_OUTSIDE:
+        return scaled(margin, 100.0)
+    return f"at most {number(1.0 - margin)} times its bound"
+
+
+def margin_text(margin: float | None) -> str:
+    """A margin with its unit, as `margin_percent`."""
+    value = margin_percent(margin)
+    return (
+        value if isinstance(value, str) else number(value, unit=" %" if value is not None else "")
+    )
 
 
 def scaled(value: float | None, factor: float) -> float | None:
@@ -101,6 +123,12 @@ class Table:
             [entry if isinstance(entry, Cell) else Cell(entry) for entry in row]
             for row in self.rows
         ]
+
+
+def quotable(table: Table, conditions: Mapping[str, str]) -> str:
+    """A table for documents that stands alone: what it is and its conditions are below it."""
+    note = f"{table.title}. {table.note}".rstrip()
+    return "\n\n".join([as_markdown(table), note, conditions_line(conditions)]) + "\n"
 
 
 def as_markdown(table: Table) -> str:

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from deploy.reports.tables import number
+from deploy.reports.tables import margin_text, number
 from deploy.runs.run_data import RunData
 from deploy.runs.stalls import STALL_MS
 
 PARTIAL = "The recording is partial: it was not finished properly."
+UNCHECKED = "No checksum covers all of the recording: damage between its messages would not show."
 
 
 @dataclass(frozen=True)
@@ -39,17 +40,28 @@ def verdict_on_run(run: RunData, summary: dict[str, Any]) -> Verdict:
     kept = "kept" if bounds["kept"] else "not kept"
     if summary["completed"] and not faults and is_judged:
         return Verdict("good" if bounds["kept"] else "bad", f"Bounds {kept}", reasons)
-    headline = "Run faulted" if faults else "Run incomplete"
+    broken = "Recording damaged" if run.damage else "Run incomplete"
+    headline = "Run faulted" if faults else broken
     if is_judged:
         headline += f", bounds {kept}" + (" until then" if bounds["kept"] else "")
     return Verdict("broken", headline, reasons, faults)
 
 
+def damaged(damage: Sequence[str]) -> str:
+    """What to say of a damaged recording."""
+    return f"The recording is damaged: {'; '.join(damage)}."
+
+
 def _shortcomings(run: RunData, summary: dict[str, Any]) -> list[str]:
     """Everything but faults that makes this less than a whole run on an undisturbed machine."""
     found = []
-    if not run.complete:
+    if run.damage:
+        found.append(damaged(run.damage))
+    elif not run.complete:
         found.append(PARTIAL)
+    if run.lacks_checksums:
+        found.append(UNCHECKED)
+    found.extend(f"{note}." for note in run.notes)
     planned_s, timing = run.setup.scenario.duration_s, summary["timing"]
     if not summary["completed"] and summary["duration_s"] < planned_s:
         found.append(f"The data end at {summary['duration_s']:.3f} s of {planned_s:g} s planned.")
@@ -76,9 +88,10 @@ def _bounds_sentence(summary: dict[str, Any]) -> str:
     if bounds["kept"]:
         return (
             f"The true error of every joint was inside its bounds at all {ticks:,} ticks; the"
-            f" smallest margin was {number(bounds['margin_min'], 100, ' %')}."
+            f" smallest margin was {margin_text(bounds['margin_min'])}."
         )
     return (
         f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
-        f" of the ticks, for the first time at {bounds['first_violation_s']:.3f} s."
+        f" of the ticks, for the first time at {bounds['first_violation_s']:.3f} s, and at most"
+        f" {number(1.0 - bounds['margin_min'])} times its bound."
     )

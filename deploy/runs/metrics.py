@@ -19,6 +19,11 @@ from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.settling_bound import settling_bound_s
 from deploy.runs.stalls import longest_stall_ms
 
+UNAUTHENTICATED = (
+    "without link.security, one commander protects against mistakes, not against somebody who"
+    " copies the commander's id"
+)
+_SHORTEST_S = 1e-6
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
@@ -39,7 +44,7 @@ def summarise(run: RunData) -> dict[str, Any]:
         "ticks": ticks,
         "completed": bool(outcome.get("completed", False)) and run.complete,
         "faults": run.faults(),
-        "real_time_factor": duration_s / wall_s if wall_s > 0.0 else None,
+        "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
         "bounds": judge_bounds(run),
         "tracking": _tracking(run),
         "torque": _torque(run),
@@ -53,6 +58,8 @@ def summarise(run: RunData) -> dict[str, Any]:
             "lost_by_topic": None if run.lost is None else dict(run.lost),
             "complete": run.complete,
         },
+        "recording": {"damage": list(run.damage), "notes": run.notes},
+        "commander": _commander(run),
         "digest": run.digest,
     }
 
@@ -137,10 +144,21 @@ def _limits(run: RunData) -> dict[str, Any]:
 
 def _transport(run: RunData) -> dict[str, Any]:
     counts = run.last_values(Role.PLANT, EventKind.COUNTS)
-    unknown: dict[str, Any] = {
-        **dict.fromkeys(_CHANNEL), "rejected": {},
+    always: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
+    unknown = {
         "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),
         "loss_burst": dict.fromkeys(("mean", "longest")),
-    }  # fmt: skip
-    channels = {name: counts.get(name, unknown) for name in ("uplink", "downlink")}
+    }
+    channels = {name: always | (counts.get(name) or unknown) for name in ("uplink", "downlink")}
     return channels | ({"can": counts["can"]} if "can" in counts else {})
+
+
+def _commander(run: RunData) -> dict[str, Any]:
+    """What "one commander" was worth: whether whoever commanded had to prove who it is."""
+    if run.link != "zenoh":
+        return {"authenticated": None, "note": None}
+    is_authenticated = run.setup.scenario.link.security.enabled
+    return {
+        "authenticated": is_authenticated,
+        "note": None if is_authenticated else UNAUTHENTICATED,
+    }

@@ -19,6 +19,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from controller.reference import sample_positions
+from deploy.runs.told import Told, what_was_told
 from deploy.scenario.setup import Setup
 
 Table = NDArray[np.void]
@@ -39,7 +40,9 @@ class RunData:
         messages: number of recorded messages.
         lost: messages that the recorder knows it missed, by topic; None if nobody counted them to
             the end.
-        complete: the recording was finished properly.
+        complete: the recording was finished properly, and is undamaged.
+        damage: what is damaged of it, a sentence each.
+        lacks_checksums: no checksum covers all of its data, as in those of older versions.
     """
 
     setup: Setup
@@ -51,6 +54,8 @@ class RunData:
     messages: int
     lost: Mapping[str, int] | None
     complete: bool
+    damage: Sequence[str] = ()
+    lacks_checksums: bool = False
 
     def times_s(self, topic: Topic) -> Vector:
         """Stamps of a topic's messages, shape (messages,)."""
@@ -64,17 +69,28 @@ class RunData:
         wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
         return np.asarray(truth["position"] - wanted)
 
+    @cached_property
+    def _told(self) -> tuple[Told, list[str]]:
+        return what_was_told(self.events)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was left out of what processes told at their end, a sentence each."""
+        return self._told[1]
+
     def last_values(self, role: Role, kind: EventKind) -> dict[str, Any]:
-        """What the last event of a kind says that is of one of the processes; {} without one."""
-        found = [e for e in self.events if e.kind == kind and e.source == role]
-        return found[-1].values() if found else {}
+        """What the last events of a kind say that are of one of the processes, as far as it can be.
+
+        {} without one; see `what_was_told`.
+        """
+        return self._told[0].get((role, kind), {})
 
     def faults(self) -> list[str]:
-        """All faults, a sentence each."""
+        """All faults, a sentence each, the first one first."""
+        found = [event for event in self.events if event.kind == EventKind.FAULT]
         return [
             f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
-            for event in self.events
-            if event.kind == EventKind.FAULT
+            for event in sorted(found, key=lambda event: event.stamp_ns)
         ]
 
 
@@ -99,6 +115,8 @@ def build_run_data(
     link: str,
     lost: Mapping[str, int] | None = MappingProxyType({}),
     complete: bool = True,
+    damage: Sequence[str] = (),
+    lacks_checksums: bool = False,
 ) -> RunData:
     """The data of a run from its messages by topic name; unusable messages are left out."""
     names = setup.robot.joint_names
@@ -121,6 +139,8 @@ def build_run_data(
         messages=sum(len(messages) for messages in payloads.values()),
         lost=lost,
         complete=complete,
+        damage=damage,
+        lacks_checksums=lacks_checksums,
     )
 
 

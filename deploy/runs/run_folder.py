@@ -8,19 +8,18 @@ from __future__ import annotations
 import json
 import os
 import platform
-import re
 import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from importlib import metadata
-from itertools import chain, count
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
-from bus_schema.recording.atomic_files import partial_path, write_json, write_whole
+from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
+from controller.laws.custom import custom_laws_left_out
 from deploy.processes.recorder import (
     DELAYS_ATTACHMENT,
     LOST_METADATA,
@@ -28,14 +27,14 @@ from deploy.processes.recorder import (
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
+from deploy.runs.new_folder import FolderLock, new_folder
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.referenced_files import DIRECTIONS
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import InputError, ScenarioError, plain
 
-_LATER_LOG = re.compile(r"run-\d+(\.partial)?\.mcap|can-\d+\.log")
-"""What restarted processes write."""
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 
 
@@ -55,6 +54,23 @@ class ResultFolder:
         self.summary = path / "summary.json"
         self.manifest = path / "manifest.json"
         self.report = path / "report.html"
+        self._lock: FolderLock | None = None
+
+    def lock(self) -> None:
+        """Keep other commands from writing here until this object is left as a context, or ends.
+
+        Raises:
+            ScenarioError: another one is at it.
+        """
+        self._lock = FolderLock(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let others write here again."""
+        if self._lock is not None:
+            self._lock.close()
 
 
 class RunFolder(ResultFolder):
@@ -68,14 +84,15 @@ class RunFolder(ResultFolder):
         self.fault = path / "fault.json"
 
     @staticmethod
-    def begin(setup: Setup, out: Path | None) -> RunFolder:
-        """The folder of a new run, with the scenario in force and a manifest.
+    def begin(setup: Setup, out: Path | None, *, overwrite: bool = False) -> RunFolder:
+        """The folder of a new run, locked, with the scenario in force and a manifest.
 
         Raises:
             ScenarioError: as `new_folder`.
         """
-        folder = RunFolder(new_folder(setup.scenario.name, out))
-        write_whole(folder.scenario, effective_scenario(setup))
+        folder = RunFolder(new_folder(setup.scenario.name, out, overwrite=overwrite))
+        folder.lock()
+        write_scenario(setup, folder.scenario)
         folder.write_manifest(setup, {})
         return folder
 
@@ -93,32 +110,19 @@ class RunFolder(ResultFolder):
         write_json(self.manifest, manifest_of([setup], grants) | delay)
 
 
-def new_folder(name: str, out: Path | None) -> Path:
-    """A folder for new results, by default ``runs/<name>-<time>``; those of a run are removed.
-
-    Raises:
-        ScenarioError: it cannot be created or written to.
-    """
-    path = (out or _unused(f"runs/{name}-{time.strftime('%Y%m%d-%H%M%S')}")).resolve()
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ScenarioError(f"--out {path}: cannot be created: {error.strerror}") from error
-    if not os.access(path, os.W_OK):
-        raise ScenarioError(f"--out {path}: is not writable")
-    old = RunFolder(path)
-    judged = (old.summary, old.manifest, old.report, old.fault)
-    later_logs = [file for file in path.iterdir() if _LATER_LOG.fullmatch(file.name)]
-    for file in (old.log, old.can_log, *judged, *later_logs):
-        file.unlink(missing_ok=True)
-        partial_path(file).unlink(missing_ok=True)
-    return path
-
-
 def read_summary(path: Path) -> dict[str, Any]:
     """What ``summary.json`` of a folder says; empty where there is none."""
+    return _read_json(path / "summary.json")
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What ``manifest.json`` of a folder says; empty where there is none."""
+    return _read_json(path / "manifest.json")
+
+
+def _read_json(file: Path) -> dict[str, Any]:
     try:
-        values = json.loads((path / "summary.json").read_text())
+        values = json.loads(file.read_text())
     except (OSError, ValueError):
         return {}
     return values if isinstance(values, dict) else {}
@@ -126,6 +130,9 @@ def read_summary(path: Path) -> dict[str, Any]:
 
 def load_run(path: Path) -> tuple[RunData, LogContents]:
     """Read a run folder or an MCAP file back; where that is all there is, a partial recording.
+
+    The recording may be anybody's: a law that its scenario names and that is not shipped is not
+    imported, and does nothing in the setup.
 
     Raises:
         RunFolderError: there is no recording of ours.
@@ -137,7 +144,10 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         raise RunFolderError(f"{path}: holds no run.mcap")
     contents = read_log(file)
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
-        raise RunFolderError(f"{file}: is no recording of funnel-hil (no scenario inside)")
+        damage = "".join(f"; it is damaged: {each}" for each in contents.damage)
+        raise RunFolderError(
+            f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
+        )
     with tempfile.TemporaryDirectory() as folder:
         scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
@@ -149,19 +159,29 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
                 (Path(folder) / name).write_bytes(contents.attachments[name])
                 overrides.append(f"link.{direction}.distribution_file={name}")
         try:
-            setup = load_setup(str(scenario), overrides)
+            with custom_laws_left_out():
+                setup = load_setup(str(scenario), overrides)
         except ScenarioError as error:
             raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
-    run, lost = contents.metadata.get(RUN_METADATA, {}), contents.metadata.get(LOST_METADATA)
+    run = contents.metadata.get(RUN_METADATA, {})
     data = build_run_data(
         setup,
         contents.payloads,
         clock=run.get("clock", "unknown"),
         link=run.get("link", "unknown"),
-        lost=None if lost is None else {topic: int(count) for topic, count in lost.items()},
+        lost=_counts(contents.metadata.get(LOST_METADATA)),
         complete=contents.complete,
+        damage=contents.damage,
+        lacks_checksums=contents.lacks_checksums,
     )
     return data, contents
+
+
+def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:
+    """Counts from a table of metadata; None where there is none, or something else."""
+    if told is None or not all(count.isdecimal() and len(count) < 19 for count in told.values()):
+        return None
+    return {name: int(count) for name, count in told.items()}
 
 
 def manifest_of(
@@ -176,6 +196,7 @@ def manifest_of(
     return {
         **provenance(),
         "realtime": dict(grants),
+        "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
         "gains": {setup.scenario.controller.law: plain(setup.gains) for setup in setups},
         "scenario": plain(setups[0].scenario),
     }
@@ -190,16 +211,13 @@ def provenance() -> dict[str, Any]:
             "machine": platform.machine(),
             "kernel": platform.release(),
             "cpus": os.cpu_count(),
+            "usable_cpus": len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else None,
             "python": platform.python_version(),
         },
         "versions": {name: _version(name) for name in _LIBRARIES},
     }
-
-
-def _unused(name: str) -> Path:
-    """A path of that name, with a number behind it where there is one already."""
-    candidates = chain([name], (f"{name}-{number}" for number in count(2)))
-    return next(path for path in map(Path, candidates) if not path.exists())
 
 
 def _version(name: str) -> str | None:

@@ -6,8 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bus_schema.recording.atomic_files import complete, partial_path
+from bus_schema.percentiles import PERCENTILES
+from bus_schema.recording.atomic_files import complete, naming_file, partial_path
 
+_DIRECTIONS = ("uplink", "downlink")
+_COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
+_DELAYS = {f"delay_{name}_ms": "double" for name in ("mean", *PERCENTILES)}
 _COLUMNS = {
     "scenario": "string",
     "law": "string",
@@ -31,6 +35,12 @@ _COLUMNS = {
     "peak_nm": "list<double>",
     "saturated_fraction": "double",
     "deadline_misses": "int64",
+    "success_rate": "double",
+    **{
+        f"{direction}_{name}": kind
+        for direction in _DIRECTIONS
+        for name, kind in {**_COUNTS, **_DELAYS}.items()
+    },
     "digest": "string",
 }
 """Names and types, units as in ``summary.json``; lists have one entry for each joint."""
@@ -50,10 +60,19 @@ def row(summary: dict[str, Any], seed: int) -> Row:
         values |= summary[section]
     error = "; ".join(summary["faults"]) or None
     values |= summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
+    for direction in _DIRECTIONS:
+        values |= _link_statistics(direction, summary["transport"][direction])
     bound = values["settling_bound_s"]
     if bound is not None and not isinstance(bound, list):
         values["settling_bound_s"] = [bound] * len(values["joint_names"])
     return {name: values[name] for name in _COLUMNS}
+
+
+def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
+    """Counts and delays of one direction, by their columns."""
+    delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
+    counts = {name: channel[name] for name in _COUNTS}
+    return {f"{direction}_{name}": value for name, value in {**counts, **delays}.items()}
 
 
 def failed_row(seed: int, error: str) -> Row:
@@ -62,7 +81,10 @@ def failed_row(seed: int, error: str) -> Row:
 
 
 def write_rows(
-    rows: Sequence[Row], path: Path, more_columns: Mapping[str, str] | None = None
+    rows: Sequence[Row],
+    path: Path,
+    more_columns: Mapping[str, str] | None = None,
+    conditions: Mapping[str, str] | None = None,
 ) -> None:
     """Write rows to a Parquet file; an existing one is replaced as a whole or not at all.
 
@@ -70,6 +92,7 @@ def write_rows(
         rows: what to write.
         path: the file.
         more_columns: names and types of columns in front of those that every run has.
+        conditions: under which they came about, for the metadata of the schema.
     """
     import pyarrow as pa  # heavy, and needed by few commands
     from pyarrow import parquet
@@ -79,8 +102,11 @@ def write_rows(
         return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
 
     columns = {**(more_columns or {}), **_COLUMNS}
-    schema = pa.schema([(name, arrow_type(kind)) for name, kind in columns.items()])
-    parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+    schema = pa.schema(
+        [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
+    )
+    with naming_file(path):
+        parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
     complete(path)
 
 

@@ -9,8 +9,10 @@ from pydantic import Field
 
 from bus_schema.configuration import (
     NonNegative,
+    Number,
     PerJoint,
     StrictModel,
+    Whole,
 )
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
@@ -20,6 +22,9 @@ from controller.reference_configuration import ReferenceConfiguration
 from deploy.scenario.uncertainty import Uncertainty
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.kinds import ScheduledFault
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
+"""What folders of results are called after."""
 
 
 class RobotConfiguration(StrictModel):
@@ -51,11 +56,11 @@ class Scenario(StrictModel):
     What is uncertain about it changes nothing in a run: studies draw plants from it.
     """
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-    duration_s: Annotated[float, Field(gt=0, le=86_400)]
-    rate_hz: Annotated[float, Field(ge=10, le=10_000)] = 1000.0
+    name: Name
+    duration_s: Annotated[Number, Field(gt=0, le=86_400)]
+    rate_hz: Annotated[Number, Field(ge=10, le=10_000)] = 1000.0
     clock: Literal["realtime", "lockstep"] = "realtime"
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[Whole, Field(ge=0)] = 0
     robot: RobotConfiguration
     reference: ReferenceConfiguration
     funnel: FunnelConfiguration = FunnelConfiguration()

@@ -9,6 +9,7 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.link.configuration import LinkConfiguration
+from deploy.scenario.yaml_files import is_file
 from plant_emulator.channel.jitter import read_delays_ms
 
 DIRECTIONS = ("uplink", "downlink")
@@ -34,7 +35,7 @@ def find_urdf(name: str, base: Path) -> Path:
     else:
         candidates = [base / name, ROBOTS / f"{name}.urdf"]
     for candidate in candidates:
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate.resolve()
     shipped = ", ".join(sorted(path.stem for path in ROBOTS.glob("*.urdf")))
     raise RobotDescriptionError(
@@ -57,10 +58,10 @@ def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
         channel = getattr(link, direction)
         if channel.distribution_file is None:
             continue
-        path = (base / channel.distribution_file).resolve()
         try:
+            path = (base / channel.distribution_file).resolve()
             read_delays_ms(path)
-        except ValueError as error:
+        except (ValueError, OSError, RuntimeError) as error:  # the last for links in a circle
             key = f"link.{direction}.distribution_file"
             raise ConfigurationError(key, channel.distribution_file, str(error)) from error
         found = channel.model_copy(update={"distribution_file": str(path)})

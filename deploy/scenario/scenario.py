@@ -6,9 +6,11 @@ starts, and told with file, key, value and what is allowed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,13 +19,18 @@ from bus_schema.arrays import Matrix
 from bus_schema.configuration import (
     ConfigurationError,
     expand,
+    shown,
 )
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
+from controller.configuration import ControllerConfiguration
+from controller.laws import LAWS
 from controller.reference import Reference, sample_positions
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
+from deploy.scenario.explanation import Origin
 from deploy.scenario.referenced_files import find_delay_files, find_urdf
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
@@ -39,6 +46,7 @@ from deploy.scenario.yaml_files import (
     validated,
 )
 from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.protocol import PROTOCOLS
 from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import check_faults
@@ -49,12 +57,13 @@ _MOST_CHECKED = 20_000
 _SIZED_BY = 100
 
 
-def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
+def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str = "--set") -> Setup:
     """Load, override and check a scenario.
 
     Args:
         name_or_path: a scenario file, or the name of a shipped scenario.
         overrides: ``dotted.key=value``; values are YAML.
+        given_by: what they were set with, for messages.
 
     Raises:
         ScenarioError: anything about it is wrong.
@@ -63,19 +72,86 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = ()) -> Setup:
     values = _read_scenario(path)
     for text in overrides:
         set_value(values, *parse_override(text))
-    return check(validated(values, Scenario, path), path)
+    origin = Origin(path, tuple(overrides), given_by)
+    scenario = validated(values, Scenario, origin)
+    with naming(path):
+        _check_judged_time(scenario, overrides)
+    return replace(check(scenario, origin), overrides=tuple(overrides))
 
 
-def effective_scenario(setup: Setup) -> str:
-    """The scenario in force as YAML: every default and override written out, paths absolute.
+def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType({})) -> str:
+    """`effective_values` as YAML.
+
+    Args:
+        setup: the scenario.
+        files: paths to write, by dotted key, in place of absolute ones.
+    """
+    values = effective_values(setup)
+    for key, path in files.items():
+        set_value(values, key, path)
+    return to_yaml(values)
+
+
+def effective_values(setup: Setup) -> dict[str, Any]:
+    """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
 
     But for endpoints that nobody chose: who runs it again may choose others.
     """
-    values = plain(setup.scenario)
+    given = setup.scenario
+    values: dict[str, Any] = plain(
+        given.model_copy(
+            update={
+                "controller": _with_gains(setup),
+                "limits": _with_limits(setup),
+                "plant": _with_drives(setup),
+            }
+        )
+    )
     values["robot"]["urdf"] = str(setup.robot.path)
-    for key in {"plant_endpoint", "controller_endpoint"} - setup.scenario.link.model_fields_set:
+    for key in {"plant_endpoint", "controller_endpoint"} - given.link.model_fields_set:
         del values["link"][key]
-    return to_yaml(values)
+    return values
+
+
+def _with_gains(setup: Setup) -> ControllerConfiguration:
+    controller = setup.scenario.controller
+    if controller.law not in LAWS:
+        return controller
+    gains = {**controller.gains, controller.law: setup.gains}
+    ordered = {law: gains[law] for law in (*LAWS, *gains) if law in gains}
+    return controller.model_copy(update={"gains": ordered})
+
+
+def _with_limits(setup: Setup) -> LimitsConfiguration:
+    limits = setup.scenario.limits
+    in_force = limits.of_plant(setup.robot)
+    known = {
+        name: limit
+        for name in ("torque_nm", "velocity_rad_s", "torque_rate_nm_s")
+        if np.isfinite(limit := getattr(in_force, name)).all()  # no file says that there is none
+    }
+    return limits.model_copy(update=known)
+
+
+def _with_drives(setup: Setup) -> PlantConfiguration:
+    plant, drive = setup.scenario.plant, setup.drive
+    if not drive.is_active:
+        return plant
+    loop = {"stiffness_nm_rad": drive.stiffness_nm_rad, "damping_nm_s": drive.damping_nm_s}
+    return plant.model_copy(update={"drive_feedback": plant.drive_feedback.model_copy(update=loop)})
+
+
+def _check_judged_time(scenario: Scenario, overrides: Sequence[str]) -> None:
+    """Check that errors are summed up over some time.
+
+    The default, which files of runs write out, may lie beyond the end of a short run.
+    """
+    judge, end_s = scenario.metrics, scenario.duration_s
+    is_asked_for = any(text.startswith("metrics.from_s=") for text in overrides)
+    is_chosen = judge.from_s != type(judge).model_fields["from_s"].default
+    if judge.from_s >= end_s and (is_asked_for or is_chosen):
+        allowed = f"must be before the end of the run, {end_s:g} s"
+        raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
 
 
 def _read_scenario(path: Path) -> dict[str, Any]:
@@ -85,8 +161,13 @@ def _read_scenario(path: Path) -> dict[str, Any]:
     if base is None:
         return values
     if not isinstance(base, str):
-        raise ScenarioError(f"{path}: extends = {base!r}: must be the name or path of a scenario")
-    base_values = read_yaml(find_yaml(base, SHIPPED, path.parent))
+        allowed = "must be the name or path of a scenario"
+        raise ScenarioError(f"{path}: extends = {shown(base)}: {allowed}")
+    try:
+        base_path = find_yaml(base, SHIPPED, path.parent)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path}: extends = {error}") from error
+    base_values = read_yaml(base_path)
     if "extends" in base_values:
         raise ScenarioError(f"{path}: extends = {base!r}: must be a scenario that extends no other")
     return _merged(base_values, values)
@@ -100,17 +181,17 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def check(scenario: Scenario, source: Path) -> Setup:
+def check(scenario: Scenario, origin: Origin) -> Setup:
     """Check a scenario against the files and the robot it refers to.
 
     Raises:
         ScenarioError: something does not fit.
     """
-    with naming(source):
+    with naming(origin):
         try:
-            return _check(scenario, source)
+            return _check(scenario, origin.file)
         except RobotDescriptionError as error:
-            raise ScenarioError(f"robot.urdf = {scenario.robot.urdf!r}: {error}") from error
+            raise ConfigurationError("robot.urdf", scenario.robot.urdf, str(error)) from error
 
 
 def _check(scenario: Scenario, source: Path) -> Setup:

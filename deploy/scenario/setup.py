@@ -33,6 +33,7 @@ class Setup:
         gains: gains in use, expanded to the robot's joints.
         start_position_rad: joint positions at the start, shape (joints,).
         governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
+        overrides: what was set beside the file, as ``dotted.key=value``.
     """
 
     scenario: Scenario
@@ -44,6 +45,7 @@ class Setup:
     start_position_rad: Vector
     governing_inertia_kg_m2: Vector
     grid: TickGrid
+    overrides: tuple[str, ...] = ()
 
     @property
     def ticks(self) -> int:

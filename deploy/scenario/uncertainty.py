@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from bus_schema.arrays import Vector
-from bus_schema.configuration import ConfigurationError, StrictModel
+from bus_schema.configuration import ConfigurationError, Number, StrictModel
 from deploy.scenario.yaml_files import override
 
 _NOT_DRAWN = ("seed", "uncertainty")
@@ -41,9 +41,9 @@ class Draw(StrictModel):
     """
 
     distribution: Literal["uniform", "log_uniform", "choice", "sign"]
-    least: Annotated[float | None, Field(alias="from")] = None
-    most: Annotated[float | None, Field(alias="to")] = None
-    values: tuple[float, ...] | None = None
+    least: Annotated[Number | None, Field(alias="from")] = None
+    most: Annotated[Number | None, Field(alias="to")] = None
+    values: tuple[Number, ...] | None = None
     per: Literal["arm", "joint"] = "arm"
     relative: bool | str = False
     random_sign: bool = False

@@ -12,10 +12,11 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, shortened, shown
+from deploy.scenario.explanation import Origin, explain
+from deploy.scenario.yaml_text import values_of
 
-# Several times as fast, where they are there.
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# Several times as fast, where it is there.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -30,16 +31,19 @@ class ScenarioError(InputError):
 
 
 @contextmanager
-def naming(source: Path) -> Iterator[None]:
-    """What is wrong with the values of a file is told with the file's name.
+def naming(source: Path | Origin) -> Iterator[None]:
+    """What is wrong with the values of a file is told with the file's name, or what else set them.
 
     Raises:
         ScenarioError: for a `ConfigurationError`, or another one that names no file yet.
     """
+    origin = source if isinstance(source, Origin) else Origin(source)
     try:
         yield
-    except (ConfigurationError, ScenarioError) as error:
-        raise ScenarioError(f"{source}: {error}") from error
+    except ConfigurationError as error:
+        raise ScenarioError(f"{origin.of(error.key)}: {error}") from error
+    except ScenarioError as error:
+        raise ScenarioError(f"{origin.file}: {error}") from error
 
 
 def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
@@ -54,15 +58,23 @@ def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
         ScenarioError: there is none.
     """
     for path in (beside / name_or_path, Path(name_or_path)):
-        if path.is_file():
+        if is_file(path):
             return path.resolve()
     by_name = shipped / f"{name_or_path}.yaml"
-    if by_name.is_file():
+    if is_file(by_name):
         return by_name
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
     raise ScenarioError(
-        f"{name_or_path}: no such file, nor one of the shipped {shipped.name} {names}"
+        f"{shortened(name_or_path)}: no such file, nor one of the shipped {shipped.name} {names}"
     )
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file; not where the path is none that a file can have."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -72,7 +84,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ScenarioError: it cannot be read, or holds something else.
     """
     try:
-        values = yaml.load(path.read_text(), Loader=_LOADER)
+        with naming(path):
+            values = values_of(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
     if not isinstance(values, dict):
@@ -88,11 +101,22 @@ def parse_override(override: str) -> tuple[str, Any]:
     """
     key, separator, text = override.partition("=")
     if not separator or not key:
-        raise ScenarioError(f"--set {override}: the form is dotted.key=value")
+        raise ScenarioError(f"--set {shortened(override)}: the form is dotted.key=value")
+    return key, option_value(f"--set {shortened(override)}", text)
+
+
+def option_value(option: str, text: str) -> Any:
+    """The YAML value that an option has.
+
+    Raises:
+        ScenarioError: it is none; `option` is named.
+    """
     try:
-        return key, yaml.safe_load(text)
+        return values_of(text)
+    except ConfigurationError as error:
+        raise ScenarioError(f"{option}: {shown(error.value)} {error.allowed}") from error
     except yaml.YAMLError as error:
-        raise ScenarioError(f"--set {override}: {text!r} is no YAML value") from error
+        raise ScenarioError(f"{option}: {shown(text)} is no YAML value") from error
 
 
 def override(key: str, value: Any) -> str:
@@ -111,7 +135,7 @@ def set_value(values: dict[str, Any], key: str, value: Any) -> None:
     values[last] = value
 
 
-def validated(values: Mapping[str, Any], model: type[Model], source: Path) -> Model:
+def validated(values: Mapping[str, Any], model: type[Model], source: Path | Origin) -> Model:
     """What a model makes of values.
 
     Raises:
@@ -120,7 +144,8 @@ def validated(values: Mapping[str, Any], model: type[Model], source: Path) -> Mo
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise ScenarioError(_explain(error, source)) from error
+        origin = source if isinstance(source, Origin) else Origin(source)
+        raise ScenarioError(explain(error, model, origin)) from error
 
 
 def to_yaml(values: Mapping[str, Any]) -> str:
@@ -145,19 +170,3 @@ def plain(value: Any) -> Any:
             return [plain(inner) for inner in value]
         case _:
             return value
-
-
-def _explain(error: ValidationError, path: Path) -> str:
-    """What is wrong with the values of a file: key, value and what is allowed, a line each."""
-    lines = []
-    for problem in error.errors(include_url=False):
-        key = ".".join(str(part) for part in problem["loc"])
-        message = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] == "extra_forbidden":
-            lines.append(f"{path}: {key}: there is no such key")
-        elif problem["type"] == "missing":
-            lines.append(f"{path}: {key}: is missing")
-        else:
-            allowed = message.removeprefix("Input should be ")
-            lines.append(f"{path}: {key} = {problem['input']!r}: must be {allowed}")
-    return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,13 @@ from typing import Any
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
-from controller.laws import LAWS
+from deploy.scenario.definition import Name
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import LAW, SEED, laws_beside, require_effect
 from deploy.scenario.yaml_files import override
 from deploy.study.quantities import Direction, Quantity, build_quantity
-from deploy.study.study import Different, Name, StudyDefinition, scenario_name
+from deploy.study.study import Different, StudyDefinition, scenario_name
 
 CASE_COLUMNS = {
     "arm": "string", "compensation": "bool", "drive_feedback": "bool", "running": "bool",
@@ -30,7 +31,7 @@ class CasesDefinition(StudyDefinition):
 
     Attributes:
         scenarios: scenario files, or names of shipped ones.
-        laws: control laws; all by default.
+        laws: control laws; all shipped ones and each scenario's own if null.
         compensation: values of ``controller.delay_compensation.enabled`` to try; as each scenario
             has it if none is given.
         drive_feedback: values of ``controller.drive_feedback.enabled`` to try, likewise.
@@ -44,7 +45,7 @@ class CasesDefinition(StudyDefinition):
 
     name: Name = "margin"
     scenarios: Different[str] = Field(default=["paper_arm"])
-    laws: Different[str] = Field(default_factory=lambda: list(LAWS))
+    laws: Different[str] | None = None
     compensation: Different[bool] | None = None
     drive_feedback: Different[bool] | None = None
     running: Different[bool] = Field(default=[False])
@@ -94,13 +95,27 @@ def scenarios_of(wanted: CasesDefinition, source: Path) -> list[str]:
     return [scenario_name(name, source.parent) for name in wanted.scenarios]
 
 
-def settings(wanted: CasesDefinition) -> Iterator[Setting]:
+COMPENSATION = "controller.delay_compensation.enabled"
+DRIVE_FEEDBACK = "controller.drive_feedback.enabled"
+
+
+def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Setting]:
     """All settings of a definition.
+
+    Args:
+        wanted: the definition.
+        own: keys that its kind of study sets by itself, each with what to use in its place.
 
     Raises:
         ScenarioError: the scenario refuses one.
         ConfigurationError: so does what stands in the definition.
     """
+    own = {**own, LAW: "as laws (--laws)", SEED: "as seeds (--seeds)"}
+    if wanted.compensation is not None:
+        own[COMPENSATION] = "as compensation (--compensation)"
+    if wanted.drive_feedback is not None:
+        own[DRIVE_FEEDBACK] = "as drive_feedback (--drive-feedback)"
+    require_effect(wanted.fixed, own)
     fixed = wanted.fixed_overrides
     if wanted.duration_s is not None:
         if "duration_s" in wanted.fixed:
@@ -109,22 +124,30 @@ def settings(wanted: CasesDefinition) -> Iterator[Setting]:
         fixed = (*fixed, override("duration_s", wanted.duration_s))
     unasked: Sequence[bool | None] = [None]
     chosen = itertools.product(
-        wanted.scenarios, wanted.laws, wanted.compensation or unasked,
-        wanted.drive_feedback or unasked, wanted.running,
+        [(scenario, law) for scenario in wanted.scenarios for law in _laws(wanted, scenario)],
+        wanted.compensation or unasked, wanted.drive_feedback or unasked, wanted.running,
     )  # fmt: skip
-    for scenario, law, compensation, drive_feedback, running in chosen:
-        overrides = (*fixed, override("controller.law", law))
+    for (scenario, law), compensation, drive_feedback, running in chosen:
+        overrides = (*fixed, override(LAW, law))
         if compensation is not None:
-            key = "controller.delay_compensation.enabled"
-            overrides = (*overrides, override(key, compensation))
+            overrides = (*overrides, override(COMPENSATION, compensation))
         if drive_feedback is not None:
-            key = "controller.drive_feedback.enabled"
-            overrides = (*overrides, override(key, drive_feedback))
+            overrides = (*overrides, override(DRIVE_FEEDBACK, drive_feedback))
         base = load_setup(scenario, overrides)
         quantity = build_quantity(wanted.quantity, wanted.direction, running, base)
+        if not quantity.starts_from_own:
+            require_effect(
+                wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
+            )
         yield Setting(
             scenario, base, law, compensation, drive_feedback, running, overrides, quantity
         )
+
+
+def _laws(wanted: CasesDefinition, scenario: str) -> list[str]:
+    if wanted.laws is not None:
+        return wanted.laws
+    return laws_beside(load_setup(scenario, wanted.fixed_overrides).scenario.controller.law)
 
 
 def bases_of(all_settings: Sequence[Setting]) -> list[Setup]:

@@ -12,6 +12,7 @@ from collections import deque
 import dask
 from distributed import Client, Future, LocalCluster, Worker, rpc
 from distributed.scheduler import KilledWorker
+from distributed.security import Security
 
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
@@ -118,15 +119,16 @@ class DaskWorkers:
 
 def dask_setup(_worker: Worker) -> None:
     """Called by Dask in every worker process of our own: Ctrl-C is for the command that began."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):  # which a terminal sends to all processes
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _connect(scheduler: str) -> Client:
     """A client of a scheduler whose workers can do runs."""
     try:
         asyncio.run(asyncio.wait_for(_identity(scheduler), _ANSWER_S))
-        client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+        client = Client(scheduler, timeout=_WORKERS_S, set_as_default=False, security=Security())
+    except (OSError, ValueError, TypeError, RuntimeError) as error:  # the last two: of TLS
         reason = str(error) or f"nothing was heard for {_ANSWER_S:g} s"
         raise ScenarioError(
             f"--scheduler {scheduler}: must be the address of a Dask scheduler that answers, such"
@@ -145,7 +147,8 @@ def _connect(scheduler: str) -> Client:
 
 async def _identity(scheduler: str) -> None:
     """Ask who is there; cheaper to give up than a client."""
-    async with rpc(scheduler) as peer:
+    arguments = Security().get_connection_args("client")  # certificates as Dask is configured
+    async with rpc(scheduler, connection_args=arguments) as peer:
         await peer.identity()
 
 

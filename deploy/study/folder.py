@@ -6,25 +6,26 @@ part appears as a whole or not at all, so whenever a study is killed, what lies 
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import shutil
 import time
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
+from deploy.runs.conditions import Conditions
+from deploy.runs.new_folder import new_folder, resolved_out
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolderError,
-    new_folder,
     provenance,
     read_summary,
 )
 from deploy.runs.run_rows import Row, read_rows, write_rows
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
+from deploy.scenario.written import write_scenario
+from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
 from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness
 from deploy.study.study import Run, Study
@@ -57,24 +58,11 @@ class StudyFolder(ResultFolder):
         self._rows = {(row["point"], row["seed"]): row for row in kept}
         self._unwritten: list[Row] = []
         self._flushed_s = time.monotonic()
-        self._lock: IO[str] | None = None
 
     @property
     def rows(self) -> list[Row]:
         """All rows so far, in the order of points, then seeds."""
         return [self._rows[key] for key in sorted(self._rows)]
-
-    def lock(self) -> None:
-        """Keep other commands from writing here until this process ends.
-
-        Raises:
-            ScenarioError: another one is at it.
-        """
-        self._lock = (self.path / ".lock").open("w")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise ScenarioError(f"--out {self.path}: another command is writing there") from error
 
     def find(self, run: Run) -> Row | None:
         """The row of a run, if it was done before."""
@@ -98,10 +86,14 @@ class StudyFolder(ResultFolder):
             self._unwritten = []
         self._flushed_s = time.monotonic()
 
-    def put_together(self) -> None:
-        """Make one table of all rows, in order, of the parts."""
+    def put_together(self, conditions: Conditions | None = None) -> None:
+        """Make one table of all rows, in order, of the parts.
+
+        Args:
+            conditions: what the rows are to be quoted with.
+        """
         self.flush()
-        write_rows(self.rows, self.rows_file, self._columns)
+        write_rows(self.rows, self.rows_file, self._columns, conditions)
         shutil.rmtree(self._parts, ignore_errors=True)
 
     def rerun_command(self, point: str) -> str:
@@ -114,7 +106,7 @@ class StudyFolder(ResultFolder):
             return
         self.scenarios.mkdir(exist_ok=True)
         setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
-        write_whole(file, effective_scenario(setup))
+        write_scenario(setup, file)
 
 
 def find_folder(study: Study, out: Path | None) -> Path | None:
@@ -132,9 +124,9 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     if out is None:
         begun = sorted(Path("runs").glob(f"{_folder_name(study)}-*"), reverse=True)
         return next((path.resolve() for path in begun if _can_go_on(path, wanted)), None)
-    path = out.resolve()
+    path = resolved_out(out)
     file = path / STUDY_FILE
-    if not file.exists():
+    if not is_file(file):
         return None
     if read_yaml(file) != wanted:
         raise ScenarioError(
@@ -144,13 +136,13 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     return path
 
 
-def create_folder(study: Study, out: Path | None) -> Path:
+def create_folder(study: Study, out: Path | None, *, overwrite: bool = False) -> Path:
     """A folder for a new study, by default ``runs/<kind>-<name>-<time>``.
 
     Raises:
-        ScenarioError: it cannot be created or written to.
+        ScenarioError: as `new_folder`.
     """
-    path, identity = new_folder(_folder_name(study), out), _identity(study)
+    path, identity = new_folder(_folder_name(study), out, overwrite=overwrite), _identity(study)
     write_json(path / "manifest.json", {**provenance(), "study": identity})
     write_whole(path / STUDY_FILE, to_yaml(identity))
     return path

@@ -9,9 +9,11 @@ from typing import Any
 
 from pydantic import Field
 
-from bus_schema.configuration import Positive
+from bus_schema.configuration import Number, Positive
 from deploy.runs.run_rows import Row
+from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.study_keys import UNCERTAINTY
 from deploy.scenario.yaml_files import naming, override, validated
 from deploy.study.cases import (
     CASE_COLUMNS,
@@ -40,9 +42,9 @@ class MarginDefinition(CasesDefinition):
     """
 
     seeds: Seeds = Field(default=[1, 2])
-    offsets: Different[float] = Field(default=[1.0, -0.5])
+    offsets: Different[Number] = Field(default=[1.0, -0.5])
     resolution: Positive | None = None
-    limit: float | None = None
+    limit: Number | None = None
 
 
 @dataclass
@@ -54,6 +56,7 @@ class Case:
         steps: the values of its search.
         search: how far that is.
         ceilings_ms: how long the arm may be held at each start.
+        seeds: those of its runs: one is enough where nothing is random.
         rows: what came of its runs, by the probed value in steps.
     """
 
@@ -61,6 +64,7 @@ class Case:
     steps: Steps
     search: MarginSearch
     ceilings_ms: list[float]
+    seeds: list[int]
     rows: dict[int, list[Row]] = field(default_factory=dict)
 
 
@@ -85,9 +89,10 @@ class Margin(Study):
 
     @property
     def expected(self) -> int:
-        searches = [case.search for case in self.cases]
-        probes = sum(search.probes_left + len(search.outcomes) for search in searches)
-        return probes * self._runs_per_probe
+        return sum(
+            (case.search.probes_left + len(case.search.outcomes)) * self._runs_per_probe(case)
+            for case in self.cases
+        )
 
     def first(self) -> Iterable[Run]:
         return [run for case in range(len(self.cases)) for run in self._next_probe(case)]
@@ -97,7 +102,7 @@ class Margin(Study):
         case = self.cases[index]
         rows = case.rows.setdefault(steps, [])
         rows.append(values)
-        if len(rows) < self._runs_per_probe:
+        if len(rows) < self._runs_per_probe(case):
             return ()
         case.search.outcomes[steps] = all(held(row) for row in rows)
         return self._next_probe(index)
@@ -116,19 +121,19 @@ class Margin(Study):
             "cases": [_case_summary(case) for case in self.cases],
         }
 
-    @property
-    def _runs_per_probe(self) -> int:
-        return len(self.definition.seeds) * len(self.definition.offsets)
+    def _runs_per_probe(self, case: Case) -> int:
+        return len(case.seeds) * len(self.definition.offsets)
 
     def _build_cases(self) -> Iterator[Case]:
         """All cases, each checked from every start at the last value."""
         wanted = self.definition
-        for setting in settings(wanted):
+        for setting in settings(wanted, {UNCERTAINTY: "beside plants (--plants)"}):
             steps = setting.quantity.steps(wanted.resolution, wanted.limit)
-            case = Case(setting, steps, MarginSearch(steps.first, steps.limit), [])
+            case = Case(setting, steps, MarginSearch(steps.first, steps.limit), [], [])
             last = steps.value(steps.limit)
             for scale in wanted.offsets:
                 setup = load_setup(setting.scenario, _overrides(case, last, scale))
+                case.seeds = seeds_that_differ(setup, wanted.seeds)
                 if wanted.quantity == "delay" and not setting.running:
                     ceiling = ceiling_of_value(setup, wanted.direction)
                     case.ceilings_ms += [] if ceiling is None else [ceiling]
@@ -146,7 +151,7 @@ class Margin(Study):
             overrides = _overrides(case, value, scale)
             runs += [
                 Run(_point(index, steps, start), case.setting.scenario, overrides, seed, columns)
-                for seed in self.definition.seeds
+                for seed in case.seeds
             ]
         return runs
 
@@ -171,6 +176,7 @@ def _case_summary(case: Case) -> dict[str, Any]:
         "held_again": [value(steps) for steps in search.held_again],
         "held_arm_ceiling_ms": min(case.ceilings_ms, default=None),
         "growth": case.steps.growth,
+        "seeds": case.seeds,
         "completed": search.next() is None,
         "probes": [
             _probe_summary(case, steps, sorted(rows, key=lambda row: (row["point"], row["seed"])))

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from bus_schema.configuration import Whole
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import (
     Draw,
@@ -38,8 +39,8 @@ class UncertainDefinition(StudyDefinition):
             ranges themselves; the scenario's own if null.
     """
 
-    plants: Annotated[int, Field(ge=1, le=_MOST_PLANTS)] | None = None
-    plant_seed: Annotated[int, Field(ge=0)] = 1
+    plants: Annotated[Whole, Field(ge=1, le=_MOST_PLANTS)] | None = None
+    plant_seed: Annotated[Whole, Field(ge=0)] = 1
     uncertainty: Uncertainty | None = None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,6 +12,7 @@ import numpy as np
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.configuration import LinkConfiguration
 from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import SEED, require_effect
 from deploy.scenario.uncertainty import number_at
 from deploy.scenario.yaml_files import override, plain
 
@@ -55,11 +57,13 @@ class Quantity(ABC):
         title: what it is called.
         unit: of its values, empty for none.
         keys: scenario keys that it sets.
+        starts_from_own: whether a search begins at the scenario's own value, and not at nothing.
     """
 
     title: str
     unit: str
     keys: tuple[str, ...]
+    starts_from_own = False
 
     @abstractmethod
     def overrides(self, value: float, *, running: bool) -> list[str]:
@@ -137,10 +141,12 @@ class LinkQuantity(Quantity):
         ]  # fmt: skip
 
     def steps(self, resolution: float | None, limit: float | None) -> Steps:
-        if limit is not None and limit <= 0.0:
-            raise ConfigurationError("limit", limit, f"must be above 0 for {self.title}")
         size = resolution or self._traits.resolution
-        last = max(1, round((limit or self._traits.limit) / size))
+        end = self._traits.limit if limit is None else limit
+        last = _whole_steps(end, size)
+        if last < 1:
+            allowed = f"must be at least a step, {size:g} {self.unit}".rstrip()
+            raise ConfigurationError("limit", end, f"{allowed}, for {self.title}")
         return Steps(0.0, size, min(max(1, round(self._traits.first / size)), last), last)
 
     def require_unscheduled(self, link: LinkConfiguration) -> None:
@@ -159,6 +165,8 @@ class KeyQuantity(Quantity):
         own: the scenario's own value, from where on a search goes.
     """
 
+    starts_from_own = True
+
     def __init__(self, key: str, own: float) -> None:
         self.title, self.unit, self.keys, self._own = key, _unit(key), (key,), own
 
@@ -171,8 +179,8 @@ class KeyQuantity(Quantity):
                 raise ConfigurationError(key, None, f"must be given for {self.title}")
         assert limit is not None
         assert resolution is not None
-        last = round(abs(limit - self._own) / resolution)
-        if last == 0:
+        last = _whole_steps(abs(limit - self._own), resolution)
+        if last < 1:
             allowed = f"must be a step or more away from the scenario's own {self._own:g}"
             raise ConfigurationError("limit", limit, allowed)
         growth = 1 if limit > self._own else -1
@@ -197,8 +205,9 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
             quantity.require_unscheduled(base.scenario.link)
             _require_longer_than_ramp(base.scenario.duration_s)
         return quantity
+    require_effect({name: None}, {SEED: "as seeds (--seeds)"})
     values: dict[str, Any] = plain(base.scenario)
-    own = None if name == "seed" else number_at(values, name)
+    own = number_at(values, name)
     if own is None or np.ndim(own):
         allowed = f"must be {', '.join(_LINK)}, or the dotted key of one number of the scenario"
         raise ConfigurationError("quantity", name, allowed)
@@ -206,6 +215,11 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
         if given != wanted:
             raise ConfigurationError(key, given, f"must be left out for {name}: it is of no link")
     return KeyQuantity(name, float(own))
+
+
+def _whole_steps(distance: float, size: float) -> int:
+    """How many steps fit; one that only rounding keeps out does."""
+    return math.floor(distance / size + 1e-9)
 
 
 def _require_longer_than_ramp(duration_s: float) -> None:

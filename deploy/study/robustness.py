@@ -10,9 +10,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from bus_schema.configuration import Number, Whole
 from deploy.runs.run_rows import Row
+from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
 from deploy.scenario.uncertainty import Uncertainty
 from deploy.scenario.yaml_files import ScenarioError, naming, plain, validated
 from deploy.study.cases import (
@@ -53,20 +56,27 @@ class RobustnessDefinition(CasesDefinition, UncertainDefinition):
         seeds: a plant keeps its bounds at a value if it does with every seed.
     """
 
-    plants: Annotated[int, Field(ge=1, le=1000)]
-    values: Annotated[Different[float], Field(min_length=1)]
-    kept_share: Annotated[float, Field(gt=0, le=1)] = 0.95
+    plants: Annotated[Whole, Field(ge=1, le=1000)]
+    values: Annotated[Different[Number], Field(min_length=1)]
+    kept_share: Annotated[Number, Field(gt=0, le=1)] = 0.95
     seeds: Seeds = Field(default=[1])
 
 
 @dataclass(frozen=True)
 class _Case:
-    """A setting, what is drawn for it, its plants, and how long each may be held at first, ms."""
+    """A setting, and what is drawn for it.
+
+    Attributes:
+        plants: the plants.
+        ceilings_ms: how long each may be held at first.
+        seeds: those of the runs of each: one is enough where nothing is random.
+    """
 
     setting: Setting
     uncertainty: Uncertainty
     plants: list[Plant]
     ceilings_ms: list[float | None]
+    seeds: list[list[int]]
 
 
 class Robustness(Study):
@@ -92,18 +102,18 @@ class Robustness(Study):
 
     @property
     def expected(self) -> int:
-        wanted = self.definition
-        return len(self.cases) * len(wanted.values) * wanted.plants * len(wanted.seeds)
+        runs_per_value = sum(len(seeds) for case in self.cases for seeds in case.seeds)
+        return len(self.definition.values) * runs_per_value
 
     def first(self) -> Iterable[Run]:
         wanted = self.definition
         for index, case in enumerate(self.cases):
             for at, value in enumerate(wanted.values):
                 tags = {**case.setting.tags, "quantity": wanted.quantity, "value": value}
-                for plant in case.plants:
+                for plant, seeds in zip(case.plants, case.seeds, strict=True):
                     overrides = case.setting.at(value, plant.overrides)
                     point, columns = _point(index, at, plant), {**tags, **plant.columns}
-                    for seed in wanted.seeds:
+                    for seed in seeds:
                         yield Run(point, case.setting.scenario, overrides, seed, columns)
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
@@ -131,16 +141,21 @@ class Robustness(Study):
 
     def _build_cases(self) -> Iterator[_Case]:
         """All cases; each scenario is checked with every plant, each case with the first."""
-        wanted, ceilings = self.definition, dict[str, list[float | None]]()
-        for setting in settings(wanted):
-            plants = draw_plants(wanted, setting.base, setting.quantity.keys)
-            known = f"{setting.scenario} {setting.running}"
-            if known not in ceilings:
+        wanted, known = self.definition, dict[str, tuple[list[float | None], list[list[int]]]]()
+        given = wanted.uncertainty is not None
+        for setting in settings(wanted, {UNCERTAINTY: "as --uncertainty"} if given else {}):
+            keys = setting.quantity.keys
+            require_effect(wanted.fixed, dict.fromkeys(keys, "as quantity and values"))
+            plants = draw_plants(wanted, setting.base, [*keys, LAW, SEED])
+            of = f"{setting.scenario} {setting.running}"
+            if of not in known:
                 setups = [self._checked(setting, plant) for plant in plants]
-                ceilings[known] = [self._ceiling(setting, setup) for setup in setups]
+                known[of] = (
+                    [self._ceiling(setting, setup) for setup in setups],
+                    [seeds_that_differ(setup, wanted.seeds) for setup in setups],
+                )
             self._checked(setting, plants[0])
-            uncertainty = uncertainty_of(wanted, setting.base)
-            yield _Case(setting, uncertainty, plants, ceilings[known])
+            yield _Case(setting, uncertainty_of(wanted, setting.base), plants, *known[of])
 
     def _checked(self, setting: Setting, plant: Plant) -> Setup:
         overrides = setting.at(self.definition.values[-1], plant.overrides)
@@ -160,7 +175,11 @@ class Robustness(Study):
         found, lost = [], []
         for at, value in enumerate(self.definition.values):
             points = [_point(index, at, plant) for plant in case.plants]
-            judged = [rows for point in points if self._is_judged(rows := by_point.get(point, []))]
+            judged = [
+                rows
+                for point, seeds in zip(points, case.seeds, strict=True)
+                if len(rows := by_point.get(point, [])) == len(seeds)
+            ]
             found.append({"value": value, **_value_summary(value, case, judged)})
             if len(judged) == len(points):
                 lost.append([not _is_kept(rows) for rows in judged])
@@ -175,9 +194,6 @@ class Robustness(Study):
                 quantities, np.array(lost, dtype=bool).reshape(-1, len(case.plants))
             ),
         }
-
-    def _is_judged(self, rows: list[Row]) -> bool:
-        return len(rows) == len(self.definition.seeds)
 
     def _kept_up_to(self, found: list[dict[str, Any]]) -> float | None:
         """The largest value up to which enough plants are kept at every one, all plants judged."""

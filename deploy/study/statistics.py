@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,6 +31,15 @@ def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
 def held(row: Row) -> bool:
     """Whether a run came to its end, without a fault and inside its bounds."""
     return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
+
+
+def commonest_error(rows: Sequence[Row]) -> str | None:
+    """The error of most runs, in the words of one; those that differ in numbers only are one."""
+    by_kind: dict[str, list[str]] = {}
+    for row in rows:
+        if row["error"] is not None:
+            by_kind.setdefault(re.sub(r"\d+", "0", row["error"]), []).append(row["error"])
+    return max(by_kind.values(), key=len)[0] if by_kind else None
 
 
 def badness(row: Row) -> tuple[bool, float]:

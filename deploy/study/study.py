@@ -19,10 +19,12 @@ from bus_schema.configuration import StrictModel
 from deploy.runs.metrics import summarise
 from deploy.runs.run_rows import Row, failed_row, row
 from deploy.runs.simulate import attempt
+from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import find_yaml, override
+from deploy.study.statistics import commonest_error
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
@@ -54,8 +56,6 @@ def _to_seeds(value: Any) -> Any:
 
 Seeds = Annotated[list[int], BeforeValidator(_to_seeds)]
 """Given as a list, or as a number n for 1 to n."""
-
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
 class StudyDefinition(StrictModel):
@@ -184,6 +184,7 @@ class Study(ABC):
             "name": self.definition.name,
             "runs": len(rows),
             "runs_failed": sum(row["error"] is not None for row in rows),
+            "commonest_error": commonest_error(rows),
             "seeds": self.definition.seeds,
             **self.findings(rows),
         }

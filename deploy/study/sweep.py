@@ -8,12 +8,15 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
+from bus_schema.configuration import ConfigurationError
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.study_keys import SEED, UNCERTAINTY, require_effect
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -36,6 +39,7 @@ from deploy.study.statistics import badness, held, spread_of_runs
 from deploy.study.study import SHIPPED, Run, Study, require_different, scenario_name
 
 _MOST_VALUES = 10_000
+_MOST_RUNS = 100_000
 
 
 def _to_values(given: Any) -> Any:
@@ -92,11 +96,12 @@ class Sweep(Study):
         self.axes = {split_keys(keys): values for keys, values in given.grid.items()}
         axes = {key: _kind(values) for keys, values in self.axes.items() for key in keys}
         with naming(source):
-            _check_keys(self.axes, given.fixed)
+            _check_keys(self.axes, given)
+            _check_runs(self.axes, given)
             scenario = scenario_name(given.scenario, source.parent)
             self.definition = given.model_copy(update={"scenario": scenario})
-            self.bases = [load_setup(scenario, given.fixed_overrides)]
-            self.plants = draw_plants(given, self.bases[0], axes)
+            self.bases = [load_setup(scenario, given.fixed_overrides, "set")]
+            self.plants = draw_plants(given, self.bases[0], [*axes, SEED])
             self.columns = {**axes, **draw_columns(given, self.bases)}
             self._check()
 
@@ -159,7 +164,7 @@ class Sweep(Study):
             plant = self.plants[index % len(self.plants)]
             if index < len(self.plants) or plant is self.plants[0]:
                 try:
-                    load_setup(run.scenario, run.overrides)
+                    load_setup(run.scenario, run.overrides, "grid")
                 except ScenarioError as error:
                     raise refused(plant, error) from error
 
@@ -180,18 +185,27 @@ class Sweep(Study):
         return {**summary, **share_kept(sum(map(all, whole)), len(whole))}
 
 
-def load_sweep(name_or_path: str, more: Mapping[str, Any] | None = None) -> Sweep:
+def load_sweep(
+    name_or_path: str,
+    more: Mapping[str, Any] = MappingProxyType({}),
+    fixed: Mapping[str, Any] = MappingProxyType({}),
+) -> Sweep:
     """A sweep from a file, or a shipped one.
 
     Args:
         name_or_path: which.
         more: what takes precedence over the file.
+        fixed: scenario values that take precedence over those of its ``set``.
 
     Raises:
         ScenarioError: anything about it is wrong.
     """
     path = find_yaml(name_or_path, SHIPPED)
-    return Sweep({**read_yaml(path), **(more or {})}, path)
+    values = {**read_yaml(path), **more}
+    own = values.get("set") or {}
+    if fixed and isinstance(own, dict):  # or the schema refuses it
+        values["set"] = {**own, **fixed}
+    return Sweep(values, path)
 
 
 def _point(index: int, plant: Plant) -> str:
@@ -203,15 +217,37 @@ def _grid_point(point: str) -> str:
     return point.partition("-")[0]
 
 
-def _check_keys(axes: Mapping[tuple[str, ...], Any], fixed: Mapping[str, Any]) -> None:
-    keys = [key for tied in axes for key in tied] + list(fixed)
+def _check_keys(axes: Mapping[tuple[str, ...], list[Any]], given: SweepDefinition) -> None:
+    """Check that every value of grid and set has an effect."""
+    values = {key: tried for tied, tried in axes.items() for key in tied}
+    keys = [key for tied in axes for key in tied]
+    if not all(keys):
+        raise ScenarioError("grid: must name dotted keys, separated by commas")
+    once = "once, in grid or in set (--set)"
     for key in keys:
-        if not key:
-            raise ScenarioError("grid: must name dotted keys, separated by commas")
         if keys.count(key) > 1:
-            raise ScenarioError(f"{key}: must be given once, in grid or in set")
-    if "seed" in keys:
-        raise ScenarioError("seed: must be given under seeds, not in grid or set")
+            raise ScenarioError(f"{key}: must be given {once}")
+    own = {SEED: "under seeds, not in grid or set"}
+    if given.plants is None:
+        own[UNCERTAINTY] = "beside plants (--plants)"
+        for key in given.model_fields_set & {"plant_seed", UNCERTAINTY}:
+            raise ConfigurationError(key, getattr(given, key), "must be left out without plants")
+    elif given.uncertainty is not None:
+        own[UNCERTAINTY] = "as uncertainty of the sweep (--uncertainty)"
+    require_effect(given.fixed, own | dict.fromkeys(keys, once))
+    for key, tried in values.items():
+        others = dict.fromkeys((other for other in keys if other != key), once)
+        for value in tried:
+            require_effect({key: value}, own | others)
+
+
+def _check_runs(axes: Mapping[tuple[str, ...], Any], given: SweepDefinition) -> None:
+    """Each point is checked before the first is run, and every row is kept: both have an end."""
+    points, plants = math.prod(map(len, axes.values())), given.plants or 1
+    runs = points * plants * len(given.seeds)
+    if runs > _MOST_RUNS:
+        many = f"{points} points × {plants} plants × {len(given.seeds)} seeds are {runs} runs"
+        raise ScenarioError(f"grid: {many}; at most {_MOST_RUNS} are allowed")
 
 
 def _kind(values: list[Any]) -> str:

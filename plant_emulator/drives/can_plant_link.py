@@ -92,6 +92,7 @@ class CanPlantLink(PlantLink):
                 self._waiting.append(frame)
                 break
             self._drives.handle(frame, self._clock.now_ns())
+        self._telemetry.require_same_scenario(Role.CONTROLLER)
         # Each tick comes a little before it is asked for, so that what is sampled is fresh.
         self._clock.anchor(round(_LEAD * self._run.grid.period_ns))
         self._drives.bank.take_targets()

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from bus_schema.configuration import ConfigurationError, NonNegative, Positive
+from bus_schema.configuration import ConfigurationError, NonNegative, Number, Positive
 from plant_emulator.faults.fault import Fault, FaultContext, Share
 
 
@@ -94,7 +94,7 @@ class EncoderBiased(EncoderFault):
     """Attributes: bias_rad: what is added to the position."""
 
     kind: Literal["encoder_biased"]
-    bias_rad: float
+    bias_rad: Number
 
     def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
         position_rad, velocity_rad_s = encoder.reading
@@ -120,7 +120,7 @@ class TorqueOffset(ActuatorFault):
     """Attributes: torque_nm: what the actuator adds to the torque requested."""
 
     kind: Literal["torque_offset"]
-    torque_nm: float
+    torque_nm: Number
 
     def faulty_torque_nm(self, requested_nm: float) -> float:
         return requested_nm + self.torque_nm

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
 
+from bus_schema.configuration import Sections
 from plant_emulator.faults import arm_faults, channel_faults, message_faults, process_faults
 from plant_emulator.faults.fault import Fault, FaultContext
 
@@ -51,7 +52,9 @@ def _adapter(kinds: tuple[type[Fault], ...]) -> TypeAdapter[Any]:
     return TypeAdapter(union)
 
 
-ScheduledFault = Annotated[SerializeAsAny[Fault], PlainValidator(parse_fault)]
+ScheduledFault = Annotated[
+    SerializeAsAny[Fault], PlainValidator(parse_fault), Sections(lambda: FAULT_KINDS)
+]
 """An entry of the section ``faults``; the table is looked at when a scenario is read."""
 
 

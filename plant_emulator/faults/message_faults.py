@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from typing import ClassVar, Literal
 
+from bus_schema.configuration import Number
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages import topics
@@ -121,7 +122,7 @@ class ClockStep(MessageFault):
 
     kind: Literal["clock_step"]
     side: Literal["plant", "controller"]
-    step_ms: float
+    step_ms: Number
 
     def acts_on(self) -> Direction:
         return "uplink" if self.side == "plant" else "downlink"
@@ -138,7 +139,7 @@ class SecondCommander(LinkFault):
     """
 
     kind: Literal["second_commander"]
-    torque_nm: float
+    torque_nm: Number
 
     def added_command(self, arrival: CommandArrival, editor: MessageEditor) -> CommandArrival:
         """What arrives just before a command of the controller's; its number is given later."""

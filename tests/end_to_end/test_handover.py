@@ -30,7 +30,7 @@ def another_controller(plant_endpoint: str) -> Iterator[WarmProcess]:
     )
     process = WarmProcess("controller", "paper_arm", *LONG, *endpoints)
     try:
-        await_true(lambda: "error_mrad" in process.said(), "it answers")
+        await_true(lambda: "mrad, bound" in process.said(), "it answers")
         yield process
     finally:
         process.kill()

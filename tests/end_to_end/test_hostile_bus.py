@@ -12,7 +12,8 @@ from running import Finished, Watcher, bits, settings, started
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import JOINT_COMMANDS, layout
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS, layout
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.runtime.clock import VirtualClock
@@ -116,6 +117,45 @@ def test_stale_command_right_behind_the_reply_does_not_hide_it() -> None:
     arm.close()
     assert outcome.faults == []
     assert outcome.completed
+
+
+class CopiedIdPlantLink(InProcessPlantLink):
+    """The controller has a name; one stale command comes under it, with a number far ahead."""
+
+    def __init__(self, bus: InProcessBus) -> None:
+        super().__init__(bus)
+        self._rounds = 0
+
+    def take_commands(self) -> list[CommandArrival]:
+        own = [each._replace(sender=b"commander") for each in super().take_commands()]
+        self._rounds += bool(own)
+        if self._rounds != 3:
+            return own
+        self._rounds += 1
+        return [*own, CommandArrival(command([HUGE_NM] * 3), 2**62, b"commander", 0)]
+
+
+def test_one_forged_number_bars_no_genuine_command_and_is_a_fault() -> None:
+    setup = load_setup("paper_arm", ["duration_s=0.1"])
+    clock = VirtualClock()
+    bus = InProcessBus(clock)
+    ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
+    arm = setup.arm()
+    link = CopiedIdPlantLink(bus)
+    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, link, clock).run()
+    arm.close()
+    (fault,) = outcome.faults
+    assert "two sources send as the one commander" in fault
+    assert not outcome.completed
+    assert outcome.ticks == setup.ticks  # it goes on
+    events = [
+        RunEvent.decode(payload)
+        for topic, payload in zip(bus.topics, bus.payloads, strict=True)
+        if topic is RUN_EVENTS
+    ]
+    (counts,) = [event.values() for event in events if event.kind == EventKind.COUNTS]
+    assert counts["downlink"]["sent"] == setup.ticks
+    assert {why: n for why, n in counts["downlink"]["rejected"].items() if n} == {"stale": 1}
 
 
 def test_ammunition_is_what_it_claims_to_be() -> None:

@@ -1,22 +1,31 @@
-"""The long form of the fuzzing in the tests: ``scripts/fuzz [MUTATIONS] [FILES] [FRAMES]``."""
+"""The long form of the fuzzing in the tests:
+
+``scripts/fuzz [MUTATIONS] [FILES] [FRAMES] [RECORDINGS]``.
+"""
 
 from __future__ import annotations
 
 import resource
 import sys
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
-from scenarios import try_scenarios
+from recordings import try_recordings
+from scenarios import try_files
 
 _WARM_UP = 20_000
 _PROGRESS = 50_000
+_CHUNK = 2_000
 
 
-def main(mutations: int = 200_000, files: int = 300, frames: int = 20_000) -> None:
-    """Fuzz; an assertion or any other exception ends it with a traceback."""
+def main(
+    mutations: int = 200_000, files: int = 100_000, frames: int = 20_000, recordings: int = 1_000
+) -> None:
+    """Fuzz; an assertion or any other exception ends it with a traceback, a file with code 1."""
+    found = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         target = Target(seed=1, folder=folder)
@@ -36,7 +45,22 @@ def main(mutations: int = 200_000, files: int = 300, frames: int = 20_000) -> No
                 drives.attack()
             print(f"{protocol}: {frames} mutated frames, {drives.commanded} of them torques that")
             print(f"  acted as what they said; rejected: {dict(drives.reasons)}")
-        print(f"scenario files: {dict(try_scenarios(files, 2, folder))}")
+        print(f"damaged recordings: {dict(try_recordings(recordings, 3, folder))}")
+        for kind in ("scenario", "urdf"):
+            found += try_and_tell(kind, files // 2, folder)
+    sys.exit(found > 0)
+
+
+def try_and_tell(kind: str, files: int, folder: Path) -> int:
+    """Try mutated files in chunks, and tell of those that found something; how many did."""
+    counts: Counter[str] = Counter()
+    for first in range(0, files, _CHUNK):
+        outcomes = try_files(kind, range(first, min(first + _CHUNK, files)), 2, folder)
+        counts += outcomes.counts
+        print(f"{kind} files: {dict(counts)}", flush=True)
+        for number, text in outcomes.findings.items():
+            print(f"{kind} {number}: {text}", flush=True)
+    return counts["finding"]
 
 
 def _peak_kib() -> int:

@@ -18,7 +18,7 @@ _NASTY = (
 class Mutator:
     """Mutates what it is given, one to four times over."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int | list[int]) -> None:
         self._random = np.random.default_rng(seed)
         self._ways: Sequence[Callable[[bytearray], None]] = (
             self._flip, self._replace, self._cut, self._extend, self._repeat, self._put_boundary,

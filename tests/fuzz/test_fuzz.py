@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import logging
+import os
+import signal
 
 import pytest
 from can_frames import PROTOCOLS, CanTarget
 from decoding import Target
-from scenarios import try_scenarios
+from forked import try_forked
+from recordings import try_recordings
+from scenarios import try_files
 
 from bus_schema.recording.mcap_log import read_log
 
@@ -41,7 +45,36 @@ def test_mutated_frames_crash_no_drive_and_give_no_torque_but_what_they_say(
     assert len(target.reasons) <= 12  # counters are bounded: reasons are ours
 
 
-def test_mutated_scenario_runs_or_is_refused(tmp_path):
-    outcomes = try_scenarios(60, 11, tmp_path)
-    assert outcomes["ran"] > 0
-    assert outcomes["refused"] > 10
+def test_no_damaged_recording_is_taken_for_whole(tmp_path):
+    outcomes = try_recordings(200, 3, tmp_path)
+    assert set(outcomes) == {
+        "refused", "judged, all messages there", "judged as far as can be read",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["scenario", "urdf"])
+def test_mutated_file_runs_or_is_refused(kind, tmp_path):
+    outcomes = try_files(kind, range(150), 11, tmp_path)
+    assert not outcomes.findings
+    assert outcomes.counts["ran"] > 5
+    assert outcomes.counts["refused"] > 10
+
+
+def _raise(_number):
+    raise RecursionError
+
+
+@pytest.mark.parametrize(
+    ("trial", "said"),
+    [
+        (_raise, "RecursionError"),
+        (lambda number: os.kill(os.getpid(), signal.SIGSEGV), "died"),
+        (lambda number: str(len(bytearray(8 << 30))), "MemoryError"),
+    ],
+    ids=["raises", "crashes", "is greedy"],
+)
+def test_a_trial_that_goes_wrong_is_a_finding(trial, said):
+    outcomes = try_forked(lambda number: "ran" if number != 4 else trial(number), range(3, 6))
+    assert outcomes.counts == {"ran": 2, "finding": 1}
+    assert list(outcomes.findings) == [4]
+    assert said in outcomes.findings[4]

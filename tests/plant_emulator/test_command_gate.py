@@ -248,3 +248,41 @@ def test_drives_that_take_torques_alone_are_given_no_target():
     bench = Bench()
     assert bench.admit(aimed(5, position=(np.nan,) * 3)).target is None
     assert not bench.rejected
+
+
+@pytest.mark.parametrize(("data", "reason"), [*REJECTIONS, (payload(5, (9.0, 9.0, 9.0)), "stale")])
+def test_rejected_command_in_the_commanders_name_bars_none_of_its_own(data, reason):
+    bench = Bench()
+    assert bench.admit(payload(5), sequence=1) is not None
+    assert bench.admit(data, sequence=2**62) is None
+    for index in range(700):
+        assert bench.admit(payload(6 + index), sequence=2 + index) is not None
+    assert bench.rejected == {reason: 1}
+
+
+def test_two_who_send_under_one_id_are_found_out():
+    forged = payload(7, (9.0, 9.0, 9.0))
+    for number in (2, 3, 2**62):  # taken from the commander, ahead of it, far ahead of it
+        bench = Bench()
+        assert bench.admit(payload(5), sequence=1) is not None
+        assert bench.admit(payload(6), sequence=2) is not None
+        bench.admit(forged, sequence=number)
+        bench.admit(payload(8), sequence=3)
+        assert bench.gate.second_source is not None, number
+
+
+def test_repetitions_and_a_changed_order_are_nobody_else():
+    bench = Bench()
+    for number in (1, 3, 2, 3, 900, 100, 2000, 2000):
+        bench.admit(payload(100 + number), sequence=number)
+    assert bench.gate.second_source is None
+    assert bench.rejected == {"replayed": 4}
+
+
+def test_who_takes_over_begins_with_numbers_of_its_own():
+    bench = Bench()
+    assert bench.admit(payload(5), sequence=2**40, sender=b"first") is not None
+    bench.gone.add(b"first")
+    assert bench.admit(payload(6), sequence=1, sender=b"second") is not None
+    assert bench.admit(payload(7), sequence=2, sender=b"second") is not None
+    assert bench.gate.second_source is None

@@ -11,9 +11,9 @@ STIFFNESS, DAMPING, INTEGRAL = (9000, 16000, 2500), (400, 700, 90), (20000, 4000
 RESET, HEADER, ROWS = 0, 8, 8
 
 
-def torques(rows, step_s, sums):
+def torques(rows: list[tuple[float, ...]], step_s: float, sums: list[float]) -> list[float]:
     """N m, from rows of position, velocity and their references, as the protocol has them."""
-    answer = []
+    answer: list[float] = []
     for i, (q, v, q_ref, v_ref, *_, limit) in enumerate(zip(*rows, strict=True)):
         error = q - q_ref
         wanted = -STIFFNESS[i] * error - DAMPING[i] * (v - v_ref) - INTEGRAL[i] * sums[i]
@@ -23,7 +23,8 @@ def torques(rows, step_s, sums):
     return answer
 
 
-def main():
+def main() -> None:
+    """Answer until the run is over."""
     sums = [0.0] * 3
     while header := sys.stdin.buffer.read(8 * HEADER):
         question, _version, joints, _time_s, step_s, *_ = struct.unpack(f"{HEADER}d", header)

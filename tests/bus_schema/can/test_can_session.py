@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import uuid
+from collections.abc import Iterator
 from pathlib import Path
 
+import can
 import pytest
+from can.interfaces.udp_multicast.utils import pack_message
 
 from bus_schema.can.candump import candump_line
 from bus_schema.can.frame import CanBus, CanFrame
@@ -46,6 +51,52 @@ def test_frames_reach_the_others_in_order_and_never_their_sender(configure: obje
         assert ours.receive(0.01) is None
     finally:
         _close(ours, theirs)
+
+
+GROUP = "239.74.163.2"
+_ALL_PROTOCOLS = 3  # ETH_P_ALL: what goes out is shown to no other
+
+
+@pytest.mark.parametrize(("hop_limit", "leaves"), [(0, False), (1, True)])
+def test_frames_leave_the_machine_only_if_they_are_to(hop_limit: int, leaves: bool) -> None:
+    try:
+        wire = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(_ALL_PROTOCOLS))
+    except PermissionError:
+        pytest.skip("watching the network takes CAP_NET_RAW")
+    configuration = CanConfiguration(interface="udp_multicast", port=43_556, hop_limit=hop_limit)
+    bus, witness = open_can_bus(configuration), open_can_bus(configuration)
+    with wire:
+        wire.settimeout(0.3)
+        try:
+            bus.send(FRAMES[0])
+            assert witness.receive(1.0) == FRAMES[0]
+            assert bool(list(_sent_to_network(wire, socket.inet_aton(GROUP)))) == leaves
+        finally:
+            _close(bus, witness)
+
+
+@pytest.mark.parametrize(("hop_limit", "is_heard"), [(0, False), (1, True)])
+def test_what_is_not_sent_to_the_group_by_this_machine_is_not_heard(
+    hop_limit: int, is_heard: bool
+) -> None:
+    configuration = CanConfiguration(interface="udp_multicast", port=43_557, hop_limit=hop_limit)
+    bus, sender = open_can_bus(configuration), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with sender:
+        try:
+            message = can.Message(arbitration_id=0x123, data=b"x", is_extended_id=False)
+            sender.sendto(pack_message(message), ("127.0.0.1", 43_557))  # as from another machine
+            assert (bus.receive(0.3) is not None) == is_heard
+        finally:
+            _close(bus)
+
+
+def _sent_to_network(wire: socket.socket, group: bytes) -> Iterator[bytes]:
+    """IP packets to a group that this machine hands to one of its networks."""
+    with contextlib.suppress(TimeoutError):
+        while True:
+            packet, (_, _, packet_type, *_) = wire.recvfrom(2048)
+            if packet_type == socket.PACKET_OUTGOING and packet[16:20] == group:
+                yield packet
 
 
 @pytest.mark.parametrize(

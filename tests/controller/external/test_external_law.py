@@ -1,5 +1,6 @@
 """Laws in programs of their own: what they are asked, what they may do wrong, how they end."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import controller.external
 from bus_schema.configuration import ConfigurationError
@@ -16,6 +18,7 @@ from controller.external.external_law import ExternalLaw
 from controller.external.program import ExternalLawError
 from controller.funnel import Funnel
 from controller.reference import JointSinusoids
+from deploy.cli import app
 from deploy.runs.bounds import judge_bounds
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -115,7 +118,10 @@ def test_a_question_has_what_the_protocol_says(tmp_path):
 
 
 def test_reset_is_asked_once_there_is_something_to_forget(tmp_path):
-    law = program(tmp_path, ECHO + "n = 0\nwhile True:\n    n = n + 1 if asked()[0] else 10\n    say(0.0, n, n, n)")
+    law = program(
+        tmp_path,
+        ECHO + "n = 0\nwhile True:\n    n = n + 1 if asked()[0] else 10\n    say(0.0, n, n, n)",
+    )
     law.reset()
     tracking = situation()
     assert [law.torque(tracking)[0], law.torque(tracking)[0]] == [1.0, 2.0]
@@ -139,9 +145,10 @@ def test_reset_is_asked_once_there_is_something_to_forget(tmp_path):
 )  # fmt: skip
 def test_what_a_program_does_wrong_is_said(tmp_path, body, reason):
     law = program(tmp_path, body)
+    tracking = situation()
+    answers = (law.torque(tracking) for _ in range(2))
     with pytest.raises(ExternalLawError, match=reason):
-        for _ in range(2):
-            law.torque(situation())
+        list(answers)
     law.close()
 
 
@@ -168,6 +175,46 @@ def test_a_program_that_cannot_be_started_is_refused_before_the_run(
     Path("law.txt").write_text("no program")
     with pytest.raises((ScenarioError, ConfigurationError), match=reason):
         simulated(command)
+
+
+def test_a_recording_of_it_is_judged_but_not_done_again_unasked(tmp_path, monkeypatch):
+    """A recording may be anybody's: its program is not started, nor has it to be there."""
+    monkeypatch.chdir(tmp_path)
+    script, command = Path("law.py"), f"['{sys.executable}', law.py]"
+    script.write_text((HERE / "examples" / "stiff_pd.py").read_text())
+    settings = ["controller.law=external", f"controller.external.command={command}"]
+    arguments = [word for setting in settings for word in ("--set", setting)]
+    runner = CliRunner()
+    done = runner.invoke(app, ["simulate", *arguments, "--set", "duration_s=0.2", "--out", "out"])
+    assert done.exit_code == 0, done.output
+    assert runner.invoke(app, ["replay", "out", "--allow-custom-law"]).exit_code == 0
+    script.write_text("import pathlib; pathlib.Path('started').touch()")
+    assert runner.invoke(app, ["report", "out"]).exit_code == 0
+    refused = runner.invoke(app, ["replay", "out"])
+    assert isinstance(refused.exception, ScenarioError)
+    assert "--allow-custom-law" in str(refused.exception)
+    assert not Path("started").exists()
+
+
+@pytest.mark.parametrize("study", ["compare", "margin", "sweep"])
+def test_studies_take_a_program_too(tmp_path, study):
+    Path(tmp_path / "sweep.yaml").write_text(
+        "name: delays\nscenario: paper_arm\nset: {duration_s: 0.3}\n"
+        "grid: {link.uplink.delay_ms: [0, 2]}\n"
+    )
+    program = f"controller.external.command={PYTHON_EXAMPLE}"
+    more = {
+        "compare": ["paper_arm", "--laws", "external,pid", "--set", "duration_s=0.3"],
+        "margin": ["paper_arm", "--laws", "external", "--duration", "0.3", "--limit", "1",
+                   "--resolution", "1", "--compensation", "off"],
+        "sweep": [str(tmp_path / "sweep.yaml"), "--set", "controller.law=external"],
+    }[study]  # fmt: skip
+    out = tmp_path / "out"
+    done = CliRunner().invoke(app, [study, *more, "--set", program, "--out", str(out)])
+    assert done.exit_code == 0, (done.output, done.exception)
+    summary = json.loads((out / "summary.json").read_text())
+    assert not summary.get("runs_failed")
+    assert "external" in done.output
 
 
 def test_the_law_needs_its_program():

@@ -7,12 +7,14 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from deploy import cli
 from deploy.scenario.scenario import SHIPPED
+from deploy.scenario.yaml_files import set_value
 
 ROOT = Path(__file__).resolve().parents[3]
 JOINTLESS = """<robot name="r"><link name="a"/><link name="b"/>
@@ -136,15 +138,35 @@ def test_impossible_value_is_refused(
     refuse: Refusal, key: str, given: str, shown: str, allowed: str
 ) -> None:
     message = refuse("run", "paper_arm", "--set", f"{key}={given}")
-    assert message.startswith(f"{SHIPPED / 'paper_arm.yaml'}: {key} = {shown}: ")
+    assert message.startswith(f"--set {key}={given}: {key} = {shown}: ")
     assert allowed in message
 
 
-@pytest.mark.parametrize("key", ["duration", "link.uplink.delay", "controller.gains.magic", "a.b"])
-def test_unknown_key_is_refused(refuse: Refusal, key: str) -> None:
-    known = "a" if key == "a.b" else key  # there is no such section
+TYPOS = [
+    # key as given, as far as it is known, what may have been meant
+    ("duration", "duration", "duration_s"),
+    ("link.uplink.delay", "link.uplink.delay", "delay_ms"),
+    ("linc.uplink.delay_ms", "linc", "link"),
+    ("paylod_kg", "paylod_kg", "plant.payload_kg"),
+    ("controller.gains.pid.proportinal", "controller.gains.pid.proportinal", "proportional"),
+    ("reference.x.ofset_m", "reference.cartesian_path.x.ofset_m", "offset_m"),
+    ("controller.gains.magic", "controller.gains.magic", None),
+    ("a.b", "a", None),
+]
+
+
+@pytest.mark.parametrize(("key", "known", "meant"), TYPOS)
+def test_unknown_key_is_refused_with_the_one_that_may_be_meant(
+    refuse: Refusal, tmp_path: Path, key: str, known: str, meant: str | None
+) -> None:
+    hint = f"; did you mean {meant}?" if meant else ""
     message = refuse("run", "paper_arm", "--set", f"{key}=1")
-    assert message == f"{SHIPPED / 'paper_arm.yaml'}: {known}: there is no such key"
+    assert message == f"--set {key}=1: {known}: there is no such key{hint}"
+    file = tmp_path / "mine.yaml"
+    values: dict[str, Any] = {"extends": "paper_arm"}
+    set_value(values, key, 1)
+    file.write_text(yaml.safe_dump(values))
+    assert refuse("run", str(file)) == f"{file}: {known}: there is no such key{hint}"
 
 
 @pytest.mark.parametrize(("term", "named", "allowed"), DISTURBANCES)
@@ -159,7 +181,7 @@ def test_impossible_disturbance_is_refused(
 @pytest.mark.parametrize(("entries", "complaint"), SCHEDULES)
 def test_impossible_schedule_is_refused(refuse: Refusal, entries: str, complaint: str) -> None:
     message = refuse("run", "paper_arm", "--set", f"link.uplink.schedule=[{entries}]")
-    assert message.startswith(f"{SHIPPED / 'paper_arm.yaml'}: link.uplink.schedule")
+    assert message.startswith(f"--set link.uplink.schedule=[{entries}]"[:100])
     assert complaint in message
 
 

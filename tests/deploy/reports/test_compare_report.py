@@ -12,13 +12,13 @@ from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest, Start
 from deploy.reports import compare_report
 from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import verdict_on_laws
+from deploy.reports.compare_tables import joint_table, verdict_on_laws, verdict_table
 from deploy.reports.figures.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
 from deploy.reports.figures.settling import settling, settling_from_afar
 from deploy.reports.figures.torque import torque_spectra
-from deploy.reports.quantities import RMS_ERROR
+from deploy.reports.quantities import BY_LAW, RMS_ERROR
 from deploy.runs.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
@@ -58,17 +58,17 @@ def page_of(tmp_path_factory):
         for subject, page in pages:
             if subject is comparison:
                 return page
-        write_comparison_report(comparison, path)
+        write_comparison_report(comparison, path, {"law": HOSTILE})
         pages.append((comparison, path.read_text(encoding="utf-8").replace(get_plotlyjs(), "")))
         return pages[-1][1]
 
     return write
 
 
-def with_bounds(run, *, kept):
+def with_bounds(run, *, kept, margin=-1.0):
     bounds = {"kept": kept, "violation_fraction": 0.0 if kept else 0.25,
               "first_violation_s": None if kept else 0.125,
-              "margin_min": 0.5 if kept else -1.0}  # fmt: skip
+              "margin_min": 0.5 if kept else margin}  # fmt: skip
     return replace(run, summary={**run.summary, "bounds": bounds})
 
 
@@ -135,9 +135,36 @@ def test_a_law_that_faulted_is_neither_kept_nor_best(comparison, page_of, monkey
     assert '<td class="best">' not in page_of(broken)
 
 
+def test_a_law_that_left_its_funnel_is_green_in_no_column_and_wins_nothing(comparison, page_of):
+    first, second = comparison.runs
+    mixed = Comparison(
+        [with_bounds(first, kept=False, margin=-14.1), with_bounds(second, kept=True)]
+    )
+    rows = [row for table in tables_of(mixed) for row in table.cells if row[0].value == first.law]
+    assert not {cell.status for row in rows for cell in row} & {"best", "good"}
+    assert not any(first.law in text for text in verdict_on_laws(mixed).reasons if "east" in text)
+
+
+def test_an_error_far_outside_is_told_as_a_multiple_of_its_bound(comparison):
+    far, near = (with_bounds(run, kept=False, margin=margin)
+                 for run, margin in zip(comparison.runs, (-14.14, -0.2), strict=True))  # fmt: skip
+    verdict, *_ = tables_of(Comparison([far, near]))
+    place = [column.heading for column in verdict.columns].index("Smallest margin")
+    texts = [row[place].text for row in verdict.cells]
+    assert texts == ["at most 15.1 times its bound", "-20"]
+    assert (
+        verdict_on_laws(Comparison([far, near])).reasons[0].endswith("at most 15.1 times its bound")
+    )
+
+
+def tables_of(comparison):
+    return [verdict_table(comparison), *(joint_table(comparison, q) for q in BY_LAW)]
+
+
 def test_the_most_precise_law_is_named_joint_by_joint(comparison):
     runs = []
-    for run, rms in zip(comparison.runs, ([1e-3, 4e-3, 1e-3], [2e-3, 2e-3, 4e-3]), strict=True):
+    for law, rms in zip(comparison.runs, ([1e-3, 4e-3, 1e-3], [2e-3, 2e-3, 4e-3]), strict=True):
+        run = with_bounds(law, kept=True)
         tracking = {**run.summary["tracking"], "rms_rad": rms}
         runs.append(replace(run, summary={**run.summary, "tracking": tracking}))
     sentences = [reason for reason in verdict_on_laws(Comparison(runs)).reasons if "RMS" in reason]

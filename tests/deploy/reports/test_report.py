@@ -15,6 +15,8 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.reports import run_report
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.figures.decimation import decimate
+from deploy.reports.figures.errors import error_in_funnel
+from deploy.reports.figures.faults import fault_spans_s, with_faults
 from deploy.reports.figures.network import unknown_dynamics_nm
 from deploy.reports.figures.timing import deadline_misses
 from deploy.reports.figures.torque import torques
@@ -218,3 +220,19 @@ def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monk
     shown = re.search(r'data-plot="mine-plot">(.*?)</script>', page)
     assert json.loads(shown[1])["layout"]["height"] == 300
     assert page.count("<h2>Motion</h2>") == 1
+
+
+def test_hundreds_of_faults_are_one_shape_in_each_row():
+    """Plotly takes its time for each shape, and hundreds of faults had a report take minutes."""
+    faults = [{"kind": "encoder_stuck", "joint": "elbow", "at_s": 0.001 * at, "for_s": 5e-4}
+              for at in range(1, 500)]  # fmt: skip
+    run = run_of(f"faults={json.dumps(faults)}", "duration_s=0.6", "metrics.from_s=0.1")
+    spans = fault_spans_s(run)
+    assert len(spans) == len(faults)
+    plain, shaded = error_in_funnel(run), with_faults(error_in_funnel)(run)
+    shapes = shaded.layout.shapes[len(plain.layout.shapes) :]
+    assert len({(shape.xref, shape.yref) for shape in shapes}) == len(shapes)
+    assert len(shapes) == len(list(shaded.select_yaxes()))
+    for shape in shapes:
+        assert shape.path.count("M") == len(faults)
+        assert shape.path.startswith(f"M{spans[0][0]},0 L{spans[0][0]},1 L{spans[0][1]},1 ")

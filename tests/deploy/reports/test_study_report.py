@@ -29,6 +29,7 @@ def sweep():
     return {
         "kind": "sweep", "name": "small", "scenario": HOSTILE, "completed": False, "runs": 6,
         "runs_failed": 1, "seeds": [4, 5], "plants": None,
+        "conditions": {"law": HOSTILE},
         "axes": [{"keys": ["link.uplink.delay_ms", HOSTILE], "values": [0.0, 1.0, 2.0]},
                  {"keys": ["controller.law"], "values": [f"law{HOSTILE}"]}],
         "points": [runs(0.01 * index, point=f"0000{index}", worst_point=f"0000{index}",
@@ -58,6 +59,7 @@ def margin():
     return {
         "kind": "margin", "name": "m", "quantity": "delay", "title": "round trip", "unit": "ms",
         "resolution": 0.5, "limit": 128.0, "completed": True, "runs": 6, "runs_failed": 0,
+        "conditions": {"law": "pid"},
         "seeds": [1], "offsets": [1.0, -0.5], "duration_s": {"my_arm": 8.0}, "cases": [case],
     }  # fmt: skip
 

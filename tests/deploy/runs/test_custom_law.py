@@ -85,7 +85,7 @@ def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
     ],
 )
 def test_unusable_law_is_refused_before_the_run(law, gains, told):
-    with pytest.raises(ScenarioError, match=r"paper_arm.yaml: controller\.") as refused:
+    with pytest.raises(ScenarioError, match=r"--set controller\.") as refused:
         setup_of(law, f"controller.gains.custom={gains}")
     assert told in str(refused.value)
 

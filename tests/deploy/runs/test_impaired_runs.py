@@ -10,8 +10,9 @@ from deploy.cli.common import conclude
 from deploy.reports import run_report
 from deploy.runs.bounds import bound_usage
 from deploy.runs.metrics import summarise
+from deploy.runs.new_folder import new_folder
 from deploy.runs.replay import replay
-from deploy.runs.run_folder import RunFolder, load_run, new_folder
+from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import effective_scenario, load_setup
 

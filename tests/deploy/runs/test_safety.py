@@ -12,8 +12,9 @@ from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
 from bus_schema.runtime.modes import Mode, mode_in
 from deploy.cli.common import conclude
 from deploy.runs.metrics import summarise
+from deploy.runs.new_folder import new_folder
 from deploy.runs.replay import replay
-from deploy.runs.run_folder import RunFolder, load_run, new_folder
+from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
@@ -91,7 +92,7 @@ def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(tmp_path,
 def test_run_without_a_fault_leaves_no_fault_record(tmp_path):
     folder = RunFolder(new_folder("fine", tmp_path / "run"))
     folder.fault.write_text("of the run before")
-    folder = RunFolder(new_folder("fine", tmp_path / "run"))
+    folder = RunFolder(new_folder("fine", tmp_path / "run", overwrite=True))
     conclude(folder, simulate(load_setup("paper_arm", ["duration_s=0.05"])).data())
     assert not folder.fault.exists()
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import SHIPPED, effective_scenario, load_setup
+from deploy.scenario.scenario import SHIPPED, effective_scenario, effective_values, load_setup
 from deploy.scenario.yaml_files import ScenarioError, plain
 
 NAMES = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
@@ -86,8 +86,7 @@ def test_effective_scenario_says_all_that_was_in_force(name: str, tmp_path: Path
     file = tmp_path / "elsewhere.yaml"
     file.write_text(effective_scenario(setup))
     again = load_setup(str(file))
-    assert plain(again.scenario) == plain(setup.scenario) | {
-        "robot": plain(setup.scenario.robot) | {"urdf": str(setup.robot.path)}
-    }
+    assert plain(again.scenario) == effective_values(setup) | {"link": plain(setup.scenario.link)}
+    assert plain(again.gains) == plain(setup.gains)
     assert effective_scenario(again) == effective_scenario(setup)
     assert simulate(again).data().digest == simulate(setup).data().digest

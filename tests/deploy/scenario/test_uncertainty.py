@@ -64,7 +64,7 @@ def test_impossible_ranges_are_refused_with_the_reason(ranges, said):
     with pytest.raises(ScenarioError) as refusal:
         load_setup("paper_arm", [f"uncertainty={json.dumps(ranges)}"])
     text = str(refusal.value)
-    assert "paper_arm.yaml" in text
+    assert "--set uncertainty=" in text
     assert [word for word in said if word not in text] == []
 
 

@@ -71,8 +71,12 @@ def conduct(study, path, workers):
     return whole, folder
 
 
+NOISE = {"plant.encoder.velocity_noise_rad_s": 1e-5}
+"""With which another seed is another run."""
+
+
 def margin_of(**values):
-    given = {"laws": ["pid", "smc"], "seeds": 2, "limit": 16, **values}
+    given = {"laws": ["pid", "smc"], "seeds": 2, "limit": 16, "set": NOISE, **values}
     return Margin(given, Path("margin"))
 
 

@@ -32,7 +32,8 @@ def link_at(study, value):
     ("direction", "each_ms"), [("both", (6, 6)), ("uplink", (12, 5)), ("downlink", (3, 12))]
 )
 def test_a_delay_goes_both_ways_or_one(direction, each_ms):
-    own = {"link.uplink.delay_ms": 3, "link.downlink.delay_ms": 5}
+    own = {"uplink": {"link.downlink.delay_ms": 5}, "downlink": {"link.uplink.delay_ms": 3}}
+    own = own.get(direction, {})  # of the other one
     link = link_at(margin_of(direction=direction, set=own), 12.0)
     assert (link.uplink.delay_ms, link.downlink.delay_ms) == each_ms
 
@@ -110,7 +111,7 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
     given = []
     monkeypatch.setattr(cases, "load_setup", lambda _, overrides: given.append(overrides) or SETUP)
     for asked in (None, [False, True]):
-        list(cases.settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked)))
+        list(cases.settings(CasesDefinition(set={}, laws=["smc"], drive_feedback=asked), {}))
     key = "controller.drive_feedback.enabled"
     found = [[text for text in overrides if key in text] for overrides in given]
     assert found == [[], [f"{key}=false"], [f"{key}=true"]]
@@ -132,8 +133,8 @@ def test_feedback_at_the_drives_is_set_only_where_it_is_asked_for(monkeypatch):
         ({"running": [True], "set": {"link.uplink.schedule": [
             {"kind": "outage", "at_s": 1, "for_s": 1}]}}, ["link.uplink.schedule", "running"]),
         ({"duration_s": 8, "set": {"duration_s": 20}}, ["duration_s", "given once"]),
-        ({"limit": -1}, ["limit", "-1", "above 0"]),
-        ({"limit": 0}, ["limit", "above 0"]),
+        ({"limit": -1}, ["limit", "-1", "at least a step"]),
+        ({"limit": 0}, ["limit", "at least a step"]),
     ],
 )  # fmt: skip
 def test_impossible_quantities_are_refused_with_the_reason(values, said):

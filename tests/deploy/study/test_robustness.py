@@ -19,7 +19,7 @@ from deploy.study.plants import measured
 from deploy.study.robustness import Robustness, margin_study
 from deploy.study.study import SHIPPED
 from deploy.study.sweep import Sweep, load_sweep
-from tests.deploy.study.studies import TIED, Here, conduct, made_up
+from tests.deploy.study.studies import NOISE, TIED, Here, conduct, made_up
 
 PAYLOAD, COULOMB = "plant.payload_kg", "plant.friction.coulomb_nm"
 RANGES = {
@@ -40,7 +40,7 @@ def heavy_ones_lost(run):
 
 
 def test_every_plant_meets_every_value_under_every_law_and_setting():
-    study = robustness_of(laws=["smc", "pid"], compensation=[False, True], seeds=2)
+    study = robustness_of(laws=["smc", "pid"], compensation=[False, True], seeds=2, set=NOISE)
     runs = list(study.first())
     assert len(runs) == study.expected == 2 * 2 * 3 * 20 * 2
     assert len({run.key for run in runs}) == len(runs)
@@ -146,7 +146,7 @@ def test_draws_are_measured_joint_by_joint_and_to_both_sides():
 
 
 def test_a_plant_counts_as_kept_with_every_seed_only(tmp_path):
-    study = robustness_of(plants=4, seeds=2, values=[8])
+    study = robustness_of(plants=4, seeds=2, values=[8], set=NOISE)
     one_seed = Here(lambda run: made_up(
         run, violation_fraction=0.1 * (run.seed == 2 and run.columns["plant"] > 1)))  # fmt: skip
     _, folder = conduct(study, tmp_path / "out", one_seed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 import yaml
 
@@ -103,7 +105,10 @@ def test_rows_are_safe_before_they_are_put_together(tmp_path):
 def test_every_point_has_its_scenario(tmp_path):
     sweep = make_sweep(tmp_path, {TIED: [0, 1.5]}, seeds=[7, 8])
     _, folder = conduct(sweep, tmp_path / "out", Here(made_up))
-    assert sorted(file.name for file in folder.scenarios.iterdir()) == ["00000.yaml", "00001.yaml"]
+    names = sorted(file.name for file in folder.scenarios.iterdir())
+    assert names[:2] == ["00000.yaml", "00001.yaml"]
+    assert re.fullmatch(r"paper_arm-[0-9a-f]{8}\.urdf", names[2])  # one, for both
+    assert len(names) == 3
     command = folder.rerun_command("00001")
     again = load_setup(command.removeprefix("funnel-hil simulate "))
     assert again.scenario.link.uplink.delay_ms == 1.5

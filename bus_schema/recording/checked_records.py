@@ -1,0 +1,181 @@
+"""Records of an MCAP file, each checked against the checksums of the file.
+
+Together they cover every byte: one over all data, one over the summary with its footer, and what is
+left, such as the marks at both ends, can only be one thing. Chunks and attachments have checksums
+of their own, so that damage to one of them costs no other.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from io import BytesIO
+from typing import IO, Any, NamedTuple
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    McapRecord,
+    Message,
+    Metadata,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import breakup_chunk
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+_CRC = struct.Struct("<I")
+_FOOTER_BYTES = 8 + 8 + _CRC.size
+_LARGEST_CHUNK_BYTES = 1 << 28
+"""Unpacked; many times what any recorder writes, and less than would bring a machine down."""
+_DAMAGED = (
+    McapError, EOFError, ValueError, LookupError, ArithmeticError, MemoryError, struct.error,
+    zstandard.ZstdError,
+)  # fmt: skip
+"""What reading damaged bytes ends in: lengths in them may be anything, too."""
+
+_PARSERS: dict[int, Callable[[ReadDataStream], Any]] = {
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.CHUNK: Chunk.read,
+    Opcode.ATTACHMENT: Attachment.read,
+    Opcode.METADATA: Metadata.read,
+    Opcode.STATISTICS: Statistics.read,
+}
+_CALLED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment"}
+
+
+class _Raw(NamedTuple):
+    """A record as it is in the file; `crc` is the checksum of the section up to it."""
+
+    start: int
+    opcode: int
+    content: bytes
+    crc: int
+
+
+class CheckedRecords:
+    """The records of a file in order, those of chunks one by one; to be iterated over once.
+
+    Args:
+        file: the file, at its beginning.
+        size: its bytes.
+
+    Attributes:
+        damage: what is wrong with the file, a sentence each.
+        cut_off_at: the byte from which on nothing can be read; None where all could.
+        is_finished: the file came to its proper end.
+        lacks_checksums: it has none over all of its data, as of an older or foreign recorder.
+    """
+
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        self._file, self._size = file, size
+        self._position = self._crc = 0
+        self._has_data_end = False
+        self.damage: list[str] = []
+        self.cut_off_at: int | None = None
+        self.is_finished = False
+        self.lacks_checksums = False
+
+    def __iter__(self) -> Iterator[McapRecord]:
+        if not _MAGIC.startswith(self._take(len(_MAGIC))):
+            self.damage.append("it does not begin as an MCAP file does")
+        while (raw := self._next()) is not None:
+            if raw.opcode == Opcode.DATA_END:
+                self._end_data(raw)
+            elif raw.opcode == Opcode.FOOTER:
+                self._end_file(raw)
+                return
+            else:
+                yield from self._parsed(raw)
+
+    def _take(self, count: int) -> bytes:
+        data = self._file.read(count)
+        self._position += len(data)
+        self._crc = zlib.crc32(data, self._crc)
+        return data
+
+    def _next(self) -> _Raw | None:
+        """The next record; None where the rest of the file holds no whole one."""
+        start, crc = self._position, self._crc
+        if self._size - start >= _HEAD.size:
+            opcode, length = _HEAD.unpack(self._take(_HEAD.size))
+            if length <= self._size - self._position:
+                return _Raw(start, opcode, self._take(length), crc)
+        self.cut_off_at = start
+        return None
+
+    def _parsed(self, raw: _Raw) -> list[McapRecord]:
+        """The records in a record: those of a chunk, itself, or none if nobody needs it."""
+        try:
+            if raw.opcode == Opcode.MESSAGE:
+                return [Message.read(_stream(raw.content), len(raw.content))]
+            parse = _PARSERS.get(raw.opcode)
+            if parse is None:
+                return []
+            if raw.opcode == Opcode.ATTACHMENT:
+                _check(raw.content[-_CRC.size :], zlib.crc32(raw.content[: -_CRC.size]))
+            record = parse(_stream(raw.content))
+            return _inner_records(record) if isinstance(record, Chunk) else [record]
+        except _DAMAGED:
+            name = _CALLED.get(Opcode(raw.opcode), "record")
+            self.damage.append(f"the {name} at byte {raw.start} cannot be read")
+            return []
+
+    def _end_data(self, raw: _Raw) -> None:
+        self._has_data_end, self._crc = True, 0
+        self._check_section(raw.content, raw.crc, "its data are not what was written")
+
+    def _end_file(self, raw: _Raw) -> None:
+        head = _HEAD.pack(raw.opcode, len(raw.content))
+        covered = zlib.crc32(head + raw.content[: -_CRC.size], raw.crc)
+        if not self._has_data_end or len(raw.content) != _FOOTER_BYTES:
+            self.damage.append("it does not end as an MCAP file does")
+        else:
+            self._check_section(
+                raw.content[-_CRC.size :], covered, "its summary is not what was written"
+            )
+        end, mark = self._position, self._take(len(_MAGIC))
+        self.is_finished = mark == _MAGIC
+        if not _MAGIC.startswith(mark) or self._position != self._size:
+            self.damage.append("behind its end there is something else than the mark of an end")
+        elif not self.is_finished:
+            self.cut_off_at = end
+
+    def _check_section(self, expected: bytes, actual: int, otherwise: str) -> None:
+        self.lacks_checksums |= expected == bytes(_CRC.size)
+        try:
+            _check(expected, actual)
+        except ValueError:
+            self.damage.append(otherwise)
+
+
+def _stream(content: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(content))
+
+
+def _check(expected: bytes, actual: int) -> None:
+    """Compare a checksum; one of 0 stands for none.
+
+    Raises:
+        ValueError: it is another one.
+    """
+    if len(expected) != _CRC.size or _CRC.unpack(expected)[0] not in (0, actual):
+        raise ValueError("wrong checksum")
+
+
+def _inner_records(chunk: Chunk) -> list[McapRecord]:
+    """The records of a chunk, whose size is checked before memory is taken for it."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) not in (-1, size):
+        raise ValueError("the size that it has packed and unpacked")
+    if size > _LARGEST_CHUNK_BYTES:
+        raise ValueError("larger than any chunk")
+    return breakup_chunk(chunk, validate_crc=True)

@@ -1,0 +1,42 @@
+"""A law that raised, told so that its author finds the place."""
+
+from __future__ import annotations
+
+import traceback
+
+from controller.errors import ControllerError
+
+_LONGEST = 300
+_FIRST, _LAST = 1, 2
+"""Frames that are told of a long traceback: where the law was called, and where it raised."""
+
+
+class LawError(ControllerError):
+    """A law raised.
+
+    Args:
+        law: its name.
+        tick: cycle in which it did; None before the first.
+        error: what it raised, with its traceback from the caller of the law on.
+    """
+
+    def __init__(self, law: str, tick: int | None, error: BaseException) -> None:
+        when = "before the first tick" if tick is None else f"at tick {tick}"
+        super().__init__(f"law {law} failed {when}: {_described(error)}{_places(error)}")
+
+
+def _described(error: BaseException) -> str:
+    """Type and message on one line, whatever the message is."""
+    text = " ".join("".join(traceback.format_exception_only(error)).split())
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+
+
+def _places(error: BaseException) -> str:
+    """File, line and function of the first and the last frames, without that of the caller."""
+    frames = [
+        f"{frame.filename}:{frame.lineno} in {frame.name}"
+        for frame in traceback.extract_tb(error.__traceback__)[1:]
+    ]
+    if len(frames) > _FIRST + _LAST:
+        frames = [*frames[:_FIRST], "…", *frames[-_LAST:]]
+    return f" ({', '.join(frames)})" if frames else ""

@@ -1,0 +1,52 @@
+"""Standard streams that nobody may read any longer, as after ``funnel-hil … | head -1``."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from typing import TextIO
+
+
+class _UntilClosed(io.FileIO):
+    """A file descriptor that leads nowhere from the moment at which its reader is gone."""
+
+    def write(self, data: object) -> int:
+        view = memoryview(data)  # type: ignore[arg-type]
+        try:
+            written = super().write(view)
+        except BrokenPipeError:
+            _lead_nowhere(self.fileno())
+            return view.nbytes
+        return written or 0
+
+
+def outlive_readers() -> None:
+    """Let the process go on to its end, and to its exit code, when its output is closed."""
+    sys.stdout = _outliving(sys.stdout, 1)
+    sys.stderr = _outliving(sys.stderr, 2)
+
+
+def _outliving(stream: TextIO | None, number: int) -> TextIO:
+    if stream is None:  # closed from the beginning
+        _lead_nowhere(number)
+        return open(number, "w", closefd=False)
+    try:
+        is_standard = stream.fileno() == number
+    except (OSError, ValueError):
+        is_standard = False
+    if not is_standard:  # somebody else has put it there, and reads it
+        return stream
+    stream.flush()
+    raw = _UntilClosed(number, "w", closefd=False)
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors,
+        line_buffering=number == 2 or stream.isatty(),
+    )  # fmt: skip
+
+
+def _lead_nowhere(number: int) -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    if nowhere != number:
+        os.dup2(nowhere, number)
+        os.close(nowhere)

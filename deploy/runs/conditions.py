@@ -1,0 +1,77 @@
+"""Under what conditions results came about: what a number must be quoted with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
+from deploy.scenario.setup import Setup
+
+Conditions = dict[str, str]
+"""Sentences or numbers with their unit, by what they tell of."""
+
+_UNKNOWN = "not known"
+_SHOWN_GRANTS = (SCHEDULER, AFFINITY)
+
+
+def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> Conditions:
+    """The conditions of a run, or of runs that differ in their law alone.
+
+    Args:
+        setups: the scenario, under each law.
+        manifest: ``manifest.json`` of the folder; empty where there is none.
+    """
+    scenario, laws = setups[0].scenario, [setup.scenario.controller.law for setup in setups]
+    start = ", ".join(f"{offset:g}" for offset in scenario.robot.initial_offset_rad)
+    return {
+        **provenance_of(manifest),
+        "scenario": scenario.name,
+        "law": ", ".join(laws),
+        "duration": f"{scenario.duration_s:g} s",
+        "starts": f"joints off by {start} rad",
+        "seeds": str(scenario.seed),
+        "set": set_text(manifest.get("set")),
+        **host_of(manifest),
+    }
+
+
+def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
+    """Which version it was, and when."""
+    version = manifest.get("versions", {}).get("funnel-hil")
+    return {
+        "version": f"funnel-hil {version or _UNKNOWN}",
+        "date": str(manifest.get("started", _UNKNOWN)),
+    }
+
+
+def host_of(manifest: Mapping[str, Any]) -> Conditions:
+    """On what machine it was, and what that granted."""
+    host, grants = manifest.get("host"), manifest.get("realtime") or {}
+    granted = [f"{role} {_grants_text(settings)}" for role, settings in grants.items()]
+    return {
+        "host": _host_text(host) if host else _UNKNOWN,
+        "granted": "; ".join(granted) or "nothing asked for: no real-time loops here",
+    }
+
+
+def set_text(overrides: Sequence[str] | None) -> str:
+    """What was set beside the scenario."""
+    return _UNKNOWN if overrides is None else ", ".join(overrides) or "nothing"
+
+
+def conditions_line(conditions: Mapping[str, str]) -> str:
+    """All conditions on one line, to stand below a table."""
+    return "Conditions: " + "; ".join(f"{name}: {text}" for name, text in conditions.items()) + "."
+
+
+def _host_text(host: Mapping[str, Any]) -> str:
+    usable = host.get("usable_cpus", host["cpus"])
+    return f"{host['machine']}, kernel {host['kernel']}, {usable} of {host['cpus']} CPUs usable"
+
+
+def _grants_text(settings: Sequence[Mapping[str, Any]]) -> str:
+    """What a process was granted of what matters most for its deadlines."""
+    by_name = {setting["name"]: setting for setting in settings}
+    asked = [by_name[name] for name in _SHOWN_GRANTS if name in by_name] or settings
+    return ", ".join(one["detail"] if one["granted"] else f"no {one['name']}" for one in asked)

@@ -1,0 +1,48 @@
+"""What of a scenario the processes of a run must have in common, wherever each of them is."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import PurePath
+from typing import Any
+
+from bus_schema.link.agreement import Agreement
+from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.scenario import effective_values
+from deploy.scenario.setup import Setup
+
+_OF_EACH_HOST = (
+    "link.plant_endpoint", "link.controller_endpoint", "link.router_endpoint",
+    "link.security.folder", "link.connect_timeout_s", "link.reply_timeout_s",
+    "link.can.interface", "link.can.channel", "link.can.port", "plant.gui",
+)  # fmt: skip
+"""Keys that may differ: where things are, and how long each waits for them."""
+
+
+def agreement_of(setup: Setup) -> Agreement:
+    """Every value in force but for those of the host; files count by what they hold."""
+    values = dict(_leaves(effective_values(setup)))
+    for key in _OF_EACH_HOST:
+        values.pop(key, None)
+    values["robot.urdf"] = _arm(setup.robot.text)
+    for direction, file in delay_files(setup.scenario.link).items():
+        values[f"link.{direction}.distribution_file"] = file.read_text()
+    return Agreement(values)
+
+
+def _leaves(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", json.dumps(value, default=str)
+
+
+def _arm(urdf: str) -> str:
+    """A URDF without what is up to a host or an editor: comments, white space, folders."""
+    root = ET.fromstring(urdf)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", PurePath(mesh.get("filename", "")).name)
+    return ET.canonicalize(ET.tostring(root, encoding="unicode"), strip_text=True)

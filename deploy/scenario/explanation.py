@@ -1,0 +1,132 @@
+"""What is wrong with values that a schema refuses, told so that whoever gave them can mend it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from pydantic import BaseModel, ValidationError
+
+from bus_schema.configuration import Sections, shortened, shown
+
+_MOST_PROBLEMS = 20
+_SHOULD = re.compile(r"\w+ should ((?:be|have) .*)", re.DOTALL)
+"""How pydantic says what is allowed."""
+_LONGEST_ALLOWED = 1000
+_LIKELY = 0.75
+"""How much alike names have to be that do not even stand in the same section."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where values come from.
+
+    Attributes:
+        file: the file that has them.
+        overrides: those that were set beside it, as ``dotted.key=value``.
+        given_by: what they were set with.
+    """
+
+    file: Path
+    overrides: Sequence[str] = ()
+    given_by: str = "--set"
+
+    def of(self, key: str) -> str:
+        """Where the value of a dotted key comes from: the last that set it, or a part of it."""
+        for override in reversed(self.overrides):
+            given = override.partition("=")[0]
+            if _is_within(key, given) or _is_within(given, key):
+                return f"{self.given_by} {shortened(override)}"
+        return str(self.file)
+
+
+def explain(error: ValidationError, model: type[BaseModel], origin: Origin) -> str:
+    """What is wrong with values: where they come from, key, value, what is allowed; a line each."""
+    problems = error.errors(include_url=False)
+    lines = [_sentence(problem, model, origin) for problem in problems[:_MOST_PROBLEMS]]
+    more = len(problems) - len(lines)
+    return "\n".join([*lines, f"{origin.file}: {more} more problems"] if more else lines)
+
+
+def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
+    place = problem["loc"]
+    key = shortened(".".join(str(part) for part in place))
+    path, sections = _descend(model, place[:-1])
+    source = origin.of(".".join([*path, str(place[-1])]) if place else "")
+    if problem["type"] == "extra_forbidden":
+        hint = _did_you_mean(str(place[-1]), sections, model)
+        return f"{source}: {key}: there is no such key{hint}"
+    if problem["type"] == "missing":
+        return f"{source}: {key}: is missing"
+    said = problem["msg"].removeprefix("Value error, ")
+    should = _SHOULD.fullmatch(said)
+    allowed = f"be {said}" if should is None else should[1]
+    allowed = shortened(allowed, _LONGEST_ALLOWED)
+    return f"{source}: {key} = {shown(problem['input'])}: must {allowed}"
+
+
+def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]) -> str:
+    """A key that may have been meant: one beside it, or else the like-named one elsewhere."""
+    unknown = shortened(unknown)
+    beside = {name: name for section in sections for name in _keys(section)}
+    elsewhere: dict[str, str] = {}
+    for key in _all_keys(model):
+        elsewhere.setdefault(key.rpartition(".")[2], key)
+    for names, alike in ((beside, 0.6), (elsewhere, _LIKELY)):
+        for found in get_close_matches(unknown, names, n=1, cutoff=alike):
+            return f"; did you mean {names[found]}?"
+    return ""
+
+
+def _descend(model: type[BaseModel], place: Sequence[Any]) -> tuple[list[str], Sequence[type]]:
+    """The dotted key of a place, without what pydantic adds to it, and the sections that are there.
+
+    What it adds is the kind of a section, where there are several.
+    """
+    sections: Sequence[type] = [model]
+    path = []
+    for part in place:
+        inner = [s for section in sections for s in _sections(_keys(section).get(str(part)))]
+        known = any(part in _keys(section) for section in sections)
+        if known or isinstance(part, int):
+            path.append(str(part))
+        sections = inner or sections
+    return path, sections
+
+
+def _all_keys(section: type, prefix: str = "") -> Iterator[str]:
+    """All dotted keys of a section, those of lists without a number."""
+    for name, annotation in _keys(section).items():
+        yield prefix + name
+        for inner in _sections(annotation):
+            yield from _all_keys(inner, f"{prefix}{name}.")
+
+
+def _keys(section: type) -> dict[str, Any]:
+    """What the keys of a section take, by name."""
+    if issubclass(section, BaseModel):
+        fields = section.model_fields.items()
+        return {f.alias or name: (f.annotation, *f.metadata) for name, f in fields}
+    return get_type_hints(section, include_extras=True)
+
+
+def _sections(annotation: Any) -> Iterator[type]:
+    """The sections that an annotation is made of."""
+    if isinstance(annotation, Sections):
+        yield from annotation.find()
+    elif isinstance(annotation, type) and (
+        issubclass(annotation, BaseModel) or hasattr(annotation, "_fields")
+    ):
+        yield annotation
+    else:
+        parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
+        for part in parts:
+            yield from _sections(part)
+
+
+def _is_within(key: str, section: str) -> bool:
+    return key == section or key.startswith(f"{section}.")

@@ -1,0 +1,64 @@
+"""The one rule of all studies: what is set takes effect in their runs, or is refused.
+
+A study sets some keys by itself, over whatever was set before; and its runs are simulations, in
+which nothing connects and time is virtual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from bus_schema.configuration import ConfigurationError
+from controller.laws import LAWS
+
+LAW = "controller.law"
+SEED = "seed"
+UNCERTAINTY = "uncertainty"
+
+_IDLE = (
+    "clock", "link.domain", "link.security", "link.plant_endpoint", "link.controller_endpoint",
+    "link.router_endpoint", "link.connect_timeout_s",
+)  # fmt: skip
+"""What changes nothing in a simulation."""
+_AS_IT_IS = {("clock", "lockstep")}
+"""What says of a simulation what it is."""
+
+
+def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
+    """Refuse values that a study sets over, and those that mean nothing to its runs.
+
+    Args:
+        given: values by dotted key, as under ``set``, of ``--set`` or of a grid.
+        own: keys that the study sets by itself, each with what to use in its place.
+
+    Raises:
+        ConfigurationError: one of the values would have no effect.
+    """
+    for key, value in given.items():
+        for leaf, said in _leaves(key, value):
+            instead = next((text for taken, text in own.items() if _overlap(leaf, taken)), None)
+            if instead is not None:
+                raise ConfigurationError(key, value, f"must be given {instead}")
+            if any(_overlap(leaf, idle) for idle in _IDLE) and (leaf, said) not in _AS_IT_IS:
+                allowed = "must be left out: it changes nothing in a study, which simulates"
+                raise ConfigurationError(key, value, allowed)
+
+
+def laws_beside(own: str) -> list[str]:
+    """All shipped laws, and the scenario's own one where it is another."""
+    return list(dict.fromkeys([*LAWS, own]))
+
+
+def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """What a value sets, which may be a section with keys in it."""
+    if not isinstance(value, dict):
+        yield key, value
+        return
+    for name, inner in value.items():
+        yield from _leaves(f"{key}.{name}", inner)
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Whether keys are the same, or one is of a section that the other is in."""
+    return one == other or one.startswith(f"{other}.") or other.startswith(f"{one}.")

@@ -1,0 +1,52 @@
+"""Scenarios with the files they refer to, for folders of results: what is run again is the same."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from bus_schema.recording.atomic_files import write_whole
+from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.scenario import effective_scenario
+from deploy.scenario.setup import Setup
+
+_DIGITS = 8
+
+
+def write_scenario(setup: Setup, path: Path) -> None:
+    """Write the scenario in force, and beside it copies of its URDF and its files of delays.
+
+    Copies are named by their contents too, so that scenarios in one folder share equal ones.
+
+    Args:
+        setup: the scenario.
+        path: the YAML file; it names the copies by relative paths.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    texts = _texts(setup)
+    for name, text in texts.values():
+        if not (path.parent / name).exists():
+            write_whole(path.parent / name, text)
+    write_whole(path, portable_scenario(setup))
+
+
+def portable_scenario(setup: Setup) -> str:
+    """The scenario in force as `write_scenario` writes it, and as recordings hold it."""
+    return effective_scenario(setup, {key: name for key, (name, _) in _texts(setup).items()})
+
+
+def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
+    """Name and text of a copy of each file that a scenario refers to, by its key."""
+    robot, links = setup.robot, delay_files(setup.scenario.link)
+    found = {"robot.urdf": (robot.path, robot.portable_urdf())}
+    for direction, file in links.items():
+        found[f"link.{direction}.distribution_file"] = (file, file.read_text())
+    return {key: (_name(file, text), text) for key, (file, text) in found.items()}
+
+
+def _name(original: Path, text: str) -> str:
+    digest = hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+    stem = original.stem.removesuffix(f"-{digest}")  # it may itself be such a copy
+    return f"{stem}-{digest}{original.suffix}"

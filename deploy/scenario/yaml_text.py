@@ -1,0 +1,134 @@
+"""YAML text to plain values, within limits: no text may cost more than it is long.
+
+A YAML parser descends once for every nested list, and an alias stands for all that it points at:
+some hundred bytes can ask for gigabytes. So the events of a text, of which there are never more
+than characters, are counted before anything is built from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import yaml
+
+from bus_schema.configuration import ConfigurationError
+
+DEEPEST = 50
+MOST_NODES = 100_000
+MOST_CHARACTERS = 5_000_000
+_MOST_BITS = 1000
+"""Of a whole number: beyond that it is none that could be computed with."""
+
+_WANTED = {"int": "a whole number", "float": "a number", "timestamp": "a date of the calendar"}
+"""What values have to be by their form, or by their tag."""
+
+# Several times as fast, where it is there.
+_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class Unreadable(NamedTuple):
+    """A value that is not what its form, or its tag, says that it is."""
+
+    text: str
+    tag: str
+
+    def __repr__(self) -> str:
+        return repr(self.text)
+
+
+class _Loader(_BASE):  # type: ignore[misc]
+    """The safe loader; what it cannot make of a value, it leaves for `values_of` to name."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            value = super().construct_object(node, deep)
+        except yaml.YAMLError:
+            raise
+        except Exception:  # noqa: BLE001 (PyYAML lets through whatever Python says to a value)
+            value = None
+            is_readable = False
+        else:
+            is_readable = not isinstance(value, int) or value.bit_length() <= _MOST_BITS
+        return value if is_readable else Unreadable(str(node.value), node.tag.rpartition(":")[2])
+
+
+class _Level(NamedTuple):
+    """A list or mapping that is still open: where its nodes are counted from, and its anchor."""
+
+    nodes_before: int
+    anchor: str | None
+
+
+def values_of(text: str) -> Any:
+    """The values of a YAML text.
+
+    Raises:
+        ConfigurationError: a value is not what its form or its tag says, or goes beyond the limits.
+        yaml.YAMLError: the text is no YAML.
+    """
+    if len(text) > MOST_CHARACTERS:
+        allowed = f"must have at most {MOST_CHARACTERS} characters"
+        raise ConfigurationError("the text", f"{len(text)} characters", allowed)
+    _check_size(text)
+    values = yaml.load(text, Loader=_Loader)
+    for key, broken in _unreadable(values, ""):
+        allowed = _WANTED.get(broken.tag, f"a valid {broken.tag}")
+        raise ConfigurationError(key, broken.text, f"must be {allowed}, or a text in quotes")
+    return values
+
+
+def _check_size(text: str) -> None:
+    """Refuse what is nested too deep, or too much once aliases stand for what they point at."""
+    levels: list[_Level] = []
+    sizes: dict[str, int] = {}
+    nodes, key = 0, ""
+    for event in yaml.parse(text, Loader=_BASE):
+        if isinstance(event, yaml.CollectionEndEvent):
+            level = levels.pop()
+            if level.anchor is not None:
+                sizes[level.anchor] = nodes - level.nodes_before
+            continue
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        if len(levels) == 1 and isinstance(event, yaml.ScalarEvent) and _column(event) == 0:
+            key = event.value
+        if isinstance(event, yaml.AliasEvent):
+            if any(level.anchor == event.anchor for level in levels):
+                raise ConfigurationError(key, f"*{event.anchor}", "must not contain itself")
+            nodes += sizes.get(str(event.anchor), 1)
+        else:
+            nodes += 1
+        if isinstance(event, yaml.CollectionStartEvent):
+            levels.append(_Level(nodes - 1, event.anchor))
+        if len(levels) > DEEPEST:
+            allowed = f"must not be nested deeper than {DEEPEST} levels"
+            raise ConfigurationError(key, _line(text, event), allowed)
+        if nodes > MOST_NODES:
+            allowed = f"must have at most {MOST_NODES} values, aliases counted in full"
+            raise ConfigurationError(key, _line(text, event), allowed)
+
+
+def _line(text: str, event: yaml.Event) -> str:
+    """The line that an event is in, with its number."""
+    number = 0 if event.start_mark is None else event.start_mark.line
+    return f"line {number + 1}, {text.splitlines()[number].strip()}"
+
+
+def _column(event: yaml.Event) -> int | None:
+    return None if event.start_mark is None else event.start_mark.column
+
+
+def _unreadable(values: Any, key: str) -> Iterator[tuple[str, Unreadable]]:
+    """What could not be read, by its dotted key."""
+    match values:
+        case Unreadable():
+            yield key, values
+        case dict():
+            for name, value in values.items():
+                if isinstance(name, Unreadable):
+                    yield key or "key", name
+                yield from _unreadable(value, f"{key}.{name}" if key else str(name))
+        case list() | tuple() | set():
+            for index, value in enumerate(values):
+                yield from _unreadable(value, f"{key}.{index}" if key else str(index))

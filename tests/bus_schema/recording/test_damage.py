@@ -1,0 +1,125 @@
+"""Damaged recordings: told as such, and read as far as they can be."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
+from bus_schema.recording.mcap_log import McapLog, read_log
+
+COUNT = 40
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A recording of a few chunks; its path, its bytes, and what was written of each topic."""
+    path = tmp_path / "run.mcap"
+    random = np.random.default_rng(3)
+    log = McapLog(path, bytes_per_s=0)
+    log.attach("scenario.yaml", "application/yaml", b"name: x\n")
+    log.add_metadata("run", {"clock": "lockstep"})
+    written = {topic.name: [random.bytes(90) for _ in range(COUNT)] for topic in (JOINT_STATES,)}
+    for index, payload in enumerate(written["joint_states"]):
+        log.write(JOINT_STATES, index + 1, index, index, payload)
+    log.close()
+    return path, path.read_bytes(), written
+
+
+def chunk_starts(path):
+    starts = []
+    with path.open("rb") as file:
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                starts.append(file.tell() - len(record.data))
+    return starts
+
+
+def test_no_byte_can_change_unnoticed(recording):
+    path, whole, _ = recording
+    assert read_log(path).complete
+    assert len(chunk_starts(path)) > 3
+    for place in range(len(whole)):
+        changed = bytearray(whole)
+        changed[place] ^= 1 << place % 8
+        path.write_bytes(changed)
+        contents = read_log(path)
+        assert not contents.complete, place
+        assert contents.damage, place
+
+
+def test_a_damaged_chunk_costs_no_other(recording):
+    path, whole, written = recording
+    starts = chunk_starts(path)
+    changed = bytearray(whole)
+    changed[starts[1] + 200] ^= 4
+    path.write_bytes(changed)
+    contents = read_log(path)
+    kept = contents.payloads["joint_states"]
+    assert COUNT * 0.6 < len(kept) < COUNT
+    assert kept == [each for each in written["joint_states"] if each in kept]
+    assert kept[-1] == written["joint_states"][-1]
+    assert "the chunk at byte" in contents.damage[0]
+    assert contents.damage[-1] == f"{len(kept)} of {COUNT} messages could be read"
+    assert contents.attachments == {"scenario.yaml": b"name: x\n"}
+
+
+def test_messages_are_told_apart_though_the_chunk_that_names_their_topic_is_damaged(recording):
+    path, whole, written = recording
+    changed = bytearray(whole)
+    changed[chunk_starts(path)[0] + 50] ^= 1
+    path.write_bytes(changed)
+    kept = read_log(path).payloads["joint_states"]
+    assert COUNT * 0.6 < len(kept) < COUNT
+    assert kept == written["joint_states"][-len(kept) :]
+
+
+@pytest.mark.parametrize("length", [2**63, 2**64 - 1, 2**40, 2**33])
+def test_an_absurd_length_is_damage_wherever_it_stands(recording, length):
+    path, whole, _ = recording
+    for place in range(0, len(whole) - 8, 11):
+        changed = bytearray(whole)
+        changed[place : place + 8] = struct.pack("<Q", length)
+        path.write_bytes(changed)
+        contents = read_log(path)
+        assert contents.damage, place
+        assert not contents.complete, place
+
+
+def test_a_file_that_lacks_its_end_is_damaged_unless_its_name_says_so(recording):
+    path, whole, _ = recording
+    for cut in (0, 5, len(whole) // 2, len(whole) - 1):
+        for name, told in (("run.mcap", True), ("run.partial.mcap", False)):
+            file = path.with_name(name)
+            file.write_bytes(whole[:cut])
+            contents = read_log(file)
+            assert not contents.complete
+            assert bool(contents.damage) == told, (cut, name)
+
+
+def test_a_damaged_attachment_is_left_out(recording):
+    path, whole, _ = recording
+    path.write_bytes(whole.replace(b"name: x\n", b"name: y\n"))
+    contents = read_log(path)
+    assert not contents.attachments
+    assert "the attachment at byte" in contents.damage[0]
+
+
+def test_a_recording_without_checksums_over_its_data_says_so(tmp_path):
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:  # as older versions wrote them
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="funnel-hil")
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        channel = writer.register_channel(f"/{JOINT_COMMANDS.name}", "cdr", schema)
+        writer.add_message(channel, 1, b"payload", 1)
+        writer.finish()
+    contents = read_log(path)
+    assert contents.complete
+    assert contents.lacks_checksums
+    assert contents.payloads == {"joint_commands": [b"payload"]}

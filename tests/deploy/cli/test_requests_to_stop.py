@@ -1,0 +1,126 @@
+"""Ctrl-C, SIGTERM and SIGHUP mean the same to every command; a closed output means nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.cli import experiments
+from deploy.cli.closed_output import outlive_readers
+from deploy.stop_signals import STOPS
+
+ROOT = Path(__file__).resolve().parents[3]
+SHORT = ["--set", "duration_s=0.02"]
+
+
+@pytest.fixture(autouse=True)
+def handlers_of_before():
+    before = {number: signal.getsignal(number) for number in STOPS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def funnel_hil(*words, **streams):
+    return subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, **streams,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_path, capsys):
+    def be_signalled(*_):
+        os.kill(os.getpid(), number)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiments, "load_run", be_signalled)
+        patch.setattr(sys, "argv", ["funnel-hil", "replay", str(tmp_path)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "stopped\n"
+
+
+@pytest.mark.parametrize("number", STOPS)
+@pytest.mark.parametrize("command", ["simulate", "compare"])
+def test_a_run_is_ended_in_order(command, number, tmp_path, monkeypatch):
+    from deploy.cli.progress import CommandProgress  # what it shows is what it has got to
+
+    follow = CommandProgress.follow
+
+    def signalled(progress, position, name):
+        follow(progress, position, name)
+        signal.raise_signal(signal.SIGALRM)
+
+    def later(*_):
+        signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), number))
+        signal.setitimer(signal.ITIMER_REAL, 0.3)
+
+    signal.signal(signal.SIGALRM, later)
+    monkeypatch.setattr(CommandProgress, "follow", signalled)
+    out = tmp_path / "out"
+    monkeypatch.setattr(sys, "argv", ["funnel-hil", command, "paper_arm", "--out", str(out)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    assert ended.value.code == 130
+    assert (out / "summary.json").exists()
+
+
+def test_sighup_ends_nothing_under_nohup(monkeypatch, tmp_path):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    words = ["funnel-hil", "simulate", "paper_arm", *SHORT, "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+def test_a_run_whose_output_nobody_reads_goes_on_to_its_end(tmp_path):
+    out = tmp_path / "out"
+    process = funnel_hil(
+        "simulate", *SHORT, "--out", str(out), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    process.stdout.close()
+    errors = process.stderr.read()
+    assert process.wait(120) == 0
+    assert errors == b""
+    assert (out / "summary.json").exists()
+    assert (out / "report.html").exists()
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_stream_outlives_its_reader(number):
+    look = "from deploy.cli.closed_output import *; outlive_readers(); import os, sys\n"
+    stream = ["", "sys.stdout", "sys.stderr"][number]
+    speak = f"print('x' * 100_000, file={stream}, flush=True)\n" * 3
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{look}os.read(0, 1)\n{speak}sys.exit(7)"], cwd=ROOT,
+        stdin=subprocess.PIPE, **{("stdout", "stderr")[number - 1]: subprocess.PIPE},
+    )  # fmt: skip
+    (process.stdout or process.stderr).close()
+    process.communicate(b"x")
+    assert process.returncode == 7
+
+
+def test_output_that_was_closed_from_the_beginning_is_none(tmp_path):
+    shell = 'exec "$0" -m deploy.cli simulate --set duration_s=0.02 --out "$1" >&-'
+    ended = subprocess.run(
+        ["sh", "-c", shell, sys.executable, str(tmp_path / "out")], cwd=ROOT, check=False,
+        stderr=subprocess.PIPE, timeout=120,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == b""
+
+
+def test_streams_of_others_are_left_alone(capsys):
+    before = sys.stdout
+    outlive_readers()
+    assert sys.stdout is before

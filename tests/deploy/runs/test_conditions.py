@@ -1,0 +1,107 @@
+"""Every result says under what conditions it came about."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+
+from pyarrow import parquet
+
+from deploy.runs.conditions import host_of
+
+SHORT = ("--set", "duration_s=0.05", "--set", "metrics.from_s=0")
+
+
+def conditions_on(page):
+    card = page.partition('id="conditions"')[2].partition("</section>")[0]
+    pairs = re.findall("<dt>(.*?)</dt><dd>(.*?)</dd>", card)
+    return {name: html.unescape(text) for name, text in pairs}
+
+
+def metadata_of(file):
+    return {k.decode(): v.decode() for k, v in parquet.read_schema(file).metadata.items()}
+
+
+def test_a_run_says_what_it_is_in_its_report_and_the_terminal(tmp_path, funnel_hil):
+    code, said = funnel_hil("simulate", "paper_arm", *SHORT, "--set", "seed=7", "--out", tmp_path)
+    assert code == 0
+    page = (tmp_path / "report.html").read_text()
+    conditions = conditions_on(page)
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert conditions["date"] == manifest["started"]
+    assert conditions["version"] == f"funnel-hil {manifest['versions']['funnel-hil']}"
+    assert conditions["set"] == "duration_s=0.05, metrics.from_s=0, seed=7"
+    assert (conditions["law"], conditions["duration"], conditions["seeds"]) == (
+        "fixed_time_neural", "0.05 s", "7",
+    )  # fmt: skip
+    assert conditions["starts"].startswith("joints off by")
+    assert all(f"{name}: {text}" in said for name, text in conditions.items())
+
+
+def test_a_report_that_is_made_again_keeps_the_conditions_of_its_run(tmp_path, funnel_hil):
+    funnel_hil("simulate", "paper_arm", *SHORT, "--out", tmp_path)
+    before = conditions_on((tmp_path / "report.html").read_text())
+    assert funnel_hil("report", tmp_path)[0] == 0
+    assert conditions_on((tmp_path / "report.html").read_text()) == before
+
+
+def test_a_comparison_says_what_was_set_and_which_laws_ran(tmp_path, funnel_hil):
+    laws = ("--laws", "pid,smc")
+    code, said = funnel_hil("compare", "paper_arm", *laws, *SHORT, "--out", tmp_path)
+    assert code == 0
+    conditions = metadata_of(tmp_path / "comparison.parquet")
+    assert conditions["law"] == "pid, smc"
+    assert conditions["set"] == "duration_s=0.05, metrics.from_s=0"
+    assert conditions["set"] in said
+    assert f"<dd>{conditions['date']}</dd>" in (tmp_path / "report.html").read_text()
+
+
+def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):
+    words = ("--laws", "smc", "--seeds", "1", "--limit", "1", "--resolution", "1")
+    code, _ = funnel_hil("margin", "paper_arm", *words, *SHORT, "--workers", "1", "--out", tmp_path)
+    assert code == 0
+    text = (tmp_path / "table.md").read_text()
+    table, title, *_ = text.split("\n\n")
+    line = text.rstrip().splitlines()[-1]
+    assert "largest round trip" in title
+    assert table.startswith("| law |")
+    for part in ("quantity: round trip (ms) to 1, up to 1", "law: smc", "seeds: 1",
+                 "starts: initial offset × 1, -0.5", "paper_arm 0.05 s", "metrics.from_s=0",
+                 "version: funnel-hil", "date: 20", "CPUs usable"):  # fmt: skip
+        assert part in line
+    conditions = metadata_of(tmp_path / "margin.parquet")
+    assert all(f"{name}: {value}" in line for name, value in conditions.items())
+    page = (tmp_path / "report.html").read_text()
+    assert f"<dd>{conditions['quantity']}</dd>" in page
+
+
+def test_rows_of_a_sweep_have_their_link_and_its_conditions(tmp_path, funnel_hil):
+    file = tmp_path / "sweep.yaml"
+    file.write_text(json.dumps({
+        "name": "s", "scenario": "paper_arm", "set": {"duration_s": 0.1, "metrics.from_s": 0},
+        "grid": {"link.uplink.delay_ms": [2, 4], "link.downlink.loss": [0.0, 0.5]},
+    }))  # fmt: skip
+    out = tmp_path / "out"
+    assert funnel_hil("sweep", file, "--workers", "1", "--out", out)[0] == 0
+    rows = parquet.read_table(out / "sweep.parquet").to_pylist()
+    assert [row["uplink_delay_p50_ms"] for row in rows] == [2.0, 2.0, 4.0, 4.0]
+    assert [row["downlink_lost"] > 0 for row in rows] == [False, True, False, True]
+    assert all(row["uplink_delay_p99_9_ms"] is not None for row in rows)
+    assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
+    conditions = metadata_of(out / "sweep.parquet")
+    assert "link.uplink.delay_ms = 2.0, 4.0" in conditions["quantity"]
+    assert conditions["set"] == "duration_s=0.1, metrics.from_s=0"
+    page = (out / "report.html").read_text()
+    assert "link.downlink.loss = 0.5" in page  # a legend, or the title of a map, names its key
+
+
+def test_what_a_machine_granted_is_told_by_process():
+    settings = [
+        {"name": "real-time scheduler", "granted": True, "detail": "SCHED_FIFO, priority 50"},
+        {"name": "CPU affinity", "granted": True, "detail": "CPU 1"},
+        {"name": "timer slack", "granted": True, "detail": "0 ns"},
+    ]
+    refused = [{"name": "real-time scheduler", "granted": False, "detail": "not permitted"}]
+    told = host_of({"realtime": {"plant": settings, "controller": refused}})["granted"]
+    assert told == "plant SCHED_FIFO, priority 50, CPU 1; controller no real-time scheduler"

@@ -1,0 +1,176 @@
+"""Recordings that are damaged, or come from somebody else: judged, not believed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import RUN_EVENTS, Role
+from deploy.cli.experiments import replay, report
+from deploy.runs.metrics import summarise
+from deploy.runs.run_folder import load_run
+from deploy.runs.simulate import Simulation, simulate
+from deploy.runs.told import what_was_told
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+TELLTALE = Path("imported")
+LAW = """
+from pathlib import Path
+import numpy as np
+from controller.control_law import Diagnostics
+Path("imported").touch()
+
+class Idle:
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        return np.zeros_like(tracking.position)
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def left(command, *words):
+    """Exit code, output and exception of a command."""
+    app = typer.Typer()
+    app.command()(command)
+    result = CliRunner().invoke(app, list(map(str, words)))
+    return result.exit_code, result.output, result.exception
+
+
+def short_run(*overrides):
+    return simulate(load_setup("paper_arm", ["duration_s=0.2", *overrides]))
+
+
+@pytest.fixture
+def own_law(folder):
+    """A recording that names a law of one's own, in a folder where its module is found."""
+    module = f"law_of_{folder.name.replace('-', '_')}"
+    (folder / f"{module}.py").write_text(LAW)
+    short_run(f"controller.law={module}:Idle").write_log(folder / "run.mcap")
+    TELLTALE.unlink()
+    del sys.modules[module]
+    return folder, f"{module}:Idle"
+
+
+def test_report_imports_no_law(own_law):
+    folder, law = own_law
+    code, output, error = left(report, folder)
+    assert code == 0, (output, error)
+    assert json.loads((folder / "summary.json").read_text())["law"] == law
+    assert not TELLTALE.exists()
+
+
+def test_replay_imports_a_law_of_ones_own_only_if_told_to(own_law):
+    folder, law = own_law
+    code, _, error = left(replay, folder)
+    assert code != 0
+    assert isinstance(error, ScenarioError)  # which is exit code 2
+    assert law in str(error)
+    assert "--allow-custom-law" in str(error)
+    assert not TELLTALE.exists()
+    code, output, error = left(replay, folder, "--allow-custom-law")
+    assert code == 0, (output, error)
+    assert "identical" in output
+    assert TELLTALE.exists()
+
+
+def test_a_law_that_is_gone_is_told(own_law):
+    folder, law = own_law
+    (folder / f"{law.partition(':')[0]}.py").unlink()
+    _, _, error = left(replay, folder, "--allow-custom-law")
+    assert isinstance(error, ScenarioError)
+    assert "cannot be imported" in str(error)
+
+
+def test_a_damaged_recording_is_judged_and_named_as_damaged(folder):
+    file = folder / "run.mcap"
+    short_run().write_log(file)
+    assert left(report, folder)[0] == 0
+    changed = bytearray(file.read_bytes())
+    changed[len(changed) * 2 // 3] ^= 16
+    file.write_bytes(changed)
+    code, output, error = left(report, folder)
+    assert code == 1, (output, error)
+    assert "damaged" in output
+    summary = json.loads((folder / "summary.json").read_text())
+    assert not summary["completed"]
+    assert not summary["recorder"]["complete"]
+    assert "messages could be read" in summary["recording"]["damage"][-1]
+    assert "Recording damaged" in (folder / "report.html").read_text()
+    code, output, _ = left(replay, folder)
+    assert code == 1
+    assert "damaged" in output
+
+
+def with_events(*events):
+    """A finished run with more events behind those that it had."""
+    run = short_run()
+    payloads = [RunEvent(10**8, *each).encode() for each in events]
+    return Simulation(
+        run.setup, run.topics + [RUN_EVENTS] * len(events), run.payloads + payloads, None
+    )
+
+
+MALFORMED = [
+    (EventKind.ENDED, {"wall_s": "x"}, "wall_s"),
+    (EventKind.ENDED, {"wall_s": float("nan"), "stolen_ms": []}, "wall_s"),
+    (EventKind.ENDED, {"ticks": 10**400}, "ticks"),
+    (EventKind.ENDED, {"ticks": True, "completed": "yes"}, "completed"),
+    (EventKind.ENDED, {"limits": 3}, "limits"),
+    (EventKind.COUNTS, {"rejected": 3, "downlink": {"rejected": 3}}, "rejected"),
+    (EventKind.COUNTS, {"downlink": 3, "uplink": {"delay_ms": {"p50": "x"}}}, "downlink"),
+    (EventKind.COUNTS, {"uplink": {"sent": -1, "loss_burst": None}, "can": 1}, "can"),
+]
+
+
+@pytest.mark.parametrize(("kind", "said", "named"), MALFORMED)
+def test_malformed_last_words_spoil_nothing(folder, kind, said, named):
+    clean = summarise(short_run().data())
+    for source in (Role.PLANT, Role.CONTROLLER):
+        with_events((source, kind, json.dumps(said))).write_log(folder / "run.mcap")
+        code, output, error = left(report, folder)
+        assert code == 0, (output, error)
+        summary = json.loads((folder / "summary.json").read_text())
+        notes = summary["recording"]["notes"]
+        assert any(named in note and source in note for note in notes), notes
+        for same in ("ticks", "completed", "digest", "bounds", "transport", "limits"):
+            assert summary[same] == clean[same], same
+
+
+def test_what_is_no_json_object_at_all_is_passed_over(folder):
+    more = [(Role.PLANT, EventKind.ENDED, text) for text in ("[]", "{", "1" * 5000, "[" * 5000)]
+    with_events(*more).write_log(folder / "run.mcap")
+    data, _ = load_run(folder / "run.mcap")
+    assert summarise(data)["completed"]
+
+
+def test_notes_are_bounded():
+    events = [RunEvent(0, f"{number}", EventKind.ENDED, '{"ticks": "x"}') for number in range(1000)]
+    _, notes = what_was_told(events)
+    assert 0 < len(notes) < 100
+
+
+def test_summary_says_what_one_commander_is_worth():
+    data = short_run().data()
+    assert summarise(data)["commander"] == {"authenticated": None, "note": None}
+    on_a_bus = summarise(replace(data, link="zenoh"))["commander"]
+    assert on_a_bus["authenticated"] is False
+    assert "link.security" in on_a_bus["note"]

@@ -1,0 +1,130 @@
+"""Results are not lost to another command, a full disk, or a stop while they are judged."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import threading
+import time
+
+import pytest
+
+from deploy.runs.new_folder import FolderLock
+
+SHORT = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
+COMMANDS = {
+    "simulate": ["simulate", *SHORT],
+    "run": ["run", *SHORT, "--set", "clock=lockstep"],
+    "compare": ["compare", "--laws", "pid", *SHORT],
+    "margin": ["margin", "--laws", "pid", *SHORT],
+    "sweep": ["sweep", "delay_sweep", *SHORT],
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_folder_with_results_is_refused(funnel_hil, tmp_path, command):
+    (tmp_path / "summary.json").write_text("precious")
+    code, output = funnel_hil(*COMMANDS[command], "--out", tmp_path)
+    assert code == 2
+    assert [word for word in ("--out", str(tmp_path), "summary.json", "--overwrite")
+            if word not in output] == []  # fmt: skip
+    assert [file.name for file in tmp_path.iterdir()] == ["summary.json"]
+    assert (tmp_path / "summary.json").read_text() == "precious"
+
+
+@pytest.mark.parametrize("command", ["simulate", "compare"])
+def test_results_are_overwritten_where_that_is_asked_for(funnel_hil, tmp_path, command):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "study.yaml").write_text("of another kind of command")
+    words = [*COMMANDS[command], "--out", tmp_path]
+    assert funnel_hil(*words)[0] == 2
+    assert funnel_hil(*words, "--overwrite")[0] == 0
+    assert funnel_hil(*words)[0] == 2
+    assert funnel_hil(*words, "--overwrite")[0] == 0
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert not (tmp_path / "study.yaml").exists()
+
+
+def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words in COMMANDS.values():
+        code, output = funnel_hil(*words, "--overwrite")
+        assert code == 2
+        assert "--overwrite: must come with --out" in output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_two_commands_in_one_folder_are_refused(funnel_hil, tmp_path, command):
+    lock = FolderLock(tmp_path)
+    code, output = funnel_hil(*COMMANDS[command], "--out", tmp_path, "--overwrite")
+    lock.close()
+    assert code == 2
+    assert f"--out {tmp_path}: another command is writing there" in output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_report_waits_for_no_command_that_is_at_it_either(funnel_hil, tmp_path):
+    assert funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)[0] == 0
+    lock = FolderLock(tmp_path)
+    assert funnel_hil("report", tmp_path)[0] == 2
+    lock.close()
+    assert funnel_hil("report", tmp_path)[0] == 0
+
+
+@pytest.fixture
+def no_large_files():
+    """The system takes no file above 2 MB, which a report is, and a short recording is not."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.usefixtures("no_large_files")
+def test_file_that_the_disk_does_not_take_is_named(funnel_hil, tmp_path):
+    code, output = funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)
+    assert code == 1
+    assert f"{tmp_path / 'report.html'}: cannot be written: File too large" in output
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert not summary["completed"]
+    assert "report.html" in summary["faults"][0]
+    assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.usefixtures("no_large_files")
+def test_so_it_is_of_a_study(funnel_hil, tmp_path):
+    (tmp_path / "s.yaml").write_text(
+        "{name: s, scenario: paper_arm, grid: {controller.law: [pid]}}"
+    )
+    out = tmp_path / "out"
+    words = ["sweep", tmp_path / "s.yaml", *SHORT, "--workers", 1, "--out", out]
+    code, output = funnel_hil(*words)
+    assert code == 1
+    assert str(out / "report.html") in output
+    assert not json.loads((out / "summary.json").read_text())["completed"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path, number):
+    over = threading.Event()
+
+    def stop_while_judging():
+        while not (tmp_path / "summary.json").exists() and not over.is_set():
+            time.sleep(1e-3)
+        os.kill(os.getpid(), number)
+
+    killer = threading.Thread(target=stop_while_judging)
+    killer.start()
+    code, output = funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)
+    over.set()
+    killer.join()
+    assert code == 130
+    assert f"funnel-hil report {tmp_path}" in output
+    assert not (tmp_path / "report.html").exists()
+    assert not json.loads((tmp_path / "summary.json").read_text())["completed"]
+    assert funnel_hil("report", tmp_path)[0] == 0
+    assert (tmp_path / "report.html").exists()
+    assert json.loads((tmp_path / "summary.json").read_text())["completed"]

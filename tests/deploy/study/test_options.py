@@ -1,0 +1,299 @@
+"""Whatever is set for a study takes effect in its runs, or is refused with what to use instead."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import pytest
+
+from controller.laws import LAWS
+from deploy.cli.margin_options import MarginOptions, definition_with
+from deploy.comparison.comparison import load_setups
+from deploy.scenario.randomness import is_random
+from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.margin import Margin
+from deploy.study.robustness import margin_study
+from deploy.study.sweep import Sweep
+
+PLANTS = {"plants": 2, "values": "4,8", "uncertainty": "half"}
+UP, DOWN = "link.uplink", "link.downlink"
+COMPENSATION = "controller.delay_compensation.enabled"
+DRIVES = "controller.drive_feedback.enabled"
+
+# Options of `margin`, and the keys that it sets by itself with them, beside those of ALWAYS.
+OWN_KEYS = {
+    "delay": ({}, [f"{UP}.delay_ms", f"{DOWN}.delay_ms"]),
+    "jitter": ({"quantity": "jitter"}, [f"{UP}.jitter_ms", f"{DOWN}.jitter_ms"]),
+    "loss": ({"quantity": "loss"}, [f"{UP}.loss", f"{DOWN}.loss"]),
+    "uplink": ({"direction": "uplink"}, [f"{UP}.delay_ms"]),
+    "downlink loss": ({"direction": "downlink", "quantity": "loss"}, [f"{DOWN}.loss"]),
+    "running": ({"running": "on", "duration": 5.0}, [f"{UP}.schedule", f"{DOWN}.schedule"]),
+    "compensation": ({"compensation": "off"}, [COMPENSATION]),
+    "drive feedback": ({"drive_feedback": "on"}, [DRIVES]),
+    "plants": (PLANTS, [f"{UP}.delay_ms", "uncertainty"]),
+    "plants of a key": (PLANTS | {"quantity": "plant.actuator.lag_ms"}, ["plant.actuator.lag_ms"]),
+}  # fmt: skip
+ALWAYS = ["seed", "controller.law", "uncertainty"]
+VALUES = {
+    "seed": 3, "controller.law": "smc", COMPENSATION: True, DRIVES: False, "uncertainty": {"x": 1},
+    f"{UP}.schedule": [{"kind": "outage", "at_s": 1, "for_s": 0.1}],
+    f"{DOWN}.schedule": [{"kind": "outage", "at_s": 1, "for_s": 0.1}],
+}  # fmt: skip
+IDLE = {
+    "clock": "realtime", "link.domain": 3, "link.security.enabled": True,
+    "link.plant_endpoint": "tcp/127.0.0.1:7999", "link.connect_timeout_s": 3,
+}  # fmt: skip
+
+
+def margin(overrides=(), **options):
+    options = {"laws": "smc", "overrides": list(overrides), **options}
+    return margin_study(definition_with(MarginOptions(**options), {}), Path("margin"))
+
+
+def sweep(grid, **more):
+    return Sweep({"name": "s", "scenario": "paper_arm", "grid": grid, **more}, Path("s.yaml"))
+
+
+def compare(*overrides):
+    return load_setups("paper_arm", overrides, ["smc"])
+
+
+def forms(key, value):
+    """A value by its own key, and inside of each of its sections."""
+    yield key, value
+    while "." in key:
+        key, _, last = key.rpartition(".")
+        value = {last: value}
+        yield key, value
+
+
+def refusals():
+    for name, (options, keys) in OWN_KEYS.items():
+        always = [key for key in ALWAYS if (name, key) != ("plants of a key", "uncertainty")]
+        for key in dict.fromkeys([*keys, *always]):
+            yield options, key, VALUES.get(key, 0.5)
+
+
+@pytest.mark.parametrize(("options", "key", "value"), list(refusals()))
+def test_what_margin_sets_by_itself_cannot_be_set(options, key, value):
+    for said_key, said in forms(key, value):
+        with pytest.raises(ScenarioError) as refused:
+            margin([f"{said_key}={json.dumps(said)}"], **options)
+        assert said_key in str(refused.value)
+        assert "must be" in str(refused.value)
+
+
+@pytest.mark.parametrize(("key", "option"), [
+    ("seed=2", "--seeds"), ("controller.law=pid", "--laws"), (f"{DOWN}.delay_ms=4", "quantity"),
+    (f"{COMPENSATION}=true", "--compensation"), (f"{DRIVES}=true", "--drive-feedback"),
+    ("uncertainty={}", None), ("uncertainty={a: 1}", "--plants"), ("link.downlink=4", "must be"),
+])  # fmt: skip
+def test_who_is_refused_is_told_the_option_to_use(funnel_hil, tmp_path, key, option):
+    words = ["--compensation", "off", "--drive-feedback", "off", "--laws", "pid", "--set", key]
+    if option is None:  # an empty section sets nothing
+        margin([key])
+        return
+    code, output = funnel_hil("margin", *words, "--out", tmp_path / "out")
+    assert code == 2
+    assert key.partition("=")[0] in output
+    assert option in output
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("key", "value"), IDLE.items())
+def test_what_means_nothing_in_a_simulation_is_refused_by_every_study(key, value):
+    for said_key, said in forms(key, value):
+        text = f"{said_key}={json.dumps(said)}"
+        for build in (
+            lambda text=text: margin([text]),
+            lambda text=text: margin([text], **PLANTS),
+            lambda text=text: compare(text),
+            lambda k=said_key, v=said: sweep({"plant.payload_kg": [0, 1]}, set={k: v}),
+            lambda k=said_key, v=said: sweep({k: [v]}),
+        ):
+            with pytest.raises(ScenarioError, match="must be left out"):
+                build()
+
+
+def test_virtual_time_may_be_asked_for_where_there_is_no_other():
+    assert compare("clock=lockstep")
+    assert margin(["clock=lockstep"])
+    assert sweep({"plant.payload_kg": [0]}, set={"clock": "lockstep"})
+
+
+def test_keys_of_other_quantities_take_effect():
+    found = margin(["link.uplink.delay_ms=8", "plant.payload_kg=1"], quantity="jitter")
+    link = load_setup("paper_arm", found.cases[0].setting.at(2.0)).scenario.link
+    assert (link.uplink.delay_ms, link.uplink.jitter_ms) == (8.0, 2.0)
+    one_way = margin(["link.downlink.delay_ms=8"], direction="uplink")
+    link = load_setup("paper_arm", one_way.cases[0].setting.at(2.0)).scenario.link
+    assert (link.uplink.delay_ms, link.downlink.delay_ms) == (2.0, 8.0)
+
+
+def test_a_search_over_a_key_starts_from_what_is_set():
+    options = {"quantity": "plant.payload_kg", "limit": 3.0, "resolution": 0.5}
+    assert margin(["plant.payload_kg=1"], **options).cases[0].steps.origin == 1.0
+
+
+def test_a_whole_section_may_be_set_around_the_keys_of_a_study():
+    found = margin(["link.uplink={jitter_ms: 1}"])
+    link = load_setup("paper_arm", found.cases[0].setting.at(4.0)).scenario.link
+    assert (link.uplink.delay_ms, link.uplink.jitter_ms) == (2.0, 1.0)
+
+
+@pytest.mark.parametrize("key", ["seed", "link.domain", "link.can.nonsense"])
+def test_a_quantity_without_effect_is_refused(key):
+    with pytest.raises(ScenarioError, match=key):
+        margin(quantity=key, limit=100.0, resolution=1.0)
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"limit": 0.1}, "at least a step, 0.5 ms"), ({"limit": -1.0}, "at least a step"),
+    ({"resolution": 200.0}, "at least a step, 200 ms"),
+    ({"quantity": "loss", "limit": 0.001}, "at least a step, 0.005,"),
+    ({"quantity": "plant.payload_kg", "limit": 0.4, "resolution": 0.5}, "a step or more"),
+])  # fmt: skip
+def test_a_limit_that_no_step_reaches_is_refused(options, said):
+    with pytest.raises(ScenarioError, match=said):
+        margin(**options)
+
+
+def test_no_value_beyond_the_limit_is_tried():
+    (case,) = margin(limit=1.3).cases
+    assert case.steps.value(case.steps.limit) == 1.0
+
+
+@pytest.mark.parametrize(("grid", "more", "said"), [
+    ({"seed": [1, 2]}, {}, "under seeds"), ({"plant": [{"payload_kg": 1}]}, {"seeds": 2}, None),
+    ({"plant.payload_kg": [1]}, {"set": {"plant": {"payload_kg": 2}}}, "given once"),
+    ({"link.uplink.loss": [0.1]}, {"set": {"link.uplink": {"loss": 0}}}, "given once"),
+    ({"link.uplink": [{"loss": 0.1}]}, {"set": {"link.uplink.loss": 0}}, "given once"),
+    ({"link.uplink": [{"loss": 0.1}], "link.uplink.loss": [0]}, {}, "given once"),
+    ({"plant.payload_kg": [1]}, {"plant_seed": 3}, "without plants"),
+    ({"plant.payload_kg": [1]}, {"uncertainty": "half"}, "without plants"),
+    ({"plant.payload_kg": [1]}, {"set": {"uncertainty": {"a": 1}}}, "--plants"),
+])  # fmt: skip
+def test_a_sweep_follows_the_same_rule(grid, more, said):
+    if said is None:
+        assert sweep(grid, **more).expected == 2
+        return
+    with pytest.raises(ScenarioError, match=said):
+        sweep(grid, **more)
+
+
+def test_sweep_takes_what_is_set_beside_its_file(funnel_hil, tmp_path):
+    file = tmp_path / "s.yaml"
+    file.write_text(
+        "{name: s, scenario: paper_arm, set: {duration_s: 6, plant.payload_kg: 1},"
+        " grid: {controller.model_scale: [1]}}"
+    )
+    out = tmp_path / "out"
+    words = ["sweep", file, "--workers", 1, "--out", out]
+    code, output = funnel_hil(*words, "--set", "controller.model_scale=2")
+    assert code == 2
+    assert "given once" in output
+    code, _ = funnel_hil(*words, "--set", "duration_s=0.05", "--set", "metrics.from_s=0.01")
+    assert code == 0
+    scenario = load_setup(str(out / "scenarios" / "00000.yaml")).scenario
+    assert (scenario.duration_s, scenario.plant.payload_kg) == (0.05, 1.0)
+
+
+@pytest.mark.parametrize("law", ["controller.law=smc", "controller={law: smc}"])
+def test_compare_is_told_its_laws_by_their_option(law):
+    with pytest.raises(ScenarioError, match="--laws"):
+        compare(law)
+
+
+def test_the_scenarios_own_law_is_always_among_all(tmp_path, monkeypatch):
+    (tmp_path / "own_law_of_study.py").write_text(
+        "import numpy as np\n"
+        "from controller.control_law import Diagnostics\n"
+        "class Idle:\n"
+        "    def __init__(self, model):\n"
+        "        self._none = np.zeros(3)\n"
+        "        self.diagnostics = Diagnostics(3)\n"
+        "    def torque(self, tracking):\n"
+        "        return self._none\n"
+        "    def reset(self):\n"
+        "        pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "mine.yaml"
+    file.write_text("{extends: paper_arm, name: mine, controller: {law: 'own_law_of_study:Idle'}}")
+    everyone = [*LAWS, "own_law_of_study:Idle"]
+    setups = load_setups(str(file), [], None)
+    assert [setup.scenario.controller.law for setup in setups] == everyone
+    both = Margin({"scenarios": [str(file), "paper_arm"]}, Path("margin"))
+    assert [case.setting.law for case in both.cases] == [*everyone, *LAWS]
+
+
+def test_errors_are_summed_up_over_some_time(tmp_path):
+    for words in (["metrics.from_s=20"], ["duration_s=1", "metrics.from_s=2"]):
+        with pytest.raises(ScenarioError, match=r"metrics\.from_s .* before the end of the run"):
+            load_setup("paper_arm", words)
+    with pytest.raises(ScenarioError, match=r"metrics\.from_s"):
+        margin(["metrics.from_s=6"], duration=5.0)
+    short = tmp_path / "short.yaml"  # the default is written out where a run is short, too
+    short.write_text(effective_scenario(load_setup("paper_arm", ["duration_s=1"])))
+    assert load_setup(str(short)).scenario.metrics.from_s == 2.0
+
+
+RANDOM = [
+    "link.uplink.jitter_ms=1", "link.downlink.loss=0.1", "link.uplink.duplicate=0.1",
+    "link.uplink.burst_loss={mean_loss: 0.1, mean_burst: 2}",
+    "link.uplink.schedule=[{kind: step, at_s: 1, loss: 0.2}]",
+    "plant.encoder.velocity_noise_rad_s=1e-4",
+    "plant.drive_feedback.encoder.velocity_noise_rad_s=[0, 0, 1e-4]",
+    "plant.disturbance.terms=[{joint: all, kind: noise, rms_nm: 1, lowest_hz: 1, highest_hz: 5}]",
+]  # fmt: skip
+CERTAIN = [
+    "seed=1", "link.uplink.delay_ms=5", "link.uplink.rate_kbit_s=100000",
+    "link.uplink.schedule=[{kind: ramp, at_s: 1, for_s: 2, delay_ms: 9}]",
+    "link.uplink.schedule=[{kind: outage, at_s: 1, for_s: 0.01}]", "link.kind=in_process",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("override", "chance"), [*((r, True) for r in RANDOM), *((c, False) for c in CERTAIN)]
+)
+def test_whether_chance_has_a_part(override, chance):
+    assert is_random(load_setup("paper_arm", [override])) is chance
+
+
+def test_where_nothing_is_random_one_seed_is_enough():
+    certain, noisy = margin(seeds="3"), margin([RANDOM[5]], seeds="3")
+    assert [len(list(study.first())) for study in (certain, noisy)] == [2, 6]
+    assert certain.expected * 3 == noisy.expected
+    assert len(list(margin(seeds="3", quantity="loss").first())) == 6
+
+
+def test_plants_without_chance_need_one_seed_too():
+    ranges = {"plant.payload_kg": {"distribution": "uniform", "from": 0, "to": 1}}
+    noise = {"plant.encoder.velocity_noise_rad_s": {"distribution": "choice", "values": [0, 1e-4]}}
+    for drawn, least, most in ((ranges, 8, 8), (noise, 9, 24)):
+        wanted = {"laws": ["smc"], "plants": 4, "values": [2, 4], "seeds": 3, "uncertainty": drawn}
+        study = margin_study(wanted, Path("margin"))
+        runs = list(study.first())
+        assert least <= len(runs) == study.expected <= most
+
+
+def test_all_pairs_of_options_make_a_study_or_are_refused_by_name():
+    """No combination of options is passed over in silence."""
+    given = {"quantity": "loss", "direction": "uplink", "running": "on", "plants": 2,
+             "plant_seed": 3, "uncertainty": "half", "values": "0.1", "kept_share": 0.5,
+             "offsets": "1", "resolution": 0.01, "limit": 0.2}  # fmt: skip
+    needs_plants = {"plant_seed", "uncertainty", "values", "kept_share"}
+    needs_search = {"offsets", "resolution", "limit"}
+    for pair in itertools.combinations(given, 2):
+        options = {name: given[name] for name in pair}
+        refused = set(pair) & (needs_search if "plants" in pair else needs_plants)
+        if "plants" in pair and not refused:
+            options = {"values": "0.1", "uncertainty": "half"} | options
+        if refused:
+            with pytest.raises(ScenarioError, match="|".join(refused)):
+                margin(**options)
+        elif "limit" not in pair or "quantity" in pair:
+            assert margin(**options).expected > 0

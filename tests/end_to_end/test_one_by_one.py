@@ -1,0 +1,73 @@
+"""Plant and controller that are started one by one: they wait for each other, and must agree."""
+
+from __future__ import annotations
+
+import pytest
+from running import free_endpoint, settings
+
+from tests.warm_process import WarmProcess
+
+SHORT = settings(clock="realtime", duration_s=0.3, plant__command_timeout_ms=200)
+
+
+def start_both(plant: list[str], controller: list[str], *, at: list[str]) -> list[WarmProcess]:
+    return [
+        WarmProcess("plant", "paper_arm", *SHORT, *at, *plant),
+        WarmProcess("controller", "paper_arm", *SHORT, *at, *controller),
+    ]
+
+
+@pytest.fixture
+def endpoints() -> list[str]:
+    return settings(link__plant_endpoint=free_endpoint(),
+                    link__controller_endpoint=free_endpoint(),
+                    link__connect_timeout_s=60)  # fmt: skip
+
+
+def outputs_of(processes: list[WarmProcess]) -> list[str]:
+    try:
+        return [process.communicate()[0] for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+
+
+def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(
+    endpoints: list[str],
+) -> None:
+    other = settings(controller__law="pid", link__uplink__delay_ms=3, plant__payload_kg=0.5)
+    processes = start_both([], other, at=endpoints)
+    outputs = outputs_of(processes)
+    assert [process.returncode for process in processes] == [2, 2], outputs
+    for output, peer in zip(outputs, ("controller", "plant"), strict=True):
+        assert f"the {peer} runs another scenario" in output
+        for key in ("controller.law", "link.uplink.delay_ms", "plant.payload_kg"):
+            assert key in output
+        assert "plant_endpoint" not in output.partition("another scenario")[2]
+        assert "Traceback" not in output
+
+
+def test_what_is_up_to_each_host_may_differ(endpoints: list[str]) -> None:
+    own = settings(link__reply_timeout_s=7.5)
+    processes = start_both([], own, at=endpoints)
+    outputs = outputs_of(processes)
+    assert all("another scenario" not in output for output in outputs)
+
+
+def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(endpoints: list[str]) -> None:
+    """It takes longer to load than a plant waits for a foreign client to become known."""
+    plant = WarmProcess("plant", "paper_arm", *SHORT, *endpoints)
+    controller = WarmProcess(
+        "controller", "paper_arm", *SHORT, *endpoints, main="tests.end_to_end.slow:main"
+    )
+    outputs = outputs_of([plant, controller])
+    assert "no valid command" not in outputs[0], outputs
+    assert [plant.returncode, controller.returncode] == [0, 0], outputs
+
+
+def test_what_they_say_is_for_people(endpoints: list[str]) -> None:
+    said = "".join(outputs_of(start_both([], [], at=endpoints)))
+    assert "Counter(" not in said
+    assert "{" not in said
+    assert "_mrad" not in said
+    assert "rejected: none" in said

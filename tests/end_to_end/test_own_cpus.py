@@ -1,0 +1,29 @@
+"""Two runs in real time on one machine: the second says that no CPU is left for its loops."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from running import funnel_hil_here, settings
+
+from bus_schema.runtime.own_cpu import claim_cpu
+from bus_schema.runtime.realtime import AFFINITY
+
+USABLE = sorted(os.sched_getaffinity(0))
+
+
+@pytest.mark.skipif(len(USABLE) == 1, reason="loops are bound to no CPU where there is but one")
+def test_a_run_that_finds_all_cpus_taken_binds_no_loop_and_says_so(tmp_path: Path) -> None:
+    while claim_cpu(USABLE) is not None:  # or another run has it: all the same here
+        pass
+    run = funnel_hil_here(
+        "run", "paper_arm", *settings(clock="realtime", duration_s=0.2), out=tmp_path / "run"
+    )
+    realtime = json.loads((tmp_path / "run" / "manifest.json").read_text())["realtime"]
+    for role in ("plant", "controller"):
+        affinity = next(one for one in realtime[role] if one["name"] == AFFINITY)
+        assert not affinity["granted"]
+        assert f"{role} works without CPU affinity: each of the CPUs" in run.output
