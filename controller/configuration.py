@@ -7,7 +7,7 @@ from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, PlainValidator, create_model, field_validator
+from pydantic import Field, PlainValidator, create_model, field_validator, model_validator
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
@@ -27,8 +27,10 @@ from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
+from controller.external.configuration import ExternalLawConfiguration
+from controller.external.external_law import ExternalLaw
 from controller.laws import LAWS
-from controller.laws.custom import build_custom, is_custom
+from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
 
@@ -95,15 +97,18 @@ class ControllerConfiguration(StrictModel):
     """The controller.
 
     Attributes:
-        law: name of the control law, or ``module:Class`` for one of the user's own.
+        law: name of the control law, ``module:Class`` for one of the user's own, or ``external``
+            for one in a program of its own.
         gains: gains by law; ``custom`` are keyword arguments for a law of the user's own. A law
             without an entry derives its gains from the arm's nominal inertia.
+        external: that program.
         model_scale: factor on the masses and inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
     """
 
     law: str = "fixed_time_neural"
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
+    external: ExternalLawConfiguration | None = None
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
@@ -113,8 +118,19 @@ class ControllerConfiguration(StrictModel):
     @classmethod
     def _known(cls, law: str) -> str:
         if law not in LAWS and not is_custom(law):
-            raise ValueError(f"one of {', '.join(LAWS)}, or module:Class for a law of your own")
+            raise ValueError(
+                f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
+                " program of your own"
+            )
         return law
+
+    @model_validator(mode="after")
+    def _has_a_program(self) -> ControllerConfiguration:
+        if self.law == EXTERNAL and self.external is None:
+            raise ValueError(
+                f"law {EXTERNAL} needs external.command, the program and its arguments"
+            )
+        return self
 
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
         """The gains of the configured law, expanded to the robot's joints.
@@ -127,6 +143,8 @@ class ControllerConfiguration(StrictModel):
         Raises:
             ConfigurationError: there are as many values of a gain as suits another arm.
         """
+        if self.law == EXTERNAL:
+            return {}
         if self.law not in LAWS:
             return self.gains["custom"]
         gains = self.gains.get(self.law)
@@ -140,6 +158,11 @@ class ControllerConfiguration(StrictModel):
         Raises:
             ConfigurationError: a law of the user's own cannot be made.
         """
+        if self.law == EXTERNAL:
+            if are_left_out():
+                return LeftOut(robot.joints)
+            assert self.external is not None  # as a validator saw to
+            return ExternalLaw(self.external, robot.effort_limits_nm)
         model = self.nominal_model(robot)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)

@@ -171,7 +171,8 @@ class Dynamics(Protocol):
 class ControlLaw(Protocol):
     """A control law; all of its memory is its own, and all of its time comes from `Tracking`.
 
-    The same sequence of inputs after construction or `reset` gives the same bits.
+    The same sequence of inputs after construction or `reset` gives the same bits. A law that holds
+    something which has to be given back, such as a process, has a `close` too.
     """
 
     diagnostics: Diagnostics
@@ -181,3 +182,10 @@ class ControlLaw(Protocol):
 
     def reset(self) -> None:
         """Forget everything since construction."""
+
+
+def release(law: ControlLaw) -> None:
+    """Have a law give back what it holds; it is not asked for torques any more."""
+    close = getattr(law, "close", None)
+    if callable(close):
+        close()

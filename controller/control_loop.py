@@ -29,12 +29,13 @@ from bus_schema.runtime.finite import all_finite
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
-from controller.control_law import ControlLaw, Tracking
+from controller.control_law import ControlLaw, Tracking, release
 from controller.control_status import ControlStatus
+from controller.errors import ControllerError
 from controller.funnel import Funnel
 from controller.law_error import LawError
 from controller.reference import Reference
-from controller.torque_guard import ControllerError, TorqueGuard
+from controller.torque_guard import TorqueGuard
 
 logger = logging.getLogger(__name__)
 
@@ -151,6 +152,7 @@ class ControlLoop:
         if self.mode not in COMMANDABLE:
             return
         self._change_mode(Trigger.FAIL, "zero torque")
+        release(self._task.law)
         self._command.stamp_ns = max(self.stamp_ns, 0)
         self._command.fields["effort"][:] = 0.0
         if self._target is not None:
@@ -166,6 +168,7 @@ class ControlLoop:
         """End the run; what was counted."""
         if self.mode in COMMANDABLE:
             self._change_mode(Trigger.END, "gives no more torques")
+        release(self._task.law)
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
             "limits": self._guard.counts.summary(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 
-from controller.torque_guard import ControllerError
+from controller.errors import ControllerError
 
 _LONGEST = 300
 _FIRST, _LAST = 1, 2

@@ -8,13 +8,10 @@ from bus_schema.arrays import Matrix, Records, Vector
 from bus_schema.limits import JointLimits, LimitCounts, limit_torques
 from bus_schema.runtime.compiled import bind, compiled
 from bus_schema.runtime.finite import all_finite
+from controller.errors import ControllerError
 
 _NOT_FINITE = -1
 _FLOAT64 = np.dtype(np.float64)
-
-
-class ControllerError(Exception):
-    """Root of the errors of a running controller."""
 
 
 class InvalidTorqueError(ControllerError, ArithmeticError):

@@ -1,4 +1,4 @@
-"""Laws of a user's own, named ``module:Class`` in a scenario."""
+"""Laws of a user's own, named ``module:Class`` in a scenario, or programs: ``external``."""
 
 from __future__ import annotations
 
@@ -14,13 +14,18 @@ from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
 
+EXTERNAL = "external"
+"""Name of the law that is a program of its own."""
+
 _LAW_KEY = "controller.law"
 _left_out: ContextVar[bool] = ContextVar("custom laws are left out", default=False)
 _GAINS_KEY = "controller.gains.custom"
 
 
 def is_custom(name: str) -> bool:
-    """Whether a law's name is a ``module:Class``."""
+    """Whether a law is a user's own: a ``module:Class`` or a program."""
+    if name == EXTERNAL:
+        return True
     module, separator, class_name = name.partition(":")
     parts = module.split(".")
     return bool(separator) and all(part.isidentifier() for part in (*parts, class_name))
@@ -28,7 +33,7 @@ def is_custom(name: str) -> bool:
 
 @contextmanager
 def custom_laws_left_out() -> Iterator[None]:
-    """Import no law of a user's own meanwhile: scenarios can be read, their laws cannot be run.
+    """Import and start no law of a user's own meanwhile: scenarios can be read, but not run.
 
     For scenarios that come with a recording, which may be anybody's.
     """
@@ -39,8 +44,13 @@ def custom_laws_left_out() -> Iterator[None]:
         _left_out.reset(before)
 
 
+def are_left_out() -> bool:
+    """Whether `custom_laws_left_out` holds."""
+    return _left_out.get()
+
+
 class LeftOut:
-    """Stands for a law that must not be imported; it gives no torque."""
+    """Stands for a law that must not be imported or started; it gives no torque."""
 
     def __init__(self, joints: int) -> None:
         self.diagnostics = Diagnostics(joints)
@@ -64,7 +74,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
         ConfigurationError: there is no such class, it refuses the gains, or what it makes is no
             control law.
     """
-    if _left_out.get():
+    if are_left_out():
         return LeftOut(model.joints)
     make = _find(name)
     try:

@@ -34,6 +34,7 @@ _COMMANDS = {
     "bench": "deploy.cli.experiments:bench",
     "drives": "deploy.cli.drives:drives",
     "doctor": "deploy.cli.doctor:doctor",
+    "includes": "deploy.cli.includes:includes",
 }
 """Where each command is: a function, or a group of commands."""
 

@@ -16,7 +16,7 @@ from rich.markup import escape
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
-from controller.laws.custom import is_custom
+from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
@@ -62,7 +62,7 @@ def parse_laws(text: str | None) -> list[str] | None:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
     for law in laws:
         if law not in LAWS and not is_custom(law):
-            allowed = f"{', '.join(LAWS)}, or module:Class for a law of your own"
+            allowed = f"{', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL}"
             raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
     return laws
 

@@ -88,7 +88,7 @@ def replay(
         bool,
         typer.Option(
             "--allow-custom-law",
-            help="Import and run the law of one's own that the recording names.",
+            help="Run the law of one's own that the recording names.",
         ),
     ] = False,
 ) -> None:
@@ -97,8 +97,8 @@ def replay(
     law = data.setup.scenario.controller.law
     if is_custom(law) and not allow_custom_law:
         raise ScenarioError(
-            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law imports"
-            " and runs it, which is code from wherever that module is found"
+            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
+            " which is code from wherever its module or program is found"
         )
     with naming(run_dir):
         result = replay_run(data.setup, contents)

@@ -27,7 +27,7 @@ from bus_schema.runtime.realtime import (
 )
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
-from controller.torque_guard import ControllerError
+from controller.errors import ControllerError
 from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
 from deploy.processes.delay_relay import DelayRelay

@@ -1,0 +1,81 @@
+"""The control law that asks a program."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import ConfigurationError
+from controller.control_law import Diagnostics, Tracking
+from controller.external.configuration import ExternalLawConfiguration
+from controller.external.program import ExternalLawError, Program, why_not_startable
+from controller.external.protocol import DONE, HEADER, ROWS, VERSION, Question
+
+
+class ExternalLaw:
+    """A law whose torques come from a program; the program starts with the first question.
+
+    Args:
+        configuration: the program, and how long it may take.
+        torque_limits_nm: the actuators' limits, shape (joints,).
+
+    Raises:
+        ConfigurationError: there is no such program here.
+    """
+
+    def __init__(self, configuration: ExternalLawConfiguration, torque_limits_nm: Vector) -> None:
+        joints = torque_limits_nm.size
+        hindrance = why_not_startable(configuration.command)
+        if hindrance is not None:
+            raise ConfigurationError(
+                "controller.external.command", configuration.command, hindrance
+            )
+        self.diagnostics = Diagnostics(joints)
+        self._configuration = configuration
+        self._question: Vector = np.zeros(len(HEADER) + len(ROWS) * joints)
+        self._header = self._question[: len(HEADER)]
+        self._rows: Matrix = self._question[len(HEADER) :].reshape(len(ROWS), joints)
+        self._rows[ROWS.index("torque_limit_nm")] = torque_limits_nm
+        self._answer: Vector = np.zeros(1 + joints)
+        self._program: Program | None = None
+
+    def torque(self, tracking: Tracking) -> Vector:
+        """What the program says.
+
+        Raises:
+            ExternalLawError: it failed, ended, or took too long.
+        """
+        rows = self._rows
+        rows[0:2] = tracking.motion
+        rows[2] = tracking.reference_position
+        rows[3] = tracking.reference_velocity
+        rows[4] = tracking.reference_acceleration
+        rows[5] = tracking.upper_bound
+        rows[6] = tracking.lower_bound
+        self._ask(Question.TORQUE, tracking.time_s, tracking.step_s, tracking.horizon_s)
+        return self._answer[1:]
+
+    def reset(self) -> None:
+        """Have the program forget; one that has not been asked yet has nothing to forget."""
+        if self._program is not None:
+            self._ask(Question.RESET, 0.0, 0.0, 0.0)
+
+    def close(self) -> None:
+        """End the program."""
+        if self._program is not None:
+            self._program.end()
+            self._program = None
+
+    def _ask(self, question: Question, time_s: float, step_s: float, horizon_s: float) -> None:
+        joints = self._answer.size - 1
+        self._header[:6] = question, VERSION, joints, time_s, step_s, horizon_s
+        timeout_s = self._configuration.timeout_s
+        if self._program is None:
+            self._program = Program(self._configuration.command, self._question, self._answer)
+            timeout_s = max(timeout_s, self._configuration.start_timeout_s)
+        self._program.ask(timeout_s)
+        if self._answer[0] != DONE:
+            raise ExternalLawError(
+                f"external law {' '.join(self._configuration.command)} reports failure"
+                f" {self._answer[0]:g} at {time_s:.3f} s"
+            )

@@ -1,0 +1,120 @@
+"""The program: started when it is first asked, ended with its input."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import subprocess
+import tempfile
+import time
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from controller.errors import ControllerError
+
+_LAST_WORDS = 2000
+_GRACE_S = 1.0
+
+
+class ExternalLawError(ControllerError):
+    """The program of an external law did not do its part."""
+
+
+class Program:
+    """A child process that answers questions.
+
+    Args:
+        command: the program and its arguments.
+        question: what it is asked; sent as it is at each `ask`.
+        answer: where its answers go.
+    """
+
+    def __init__(self, command: Sequence[str], question: Vector, answer: Vector) -> None:
+        self._name = " ".join(command)
+        self._question, self._answer = question.view(np.uint8).data, answer.view(np.uint8).data
+        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as this)
+        try:
+            self._process = subprocess.Popen(
+                list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._words,
+                bufsize=0,
+            )  # fmt: skip
+        except OSError as error:
+            raise ExternalLawError(
+                f"external law {self._name} cannot be started: {error}"
+            ) from None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._to, self._from = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._poll = select.poll()
+        self._poll.register(self._from, select.POLLIN)
+        self.end = weakref.finalize(self, _end, self._process, self._words)
+
+    def ask(self, timeout_s: float) -> None:
+        """Send the question, and wait for the answer.
+
+        Raises:
+            ExternalLawError: the program has ended, or says nothing in time.
+        """
+        try:
+            os.write(self._to, self._question)  # whole: it is shorter than a pipe's atomic size
+        except OSError:
+            raise self._gone() from None
+        received, wanted = 0, self._answer.nbytes
+        until_s: float | None = None
+        while received < wanted:
+            if not self._poll.poll(1e3 * timeout_s):
+                self.end()
+                raise ExternalLawError(
+                    f"external law {self._name} did not answer within {timeout_s:g} s"
+                )
+            count = os.readv(self._from, [self._answer[received:]])
+            if count == 0:
+                raise self._gone()
+            received += count
+            if received < wanted:  # rare; a program that writes byte by byte is not waited for long
+                now_s = time.monotonic()
+                until_s = until_s or now_s + timeout_s
+                timeout_s = max(0.0, until_s - now_s)
+
+    def _gone(self) -> ExternalLawError:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_GRACE_S)
+        code = self._process.poll()
+        how = "closed its output" if code is None else f"ended with exit code {code}"
+        size = os.fstat(self._words.fileno()).st_size
+        said = os.pread(self._words.fileno(), _LAST_WORDS, max(0, size - _LAST_WORDS))
+        lines = said.decode(errors="replace").strip().splitlines()
+        words = f"; its last words: {lines[-1]}" if lines else ""
+        self.end()
+        return ExternalLawError(f"external law {self._name} {how}{words}")
+
+
+def _end(process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
+    """Close the program's input, by which it ends; one that does not is ended."""
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
+    try:
+        process.wait(_GRACE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    words.close()
+
+
+def why_not_startable(command: Sequence[str]) -> str | None:
+    """Why a command cannot be started; None if it looks as if it could."""
+    name = command[0]
+    folders = [""] if os.sep in name else os.get_exec_path()
+    candidates = [Path(folder) / name for folder in folders]
+    if not any(path.is_file() for path in candidates):
+        return f"there is no program {name}"
+    if not any(os.access(path, os.X_OK) for path in candidates):
+        return f"{name} is not executable"
+    return None

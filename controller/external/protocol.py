@@ -1,0 +1,34 @@
+"""What a law and a program say to each other: records of IEEE doubles in the machine's byte order.
+
+The program reads questions from its standard input and writes answers to its standard output. A
+question is `HEADER` values and then `ROWS` rows of one value per joint; an answer is one value,
+`DONE` or a number of the program's own for a failure, and then a torque per joint, N m. Each
+question has one answer; the end of input is the end of the run. `funnel_hil_law.h` says it in C.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+VERSION = 1
+DONE = 0.0
+
+
+class Question(IntEnum):
+    """What is asked for."""
+
+    RESET = 0
+    """Forget everything; the answer's torques are passed over."""
+    TORQUE = 1
+    """The torques for a situation."""
+
+
+HEADER = ("question", "version", "joints", "time_s", "step_s", "horizon_s", "spare_1", "spare_2")
+"""Places of the values in front; times as in `controller.control_law.Tracking`."""
+ROWS = (
+    "position_rad", "velocity_rad_s",
+    "reference_position_rad", "reference_velocity_rad_s", "reference_acceleration_rad_s2",
+    "upper_bound_rad", "lower_bound_rad", "torque_limit_nm",
+)  # fmt: skip
+"""Rows behind them. Position minus reference is to stay between the bounds, the lower of which is
+negative; limits are the actuators', inf for none."""
