@@ -116,6 +116,9 @@ class CanControllerLink(ControllerLink):
     ) -> None:
         self._telemetry.await_recorder(timeout_s, is_stop_requested)
 
+    def require_same_scenario(self, role: Role) -> None:
+        self._telemetry.require_same_scenario(role)
+
     def await_recorded(self) -> None:
         self._telemetry.await_recorded()
 

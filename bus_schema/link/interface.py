@@ -48,6 +48,13 @@ class Link(Protocol):
             PeerSilentError: none came within `timeout_s`, wall time.
         """
 
+    def require_same_scenario(self, role: Role) -> None:
+        """Check that a process of ours runs the same scenario, as far as it has said so.
+
+        Raises:
+            ScenarioMismatchError: it does not.
+        """
+
     def await_recorded(self) -> None:
         """After an `ENDED` event: wait until a recorder, if there is one, has everything."""
 
@@ -60,13 +67,6 @@ class Telemetry(Link, Protocol):
 
     def sees(self, role: Role) -> bool:
         """Whether one of our own processes is on the bus."""
-
-    def require_same_scenario(self, role: Role) -> None:
-        """Check that a process of ours runs the same scenario, as far as it has said so.
-
-        Raises:
-            ScenarioMismatchError: it does not.
-        """
 
 
 class PlantLink(Link, Protocol):

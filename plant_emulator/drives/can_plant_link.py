@@ -146,6 +146,9 @@ class CanPlantLink(PlantLink):
         rejected = {"rejected": dict(self._drives.bank.rejections.counts)}
         return {"can": self._drives.medium.summary(now_ns) | rejected}
 
+    def require_same_scenario(self, role: Role) -> None:
+        self._telemetry.require_same_scenario(role)
+
     def await_recorded(self) -> None:
         """Stay until the master has stopped the drives, and the recorder has everything."""
         self._stop_serving()
