@@ -102,6 +102,9 @@ class FaultyLink:
     ) -> None:
         self._link.await_recorder(timeout_s, is_stop_requested)
 
+    def require_same_scenario(self, role: Role) -> None:
+        self._link.require_same_scenario(role)
+
     def await_recorded(self) -> None:
         self._link.await_recorded()
 
