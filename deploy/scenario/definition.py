@@ -44,7 +44,8 @@ class MetricsConfiguration(StrictModel):
     """The judge.
 
     Attributes:
-        from_s: start of the time over which tracking errors are summed up.
+        from_s: start of the time over which tracking errors are summed up; in a run that is no
+            longer, the second half counts.
     """
 
     from_s: NonNegative = 2.0

@@ -75,7 +75,7 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
     origin = Origin(path, tuple(overrides), given_by)
     scenario = validated(values, Scenario, origin)
     with naming(path):
-        _check_judged_time(scenario, overrides)
+        scenario = _judged_over_some_time(scenario, overrides)
     return replace(check(scenario, origin), overrides=tuple(overrides))
 
 
@@ -141,17 +141,22 @@ def _with_drives(setup: Setup) -> PlantConfiguration:
     return plant.model_copy(update={"drive_feedback": plant.drive_feedback.model_copy(update=loop)})
 
 
-def _check_judged_time(scenario: Scenario, overrides: Sequence[str]) -> None:
-    """Check that errors are summed up over some time.
+def _judged_over_some_time(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+    """The scenario with errors summed up over some time.
 
-    The default, which files of runs write out, may lie beyond the end of a short run.
+    The default, which files of runs write out, may lie beyond the end of a short run, of which the
+    second half counts then.
     """
     judge, end_s = scenario.metrics, scenario.duration_s
     is_asked_for = any(text.startswith("metrics.from_s=") for text in overrides)
     is_chosen = judge.from_s != type(judge).model_fields["from_s"].default
-    if judge.from_s >= end_s and (is_asked_for or is_chosen):
+    if judge.from_s < end_s:
+        return scenario
+    if is_asked_for or is_chosen:
         allowed = f"must be before the end of the run, {end_s:g} s"
         raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
+    second_half = judge.model_copy(update={"from_s": 0.5 * end_s})
+    return scenario.model_copy(update={"metrics": second_half})
 
 
 def _read_scenario(path: Path) -> dict[str, Any]:

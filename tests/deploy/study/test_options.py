@@ -236,9 +236,9 @@ def test_errors_are_summed_up_over_some_time(tmp_path):
             load_setup("paper_arm", words)
     with pytest.raises(ScenarioError, match=r"metrics\.from_s"):
         margin(["metrics.from_s=6"], duration=5.0)
-    short = tmp_path / "short.yaml"  # the default is written out where a run is short, too
+    short = tmp_path / "short.yaml"  # what is in force is written out, and can be run again
     short.write_text(effective_scenario(load_setup("paper_arm", ["duration_s=1"])))
-    assert load_setup(str(short)).scenario.metrics.from_s == 2.0
+    assert load_setup(str(short)).scenario.metrics.from_s == 0.5
 
 
 RANDOM = [
