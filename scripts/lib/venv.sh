@@ -51,6 +51,29 @@ remove_leftovers() {
   done
 }
 
+# say_if_pybullet_is_compiled: says so where there is no ready wheel of it for the Python in .venv.
+say_if_pybullet_is_compiled() {
+  local version
+  version=$(.venv/bin/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+  if [[ $version == 3.11 ]] || .venv/bin/python -c 'import pybullet' 2>/dev/null; then
+    return
+  fi
+  echo "There is no ready pybullet for Python $version: it is compiled now, which takes a C++ compiler"
+  echo "and 5 to 30 minutes, once. With Python 3.11 nothing is: PYTHON=python3.11 $0"
+}
+
+# while_it_lasts COMMAND...: runs it, and says every half minute (TOLD_EVERY_S) that it goes on.
+while_it_lasts() {
+  local begun=$SECONDS told
+  (while sleep "${TOLD_EVERY_S:-30}"; do echo "… still at it, $((SECONDS - begun)) s"; done) &
+  told=$!
+  local code=0
+  "$@" || code=$?
+  kill "$told" 2>/dev/null
+  wait "$told" 2>/dev/null || true
+  return "$code"
+}
+
 # ensure_venv EXTRAS: provides .venv with this project and EXTRAS ("" or "dev") installed in it.
 # Stamps in .venv tell what it holds; as long as they are up to date, nothing is done.
 ensure_venv() {
@@ -69,7 +92,8 @@ ensure_venv() {
     return
   fi
   echo "Installing funnel-hil${extras:+[$extras]} into .venv (a minute or two at first)"
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
+  say_if_pybullet_is_compiled
+  while_it_lasts .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
     --editable ".${extras:+[$extras]}"
   echo "$state" >"$stamp"
   remove_leftovers # of the installation that this one replaced

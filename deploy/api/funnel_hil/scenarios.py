@@ -63,6 +63,10 @@ class Scenario:
         InputError: anything about it is wrong; the message names key, value and what is allowed.
     """
 
+    overrides: tuple[str, ...]
+    _values: Mapping[str, Any]
+    _file: Path
+
     def __init__(
         self, source: ScenarioLike = "paper_arm", changes: Changes | None = None,
         law: Law | None = None,
