@@ -65,7 +65,12 @@ say_if_pybullet_is_compiled() {
 # while_it_lasts COMMAND...: runs it, and says every half minute (TOLD_EVERY_S) that it goes on.
 while_it_lasts() {
   local begun=$SECONDS told
-  (while sleep "${TOLD_EVERY_S:-30}"; do echo "… still at it, $((SECONDS - begun)) s"; done) &
+  (
+    trap 'kill "$!"; exit' TERM # no sleep is left behind that keeps a pipe open
+    while sleep "${TOLD_EVERY_S:-30}" & wait "$!"; do
+      echo "… still at it, $((SECONDS - begun)) s"
+    done
+  ) &
   told=$!
   local code=0
   "$@" || code=$?
