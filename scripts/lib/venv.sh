@@ -34,7 +34,7 @@ PYTHON
 # of this project that hold nothing but Python's caches. One in site-packages hides the sources.
 remove_leftovers() {
   local installed caches parent
-  for installed in .venv/lib/python*/site-packages/{bus_schema,controller,deploy,plant_emulator}; do
+  for installed in .venv/lib/python*/site-packages/{bus_schema,controller,deploy,funnel_hil,plant_emulator}; do
     if [[ -d $installed && -z $(find "$installed" -name '*.py' -print -quit) ]]; then
       echo "Removing $installed: it holds no sources, and hides those here"
       rm -r "$installed"
