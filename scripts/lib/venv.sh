@@ -59,7 +59,7 @@ say_if_pybullet_is_compiled() {
     return
   fi
   echo "There is no ready pybullet for Python $version: it is compiled now, which takes a C++ compiler"
-  echo "and 5 to 30 minutes, once. With Python 3.11 nothing is: PYTHON=python3.11 $0"
+  echo "and many minutes, once. With Python 3.11 nothing is: PYTHON=python3.11 $0"
 }
 
 # while_it_lasts COMMAND...: runs it, and says every half minute (TOLD_EVERY_S) that it goes on.
