@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from bus_schema.arrays import Vector
@@ -20,6 +21,13 @@ EXTERNAL = "external"
 _LAW_KEY = "controller.law"
 _left_out: ContextVar[bool] = ContextVar("custom laws are left out", default=False)
 _GAINS_KEY = "controller.gains.custom"
+_OURS = ("bus_schema", "controller", "deploy", "plant_emulator", "funnel_hil")
+_OUR_FOLDER = str(Path(__file__).resolve().parents[2])
+
+Maker = Callable[..., ControlLaw]
+"""Makes a law from the nominal model and its gains: a class, as a rule."""
+
+_given: ContextVar[Mapping[str, Maker]] = ContextVar("laws given", default=MappingProxyType({}))
 
 
 def is_custom(name: str) -> bool:
@@ -49,6 +57,16 @@ def are_left_out() -> bool:
     return _left_out.get()
 
 
+@contextmanager
+def laws_given(makers: Mapping[str, Maker]) -> Iterator[None]:
+    """Meanwhile these names stand for these laws, and nothing is imported for them."""
+    before = _given.set({**_given.get(), **makers})
+    try:
+        yield
+    finally:
+        _given.reset(before)
+
+
 class LeftOut:
     """Stands for a law that must not be imported or started; it gives no torque."""
 
@@ -76,7 +94,7 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
     """
     if are_left_out():
         return LeftOut(model.joints)
-    make = _find(name)
+    make = find_law(name)
     try:
         law = make(model, **gains)
     except (
@@ -97,12 +115,18 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
     return built
 
 
-def _find(name: str) -> Callable[..., Any]:
-    """The class; modules in the current folder are found, as with ``python -m``."""
+def find_law(name: str) -> Maker:
+    """The class of a law; modules in the current folder are found, as with ``python -m``.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    if name in _given.get():
+        return _given.get()[name]
     module_name, _, class_name = name.partition(":")
     here = str(Path.cwd())
     if here not in sys.path and "" not in sys.path:
-        sys.path.append(here)
+        sys.path += [_OUR_FOLDER, here]  # in this order: other processes get it, and import ours
     try:
         module = importlib.import_module(module_name)
     except (
@@ -112,9 +136,11 @@ def _find(name: str) -> Callable[..., Any]:
         raise ConfigurationError(
             _LAW_KEY, name, f"{module_name} cannot be imported: {_described(error)}"
         ) from error
-    make: Callable[..., Any] | None = getattr(module, class_name, None)
+    make: Maker | None = getattr(module, class_name, None)
     if not callable(make):
-        raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}")
+        ours = module_name.partition(".")[0] in _OURS
+        whose = ", which is funnel-hil's own module of that name: rename yours" if ours else ""
+        raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}{whose}")
     return make
 
 

@@ -8,7 +8,8 @@ import logging
 import sys
 from collections import UserDict
 from importlib import import_module
-from typing import Any
+from importlib.metadata import version
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -35,6 +36,9 @@ _COMMANDS = {
     "drives": "deploy.cli.drives:drives",
     "doctor": "deploy.cli.doctor:doctor",
     "includes": "deploy.cli.includes:includes",
+    "scenarios": "deploy.cli.shelf:scenarios",
+    "export": "deploy.cli.shelf:export",
+    "runs": "deploy.cli.shelf:app",
 }
 """Where each command is: a function, or a group of commands."""
 
@@ -74,8 +78,19 @@ app = typer.Typer(
 )
 
 
+def _show_version(asked: bool) -> None:
+    if asked:
+        print(f"funnel-hil {version('funnel-hil')}")
+        raise typer.Exit
+
+
 @app.callback()
-def funnel_hil() -> None:
+def funnel_hil(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
     """Hardware-in-the-loop test bench for prescribed-performance robot control."""
 
 

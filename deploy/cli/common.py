@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -21,11 +21,9 @@ from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
-from deploy.runs.conditions import Conditions, conditions_of_runs
-from deploy.runs.fault_record import fault_record
-from deploy.runs.metrics import summarise
+from deploy.reports.conclude import conclude, conditions_in
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run, read_manifest
+from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
@@ -111,38 +109,6 @@ def show_places(console: Console, folder: ResultFolder) -> None:
     """Say where the results are."""
     console.print(f"results: {folder.path}", soft_wrap=True)
     console.print(f"report:  {folder.report}", soft_wrap=True)
-
-
-def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
-    """Judge a run and write summary, report and the record of its fault; the summary.
-
-    Args:
-        folder: where.
-        run: its data.
-        more_faults: what the recording cannot know, such as a process that was killed; causes come
-            before what followed from them.
-    """
-    from deploy.reports.run_report import write_report  # figures take their time to import
-
-    summary = summarise(run)
-    summary["faults"] = [*more_faults, *summary["faults"]]
-    summary["completed"] = summary["completed"] and not more_faults
-    write_json(folder.summary, {**summary, "completed": False})  # until all is written
-    try:
-        if (record := fault_record(run)) is not None:
-            write_json(folder.fault, record)
-        write_report(run, summary, folder.report, conditions_in(folder, run))
-    except OSError as error:
-        summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
-        summary["completed"] = False
-    with contextlib.suppress(OSError):  # a full disk has the one from before
-        write_json(folder.summary, summary)
-    return summary
-
-
-def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
-    """Under what conditions a run came about, as its folder has them."""
-    return conditions_of_runs([run.setup], read_manifest(folder.path))
 
 
 @contextlib.contextmanager

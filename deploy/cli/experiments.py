@@ -16,8 +16,6 @@ from deploy.cli.common import (
     Overwrite,
     RequireBounds,
     ScenarioArgument,
-    conclude,
-    conditions_in,
     judging,
     leave,
     parse_laws,
@@ -33,6 +31,7 @@ from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.reports.compare_report import write_comparison_report
 from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_table
+from deploy.reports.conclude import conclude, conditions_in
 from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_table

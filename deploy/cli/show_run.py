@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from deploy.cli.progress import CommandProgress
+from deploy.processes.lacking import lacking
 from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table
 from deploy.reports.tables import number, percent
@@ -23,15 +24,20 @@ _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
 def status_handler(progress: CommandProgress) -> Callable[[StatusMessage], None]:
     """A function that shows on `progress` what the processes of a run report."""
     state: dict[str, Any] = {}
+    settings: list[dict[str, Any]] = []
 
     def handle(message: StatusMessage) -> None:
         if message.kind == "progress":
             state.update(message.values)
+            if settings:  # of all processes, as they are at work now
+                if text := lacking(settings):
+                    progress.say(text)
+                settings.clear()
             progress.update(state.get("time_s", 0.0), note=_note(state))
         elif message.kind == "fault":
             progress.say(f"{message.role}: {message.values['text']}")
-        elif message.kind == "lacks":
-            progress.say(f"{message.role} {message.values['text']}")
+        elif message.kind == "realtime":
+            settings.extend(message.values["settings"])
 
     return handle
 

@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from bus_schema.recording.atomic_files import write_json
 from deploy.cli.common import Out, Overrides, Overwrite, judging, show_places
 from deploy.cli.margin_options import (
     MarginOptions,
@@ -24,12 +23,12 @@ from deploy.cli.margin_options import (
 )
 from deploy.cli.progress import CommandProgress
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.reports.conclude import conclude_study
 from deploy.reports.robustness_tables import (
     losses_table,
     robustness_table,
     write_robustness_table,
 )
-from deploy.reports.study_report import write_study_report
 from deploy.reports.study_tables import (
     held_again,
     margin_table,
@@ -38,11 +37,9 @@ from deploy.reports.study_tables import (
 )
 from deploy.reports.terminal import print_table
 from deploy.runs.conditions import conditions_line
-from deploy.runs.run_folder import read_manifest
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.stop_signals import on_stop
-from deploy.study.conditions import conditions_of_study
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
@@ -150,7 +147,7 @@ def _conduct(
 
     stop, console, lost = threading.Event(), Console(), None
     path = None if overwrite else find_folder(study, out)
-    with DaskWorkers(workers, scheduler) as team:
+    with DaskWorkers(workers, scheduler, study.laws) as team:
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
             warning = _OPEN_SCHEDULER.format(scheduler)
             Console(stderr=True).print(warning, markup=False, soft_wrap=True)
@@ -177,12 +174,7 @@ def _conduct(
 def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
     """Write table, summary and report; whether the study is complete."""
     with judging(console, folder):
-        summary = study.summary(folder.rows)
-        summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
-        folder.put_together(summary["conditions"])
-        write_json(folder.summary, {**summary, "completed": False})  # until all is written
-        write_study_report(summary, folder)
-        write_json(folder.summary, summary)
+        summary = conclude_study(study, folder)
     show_study(console, summary)
     write_table = _TABLES.get(study.kind)
     if write_table is not None:

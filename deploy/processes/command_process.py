@@ -18,6 +18,7 @@ from typing import IO, NamedTuple
 
 from setproctitle import setproctitle
 
+from deploy.processes.parent import FOR_FORK_SERVER, SAFE_PATH
 from deploy.stop_signals import STOPS
 
 _PROGRAM = "deploy.cli"
@@ -57,16 +58,20 @@ def start(words: list[str]) -> CommandProcess:
 def _fork_server_survives() -> Iterator[None]:
     """For a fork server to be started: nothing that is meant for this process ends it.
 
-    It is in the process group that a terminal, or `timeout`, tells to stop; and the path of its
-    socket must be short, which not every TMPDIR is.
+    It is in the process group that a terminal, or `timeout`, tells to stop; the path of its
+    socket must be short, which not every TMPDIR is; and modules in this folder are not to take the
+    place of ours.
     """
     resource_tracker.ensure_running()  # which would let the signals through
     signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     folder = tempfile.gettempdir()
     tempfile.tempdir = folder if len(folder) < _LONG_PATH else "/tmp"
+    is_ours = os.environ.setdefault(SAFE_PATH, FOR_FORK_SERVER) == FOR_FORK_SERVER
     try:
         yield
     finally:
+        if is_ours:
+            del os.environ[SAFE_PATH]
         tempfile.tempdir = folder
         signal.pthread_sigmask(signal.SIG_SETMASK, signals)
 

@@ -222,7 +222,10 @@ def _measure_lateness_us() -> tuple[bool, Vector]:
 
 
 def _socketcan() -> Finding:
-    cost = "a link of kind can has no bus to run on; every other link is unaffected"
+    cost = (
+        "no real CAN interface or vcan0; a link of kind can still runs by simulate (in virtual "
+        "time), and by run over link.can.interface=udp_multicast, as paper_arm_can does"
+    )
     if not hasattr(socket, "AF_CAN"):
         return Finding("SocketCAN", "missing", "not known to this Python", cost)
     try:

@@ -9,6 +9,8 @@ import sys
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+SAFE_PATH, FOR_FORK_SERVER = "PYTHONSAFEPATH", "fork server"
+"""While Python's fork server starts, by which it does not look for modules in this folder."""
 _LEAVE_WITHIN_S = 30
 """Longer than any process takes to leave in order."""
 

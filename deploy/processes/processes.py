@@ -31,6 +31,7 @@ from controller.errors import ControllerError
 from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
 from deploy.processes.delay_relay import DelayRelay
+from deploy.processes.lacking import lacking
 from deploy.processes.recorder import Recorder
 from deploy.processes.status import StatusReporter
 from deploy.scenario.agreement import agreement_of
@@ -255,10 +256,10 @@ def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> No
 
 
 def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
-    reporter.report("realtime", settings=[vars(setting) for setting in settings])
-    for setting in settings:
-        if not setting.granted:
-            reporter.report("lacks", text=f"works without {setting.name}: {setting.detail}")
+    told = [vars(setting) for setting in settings]
+    reporter.report("realtime", settings=told)
+    if text := lacking(told):
+        reporter.report("lacks", text=text)
 
 
 def _cpus_for(setup: Setup, role: Role) -> list[int]:

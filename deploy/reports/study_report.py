@@ -9,7 +9,7 @@ from typing import Any
 from deploy.reports.margin_report import margin_content
 from deploy.reports.page import Fact, write_page
 from deploy.reports.robustness_report import robustness_content
-from deploy.reports.study_content import Study
+from deploy.reports.study_content import Study, StudyContent
 from deploy.reports.sweep_report import sweep_content
 from deploy.reports.verdict import Verdict
 from deploy.study.folder import StudyFolder
@@ -17,9 +17,14 @@ from deploy.study.folder import StudyFolder
 _CONTENTS = {"sweep": sweep_content, "margin": margin_content, "robustness": robustness_content}
 
 
+def content_of(summary: dict[str, Any]) -> StudyContent:
+    """What the report of a study says, from its summary."""
+    return _CONTENTS[summary["kind"]](summary)
+
+
 def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
     """Write the report of a sweep or of margins to its folder."""
-    content = _CONTENTS[summary["kind"]](summary)
+    content = content_of(summary)
     verdict = _with_failures(content.verdict, summary)
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
     write_page(

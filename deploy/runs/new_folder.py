@@ -11,6 +11,7 @@ from itertools import chain, count
 from pathlib import Path
 
 from bus_schema.configuration import shortened
+from deploy.scenario.written import is_copy
 from deploy.scenario.yaml_files import ScenarioError
 
 _RESULTS = (
@@ -19,12 +20,12 @@ _RESULTS = (
 )  # fmt: skip
 """By any of these a folder holds results."""
 _MORE = re.compile(
-    r"run-\d+(\.partial)?\.mcap|can(-\d+)?\.log|table\.md|scenario\.yaml"
+    r"run-\d+(\.partial)?\.mcap|can(-\d+)?\.log|table\.md|scenario\.yaml|tags\.json"
     r"|\w+\.partial\.(json|html|parquet|md|yaml)"
 )
 """What else commands write there."""
-_FOLDERS = ("rows", "scenarios")
-"""Of a study."""
+_FOLDERS = ("rows", "scenarios", "base", "export")
+"""Of a study, and what `export` writes."""
 
 
 class FolderLock:
@@ -107,11 +108,38 @@ def _clear(path: Path, *, overwrite: bool) -> None:
             f"--out {path}: holds results ({found}): must be a folder without, or give --overwrite"
         )
     if overwrite:
-        for file in path.iterdir():
-            if file.name in _RESULTS or _MORE.fullmatch(file.name):
-                file.unlink()
-        for name in _FOLDERS:
-            shutil.rmtree(path / name, ignore_errors=True)
+        _remove_files(path)
+
+
+def holds_results(path: Path) -> bool:
+    """Whether there is a folder with results of ours."""
+    return any((path / name).exists() for name in _RESULTS)
+
+
+def remove_results(path: Path) -> None:
+    """Remove what commands left in a folder, and the folder where nothing else is in it.
+
+    Raises:
+        ScenarioError: another command is writing there.
+    """
+    lock = FolderLock(path)
+    try:
+        for inner in [inner for inner in path.iterdir() if inner.is_dir()]:
+            if not inner.is_symlink() and holds_results(inner):  # one law of a comparison
+                remove_results(inner)
+        _remove_files(path)
+        if not any(path.iterdir()):
+            path.rmdir()
+    finally:
+        lock.close()
+
+
+def _remove_files(path: Path) -> None:
+    for file in path.iterdir():
+        if file.name in _RESULTS or _MORE.fullmatch(file.name) or is_copy(file):
+            file.unlink()
+    for name in _FOLDERS:
+        shutil.rmtree(path / name, ignore_errors=True)
 
 
 def _unused(name: str) -> Path:

@@ -6,6 +6,7 @@ starts, and told with file, key, value and what is allowed.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -69,12 +70,26 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
         ScenarioError: anything about it is wrong.
     """
     path = find_yaml(name_or_path, SHIPPED)
-    values = _read_scenario(path)
-    for text in overrides:
-        set_value(values, *parse_override(text))
-    origin = Origin(path, tuple(overrides), given_by)
-    scenario = validated(values, Scenario, origin)
-    with naming(path):
+    return build_setup(read_yaml(path), path, overrides, given_by)
+
+
+def build_setup(
+    values: Mapping[str, Any], source: Path, overrides: Sequence[str] = (), given_by: str = "--set"
+) -> Setup:
+    """Override and check the values of a scenario.
+
+    Args:
+        values: as its YAML file has them, or would.
+        source: that file, or what to call it; relative paths start beside it.
+        overrides: ``dotted.key=value``; values are YAML.
+        given_by: what they were set with, for messages.
+
+    Raises:
+        ScenarioError: anything about it is wrong.
+    """
+    origin = Origin(source, tuple(overrides), given_by)
+    scenario = validated(given_values(values, source, overrides), Scenario, origin)
+    with naming(source):
         scenario = _judged_over_some_time(scenario, overrides)
     return replace(check(scenario, origin), overrides=tuple(overrides))
 
@@ -159,9 +174,19 @@ def _judged_over_some_time(scenario: Scenario, overrides: Sequence[str]) -> Scen
     return scenario.model_copy(update={"metrics": second_half})
 
 
-def _read_scenario(path: Path) -> dict[str, Any]:
+def given_values(
+    values: Mapping[str, Any], source: Path, overrides: Sequence[str]
+) -> dict[str, Any]:
+    """All that a scenario says, of what it extends too, and what is set beside it; unchecked."""
+    given = _extended(values, source)
+    for text in overrides:
+        set_value(given, *parse_override(text))
+    return given
+
+
+def _extended(given: Mapping[str, Any], path: Path) -> dict[str, Any]:
     """The values of a scenario; one that ``extends`` another says only what is different."""
-    values = read_yaml(path)
+    values = copy.deepcopy(dict(given))
     base = values.pop("extends", None)
     if base is None:
         return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
 
 from bus_schema.recording.atomic_files import write_whole
@@ -44,6 +45,14 @@ def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
     for direction, file in links.items():
         found[f"link.{direction}.distribution_file"] = (file, file.read_text())
     return {key: (_name(file, text), text) for key, (file, text) in found.items()}
+
+
+def is_copy(file: Path) -> bool:
+    """Whether a file is such a copy, as its name and contents say."""
+    digest = file.stem[-_DIGITS - 1 :]
+    if not re.fullmatch(rf"-[0-9a-f]{{{_DIGITS}}}", digest) or not file.is_file():
+        return False
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] == digest[1:]
 
 
 def _name(original: Path, text: str) -> str:

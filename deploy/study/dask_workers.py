@@ -8,6 +8,7 @@ import os
 import queue
 import signal
 from collections import deque
+from collections.abc import Iterable
 
 import dask
 from distributed import Client, Future, LocalCluster, Worker, rpc
@@ -16,6 +17,7 @@ from distributed.security import Security
 
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.shipped_laws import execute_with, packed
 from deploy.study.study import Run, execute, failed
 
 _ANSWER_S = 3.0
@@ -39,14 +41,19 @@ class DaskWorkers:
     Args:
         workers: processes to start on this machine; as many as it has cores by default.
         scheduler: address of a scheduler to use instead.
+        laws: names of laws; those of the user's own go with every run, so that no worker needs
+            their files.
 
     Raises:
         ScenarioError: the scheduler does not answer, or its workers cannot do runs.
     """
 
-    def __init__(self, workers: int | None = None, scheduler: str | None = None) -> None:
+    def __init__(
+        self, workers: int | None = None, scheduler: str | None = None, laws: Iterable[str] = ()
+    ) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._finished: queue.SimpleQueue[tuple[Run, Future]] = queue.SimpleQueue()
+        self._laws = packed(laws)
         self._in_flight = 0
         self._suspects: deque[Run] = deque()
         self._alone: Run | None = None
@@ -84,7 +91,7 @@ class DaskWorkers:
     def submit(self, run: Run) -> None:
         """Have a run done."""
         self._in_flight += 1
-        future = self._client.submit(execute, run, pure=False)
+        future = self._client.submit(execute_with, run, self._laws, pure=False)
         future.add_done_callback(lambda done: self._finished.put((run, done)))
 
     def finished(self, timeout_s: float) -> tuple[Run, Row] | None:

@@ -88,6 +88,10 @@ class Margin(Study):
         self.bases = bases_of([case.setting for case in self.cases])
 
     @property
+    def laws(self) -> set[str]:
+        return {case.setting.law for case in self.cases}
+
+    @property
     def expected(self) -> int:
         return sum(
             (case.search.probes_left + len(case.search.outcomes)) * self._runs_per_probe(case)

@@ -101,6 +101,10 @@ class Robustness(Study):
         self.columns = {**CASE_COLUMNS, **draw_columns(self.definition, self.bases)}
 
     @property
+    def laws(self) -> set[str]:
+        return {case.setting.law for case in self.cases}
+
+    @property
     def expected(self) -> int:
         runs_per_value = sum(len(seeds) for case in self.cases for seeds in case.seeds)
         return len(self.definition.values) * runs_per_value

@@ -157,6 +157,11 @@ class Study(ABC):
     def __init__(self, values: Mapping[str, Any], source: Path) -> None: ...
 
     @property
+    def laws(self) -> set[str]:
+        """Names of the laws of its runs."""
+        return {base.scenario.controller.law for base in self.bases}
+
+    @property
     @abstractmethod
     def expected(self) -> int:
         """How many runs there will be, as far as can be told now."""

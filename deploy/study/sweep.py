@@ -16,7 +16,7 @@ from pydantic import BeforeValidator
 from bus_schema.configuration import ConfigurationError
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.study_keys import SEED, UNCERTAINTY, require_effect
+from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -104,6 +104,11 @@ class Sweep(Study):
             self.plants = draw_plants(given, self.bases[0], [*axes, SEED])
             self.columns = {**axes, **draw_columns(given, self.bases)}
             self._check()
+
+    @property
+    def laws(self) -> set[str]:
+        tried = [values for keys, values in self.axes.items() if LAW in keys]
+        return set(tried[0]) if tried else super().laws
 
     @property
     def expected(self) -> int:

@@ -34,7 +34,7 @@ PYTHON
 # of this project that hold nothing but Python's caches. One in site-packages hides the sources.
 remove_leftovers() {
   local installed caches parent
-  for installed in .venv/lib/python*/site-packages/{bus_schema,controller,deploy,plant_emulator}; do
+  for installed in .venv/lib/python*/site-packages/{bus_schema,controller,deploy,funnel_hil,plant_emulator}; do
     if [[ -d $installed && -z $(find "$installed" -name '*.py' -print -quit) ]]; then
       echo "Removing $installed: it holds no sources, and hides those here"
       rm -r "$installed"
@@ -49,6 +49,34 @@ remove_leftovers() {
       rmdir --parents --ignore-fail-on-non-empty "$parent"
     fi
   done
+}
+
+# say_if_pybullet_is_compiled: says so where there is no ready wheel of it for the Python in .venv.
+say_if_pybullet_is_compiled() {
+  local version
+  version=$(.venv/bin/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+  if [[ $version == 3.11 ]] || .venv/bin/python -c 'import pybullet' 2>/dev/null; then
+    return
+  fi
+  echo "There is no ready pybullet for Python $version: it is compiled now, which takes a C++ compiler"
+  echo "and many minutes, once. With Python 3.11 nothing is: PYTHON=python3.11 $0"
+}
+
+# while_it_lasts COMMAND...: runs it, and says every half minute (TOLD_EVERY_S) that it goes on.
+while_it_lasts() {
+  local begun=$SECONDS told
+  (
+    trap 'kill "$!"; exit' TERM # no sleep is left behind that keeps a pipe open
+    while sleep "${TOLD_EVERY_S:-30}" & wait "$!"; do
+      echo "… still at it, $((SECONDS - begun)) s"
+    done
+  ) &
+  told=$!
+  local code=0
+  "$@" || code=$?
+  kill "$told" 2>/dev/null
+  wait "$told" 2>/dev/null || true
+  return "$code"
 }
 
 # ensure_venv EXTRAS: provides .venv with this project and EXTRAS ("" or "dev") installed in it.
@@ -69,7 +97,8 @@ ensure_venv() {
     return
   fi
   echo "Installing funnel-hil${extras:+[$extras]} into .venv (a minute or two at first)"
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
+  say_if_pybullet_is_compiled
+  while_it_lasts .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
     --editable ".${extras:+[$extras]}"
   echo "$state" >"$stamp"
   remove_leftovers # of the installation that this one replaced

@@ -26,4 +26,5 @@ def test_a_run_that_finds_all_cpus_taken_binds_no_loop_and_says_so(tmp_path: Pat
     for role in ("plant", "controller"):
         affinity = next(one for one in realtime[role] if one["name"] == AFFINITY)
         assert not affinity["granted"]
-        assert f"{role} works without CPU affinity: each of the CPUs" in run.output
+    assert "CPU affinity" in run.output
+    assert "each of the CPUs" in run.output

@@ -67,3 +67,24 @@ def test_folders_with_anything_else_in_them_stay(tree: Path) -> None:
     before = files_in(tree)
     remove_leftovers(tree)
     assert files_in(tree) == before
+
+
+def test_a_long_installation_is_seen_to_go_on_and_its_failure_is_its_own(tmp_path: Path) -> None:
+    still = tmp_path / "still"
+    command = (
+        f"set -euo pipefail; source {VENV}; TOLD_EVERY_S=0.05 while_it_lasts bash -c"
+        f" 'until grep -q still {still}; do :; done; exit 3' >{still}"
+    )
+    done = subprocess.run(["bash", "-c", command], capture_output=True, check=False, timeout=60)
+    assert done.returncode == 3
+    assert "still at it" in still.read_text()
+
+
+def test_a_python_for_which_pybullet_is_compiled_is_told_so_before(tmp_path: Path) -> None:
+    python = make(tmp_path / ".venv" / "bin" / "python")
+    python.write_text("#!/bin/bash\n[[ $2 == *version_info* ]] && echo 3.13\n")
+    python.chmod(0o755)
+    command = f"set -euo pipefail; source {VENV}; say_if_pybullet_is_compiled"
+    run = ["bash", "-c", command]
+    said = subprocess.run(run, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+    assert "no ready pybullet for Python 3.13: it is compiled now" in said

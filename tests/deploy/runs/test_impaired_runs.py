@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bus_schema.messages import topics
-from deploy.cli.common import conclude
 from deploy.reports import run_report
+from deploy.reports.conclude import conclude
 from deploy.runs.bounds import bound_usage
 from deploy.runs.metrics import summarise
 from deploy.runs.new_folder import new_folder

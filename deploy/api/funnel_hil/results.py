@@ -1,0 +1,211 @@
+"""What came of runs: numbers, arrays, data frames and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import plotly.graph_objects as go
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.messages import topics
+from deploy.comparison.comparison import Comparison as LawComparison
+from deploy.reports.compare_report import PANELS as COMPARISON_PANELS
+from deploy.reports.page import Panel
+from deploy.reports.run_report import PANELS as RUN_PANELS
+from deploy.reports.study_content import Study as StudyFigures
+from deploy.reports.study_report import content_of
+from deploy.runs.run_data import RunData, Table
+from deploy.runs.run_rows import Row, row
+from deploy.runs.time_series import SERIES, TRACKING, Columns, series
+from deploy.scenario.yaml_files import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+T = TypeVar("T")
+
+
+class Run:
+    """One run.
+
+    Attributes:
+        data: all that was recorded, as the program has it.
+        summary: what ``summary.json`` says; keys and units are in the README.
+    """
+
+    def __init__(self, data: RunData, summary: dict[str, Any]) -> None:
+        self.data = data
+        self.summary = summary
+
+    def __repr__(self) -> str:
+        verdict = "kept" if self.kept else "not kept"
+        return f"<Run of {self.summary['scenario']}, {self.law}: bounds {verdict}>"
+
+    @property
+    def law(self) -> str:
+        """Name of the law."""
+        return str(self.summary["law"])
+
+    @property
+    def kept(self) -> bool:
+        """Whether the run came to its end without a fault, and no error left the funnel."""
+        whole = self.summary["completed"] and not self.summary["faults"]
+        return bool(whole and self.summary["bounds"]["kept"])
+
+    @property
+    def margin(self) -> float | None:
+        """Smallest 1 − |e| / bound of all joints and ticks; None where nothing was recorded."""
+        smallest: float | None = self.summary["bounds"]["margin_min"]
+        return smallest
+
+    @property
+    def faults(self) -> list[str]:
+        """What went wrong, a sentence each."""
+        return list(self.summary["faults"])
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return self.data.setup.robot.joint_names
+
+    @property
+    def times_s(self) -> Vector:
+        """Ticks of the plant, shape (ticks,)."""
+        return self.data.times_s(topics.PLANT_TRUTH)
+
+    @property
+    def errors_rad(self) -> Matrix:
+        """True joint errors at every tick, shape (ticks, joints)."""
+        return self.data.true_errors_rad
+
+    @property
+    def torques_nm(self) -> Matrix:
+        """Torque on the joints at every tick, shape (ticks, joints)."""
+        torques: Matrix = self.table(topics.PLANT_TRUTH.name)["torque"]
+        return torques
+
+    def table(self, topic: str) -> Table:
+        """Messages of a topic as a structured array, shape (messages,)."""
+        return self.data.tables[_known(topic, list(self.data.tables), "topic")]
+
+    def series(self, name: str = TRACKING) -> Columns:
+        """Arrays by name, with ``time_s``: see `series_names`; ``tracking`` is what is judged."""
+        return series(self.data, _known(name, self.series_names, "series"))
+
+    @property
+    def series_names(self) -> list[str]:
+        return list(SERIES)
+
+    def frame(self, name: str = TRACKING) -> pd.DataFrame:
+        """A series as a data frame over ``time_s``; needs pandas."""
+        return _frame(self.series(name)).set_index("time_s")
+
+    @property
+    def figure_names(self) -> list[str]:
+        """The figures of the report."""
+        return _names(RUN_PANELS)
+
+    def figure(self, name: str = "error-in-funnel") -> go.Figure:
+        """A figure of the report.
+
+        Raises:
+            InputError: there is none of that name, or this run has nothing to draw in it.
+        """
+        return _draw(RUN_PANELS, name, self.data)
+
+
+class Comparison:
+    """Runs of one scenario under several laws.
+
+    Attributes:
+        runs: by law.
+    """
+
+    def __init__(self, compared: LawComparison) -> None:
+        self._compared = compared
+        self.runs = {run.law: Run(run.data, run.summary) for run in compared.runs}
+
+    def __getitem__(self, law: str) -> Run:
+        return self.runs[_known(law, list(self.runs), "law")]
+
+    @property
+    def rows(self) -> list[Row]:
+        """A row for each law, as in ``comparison.parquet``."""
+        return [row(run.summary, run.seed) for run in self._compared.runs]
+
+    def frame(self) -> pd.DataFrame:
+        """The rows as a data frame; needs pandas."""
+        return _frame(self.rows)
+
+    @property
+    def figure_names(self) -> list[str]:
+        """The figures of the report."""
+        return _names(COMPARISON_PANELS)
+
+    def figure(self, name: str = "errors") -> go.Figure:
+        """A figure of the report; errors as `Run.figure`."""
+        return _draw(COMPARISON_PANELS, name, self._compared)
+
+
+class Study:
+    """What came of a sweep or of margins.
+
+    Attributes:
+        summary: what ``summary.json`` says.
+        rows: one for each run.
+    """
+
+    def __init__(
+        self, summary: dict[str, Any], rows: Sequence[Row], rerun: Callable[[str], str]
+    ) -> None:
+        self.summary, self.rows = summary, list(rows)
+        self._panels = content_of(summary).panels
+        self._drawn = StudyFigures(summary, rerun)
+
+    @property
+    def margins(self) -> dict[str, float | None]:
+        """The margin by law, where this is a study of margins with one case for each law."""
+        cases: list[dict[str, Any]] = self.summary.get("cases", [])
+        found = {case["law"]: case["margin"] for case in cases if "margin" in case}
+        if len(found) < len(cases) or not cases:
+            raise InputError("margins: must be asked of margins with one case a law; see summary")
+        return found
+
+    def frame(self) -> pd.DataFrame:
+        """The rows as a data frame; needs pandas."""
+        return _frame(self.rows)
+
+    @property
+    def figure_names(self) -> list[str]:
+        """The figures of the report."""
+        return _names(self._panels)
+
+    def figure(self, name: str) -> go.Figure:
+        """A figure of the report; errors as `Run.figure`."""
+        return _draw(self._panels, name, self._drawn)
+
+
+def _names(panels: Sequence[Panel[T]]) -> list[str]:
+    return [panel.id for panel in panels]
+
+
+def _draw(panels: Sequence[Panel[T]], name: str, what: T) -> go.Figure:
+    by_name = {panel.id: panel for panel in panels}
+    figure = by_name[_known(name, list(by_name), "figure")].draw(what)
+    if not isinstance(figure, go.Figure):
+        raise InputError(f"figure {name!r}: there is nothing to draw")
+    return figure
+
+
+def _known(name: str, names: Sequence[str], what: str) -> str:
+    if name not in names:
+        raise InputError(f"{what} {name!r}: must be one of {', '.join(names)}")
+    return name
+
+
+def _frame(columns: Mapping[str, Any] | Sequence[Row]) -> pd.DataFrame:
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise ImportError("data frames need pandas: pip install pandas") from error
+    return pd.DataFrame(columns)

@@ -1,0 +1,202 @@
+"""Many runs: sweeps and margins."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from controller.laws.custom import Maker, laws_given
+from deploy.reports.conclude import conclude_study
+from deploy.runs.run_rows import Row
+from deploy.study.conduct import Workers, carry_out
+from deploy.study.folder import StudyFolder, create_folder, find_folder
+from deploy.study.robustness import margin_study
+from deploy.study.study import Run, execute
+from deploy.study.study import Study as StudyOfRuns
+from deploy.study.sweep import Sweep
+from funnel_hil.results import Study
+from funnel_hil.scenarios import Changes, Law, Scenario, ScenarioLike, named_law
+
+Told = Callable[[int, int], None]
+"""Is called after each run with how many are done, and how many there will be."""
+
+
+def sweep(
+    scenario: ScenarioLike = "paper_arm",
+    grid: Mapping[str, Sequence[Any] | Mapping[str, float]] | None = None,
+    changes: Changes | None = None,
+    *,
+    law: Law | None = None,
+    seeds: int | Sequence[int] = 1,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: Told | None = None,
+    **more: Any,
+) -> Study:
+    """Run every point of a grid with every seed.
+
+    Args:
+        scenario: as for `simulate`.
+        grid: values by dotted key, as lists or ``{"from": …, "to": …, "step": …}``; keys that are
+            separated by commas take each value together.
+        changes: as for `simulate`.
+        law: as for `simulate`.
+        seeds: how many, or which.
+        workers: processes to start on this machine: 0 for none (all is done in this one), None for
+            as many as it has cores. A script that starts some needs ``if __name__ == "__main__":``.
+        scheduler: address of a Dask scheduler to use instead; anybody who reaches it runs code.
+        out: folder for rows, summary and report, in which the same study goes on.
+        progress: told of each run.
+        more: what else a sweep file may say: ``plants``, ``plant_seed``, ``uncertainty``, ``name``.
+
+    Raises:
+        InputError: something about it is wrong.
+    """
+    given = Scenario(scenario, changes, law)
+    definition = {"name": "sweep", "grid": dict(grid or {}), "seeds": _seeds(seeds), **more}
+
+    def build(file: Path) -> StudyOfRuns:
+        return Sweep({**definition, "scenario": str(file)}, Path("sweep"))
+
+    with given.laws():
+        return _conducted(given, build, _team(workers, scheduler), out, progress)
+
+
+def margin(
+    scenario: ScenarioLike = "paper_arm",
+    changes: Changes | None = None,
+    *,
+    laws: Sequence[Law] | None = None,
+    seeds: int | Sequence[int] = 2,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    progress: Told | None = None,
+    **more: Any,
+) -> Study:
+    """Find the largest delay, or anything else, at which each law keeps its bounds.
+
+    Args:
+        scenario: as for `simulate`.
+        changes: as for `simulate`.
+        laws: names, classes or laws; all shipped ones and the scenario's own by default.
+        seeds: how many, or which.
+        workers: as for `sweep`.
+        scheduler: as for `sweep`.
+        out: as for `sweep`.
+        progress: as for `sweep`.
+        more: what else a study of margins may say: ``quantity`` (``delay``, ``jitter``, ``loss``,
+            or a dotted key), ``resolution``, ``limit``, ``offsets``, ``compensation``,
+            ``drive_feedback``, ``duration_s``, ``plants`` with ``values``, and so on.
+
+    Raises:
+        InputError: something about it is wrong.
+    """
+    given = Scenario(scenario, changes)
+    definition: dict[str, Any] = {"seeds": _seeds(seeds), **more}
+    makers: dict[str, Maker] = {}
+    if laws is not None:
+        named = [named_law(law) for law in laws]
+        definition["laws"] = [name for name, _ in named]
+        makers = {name: make for _, own in named for name, make in own.items()}
+
+    def build(file: Path) -> StudyOfRuns:
+        return margin_study({**definition, "scenarios": [str(file)]}, Path("margin"))
+
+    with given.laws(), laws_given(makers):
+        return _conducted(given, build, _team(workers, scheduler), out, progress)
+
+
+def _seeds(seeds: int | Sequence[int]) -> int | list[int]:
+    return seeds if isinstance(seeds, int) else list(seeds)
+
+
+class _Here:
+    """Does runs in this process, one at a time."""
+
+    count = 1
+
+    def __init__(self) -> None:
+        self._waiting: deque[Run] = deque()
+
+    def submit(self, run: Run) -> None:
+        self._waiting.append(run)
+
+    def finished(self, _timeout_s: float) -> tuple[Run, Row]:
+        run = self._waiting.popleft()
+        return run, execute(run)
+
+
+class _Counter:
+    """Tells of runs that are done."""
+
+    def __init__(self, told: Told | None) -> None:
+        self._told, self._done = told, 0
+
+    def done(self, _values: Row, expected: int, *, before: bool) -> None:  # noqa: ARG002
+        self._done += 1
+        if self._told is not None:
+            self._told(self._done, expected)
+
+
+def _team(workers: int | None, scheduler: str | None) -> Callable[[StudyOfRuns], Any]:
+    """What gives workers for a study, as a context."""
+
+    @contextmanager
+    def team(study: StudyOfRuns) -> Iterator[Workers]:
+        if workers == 0 and scheduler is None:
+            yield _Here()
+            return
+        from deploy.study.dask_workers import DaskWorkers  # heavy
+
+        with DaskWorkers(workers or None, scheduler, study.laws) as processes:
+            yield processes
+
+    return team
+
+
+def _conducted(
+    given: Scenario,
+    build: Callable[[Path], StudyOfRuns],
+    team: Callable[[StudyOfRuns], Any],
+    out: str | Path | None,
+    told: Told | None,
+) -> Study:
+    """Carry a study out, or on.
+
+    The scenario is written to a file, from which every run reads it.
+    """
+    with ExitStack() as stack:
+        if out is None:
+            place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        else:
+            place = Path(out).resolve()
+        study, path = _begun(given, build, place)
+        folder = stack.enter_context(StudyFolder(path, study))
+        folder.lock()
+        workers = stack.enter_context(team(study))
+        try:
+            carry_out(study, workers, folder, _Counter(told), threading.Event())
+        finally:
+            folder.flush()
+        return Study(conclude_study(study, folder), folder.rows, folder.rerun_command)
+
+
+def _begun(
+    given: Scenario, build: Callable[[Path], StudyOfRuns], place: Path
+) -> tuple[StudyOfRuns, Path]:
+    """The study, and the folder in which it begins or goes on."""
+    place.mkdir(parents=True, exist_ok=True)
+    file = place / "base" / f"{given.name}.yaml"
+    text = given.to_yaml()
+    if not file.is_file() or file.read_text() != text:
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text)
+    study = build(file)
+    return study, find_folder(study, place) or create_folder(study, place)

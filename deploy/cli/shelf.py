@@ -1,0 +1,150 @@
+"""What is there: shipped scenarios, runs as tables for other programs, folders of results."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from deploy.runs.export import Format, export_series
+from deploy.runs.new_folder import remove_results
+from deploy.runs.run_folder import load_run
+from deploy.runs.shelf import Shelved, shelved, tag
+from deploy.runs.time_series import SERIES
+from deploy.scenario.scenario import SHIPPED
+from deploy.scenario.yaml_files import ScenarioError
+from deploy.study.study import SHIPPED as SHIPPED_STUDIES
+
+app = typer.Typer(help="Folders of results: list, tag, prune.", no_args_is_help=True)
+Folder = Annotated[Path, typer.Argument(help="Folder with folders of results.")]
+_MIB = 1 << 20
+
+
+def scenarios() -> None:
+    """List the scenarios and studies that are shipped."""
+    for folder, use in ((SHIPPED, "run, simulate, compare, margin"), (SHIPPED_STUDIES, "studies")):
+        table = _table(f"{folder.name} ({use})", "Name", "What it is")
+        for file in sorted(folder.glob("*.yaml")):
+            table.add_row(file.stem, _first_sentence(file))
+        Console().print(table)
+
+
+def export(
+    run_dir: Annotated[Path, typer.Argument(metavar="RUN", help="Folder or MCAP file of a run.")],
+    csv: Annotated[bool, typer.Option("--csv", help="Write CSV files.")] = False,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet files.")] = False,
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--series", metavar="NAME", help="Only this series; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder for the files; RUN/export by default.")
+    ] = None,
+) -> None:
+    """Write a recorded run as tables over time: what is judged, and every topic."""
+    asked: dict[Format, bool] = {"csv": csv, "parquet": parquet}
+    formats = [kind for kind, wanted in asked.items() if wanted]
+    if not formats:
+        raise ScenarioError("export: must be given --csv, --parquet, or both")
+    data, _ = load_run(run_dir)
+    own = run_dir if run_dir.is_dir() else run_dir.parent
+    for file in export_series(data, out or own / "export", formats, names or SERIES):
+        print(file)
+
+
+@app.command("list")
+def list_runs(
+    folder: Folder = Path("runs"),
+    only: Annotated[
+        str | None, typer.Option("--tag", metavar="TAG", help="Only what has this tag.")
+    ] = None,
+) -> None:
+    """List what lies in a folder of results, the oldest first."""
+    found = [each for each in shelved(folder) if only is None or only in each.tags]
+    _show(found, Console())
+
+
+@app.command("tag")
+def tag_run(
+    path: Annotated[Path, typer.Argument(metavar="RUN", help="A folder of results.")],
+    tags: Annotated[list[str] | None, typer.Argument(metavar="[TAG]…", help="Tags to add.")] = None,
+    remove: Annotated[
+        list[str] | None, typer.Option("--remove", metavar="TAG", help="Take one off; repeatable.")
+    ] = None,
+) -> None:
+    """Tag a run, comparison or study; `prune` keeps whatever has a tag."""
+    print(", ".join(tag(path, tags or [], remove or [])) or "no tags")
+
+
+@app.command("prune")
+def prune(
+    folder: Folder = Path("runs"),
+    older_than: Annotated[
+        float | None,
+        typer.Option("--older-than", metavar="DAYS", min=0.0, help="What was begun before that."),
+    ] = None,
+    incomplete: Annotated[
+        bool, typer.Option("--incomplete", help="What came to no end, or had a fault.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Remove it; otherwise it is shown.")] = False,
+) -> None:
+    """Remove results that have no tag; of both options given, both have to apply.
+
+    Files that no command of funnel-hil wrote stay, and so do their folders.
+    """
+    if older_than is None and not incomplete:
+        raise ScenarioError("runs prune: must be given --older-than, --incomplete, or both")
+    chosen = [
+        each for each in shelved(folder)
+        if not each.tags
+        and (older_than is None or _is_older(each, older_than))
+        and not (incomplete and each.completed)
+    ]  # fmt: skip
+    _show(chosen, Console())
+    if not yes:
+        print(f"{len(chosen)} to be removed: nothing is, without --yes")
+        return
+    for each in chosen:
+        remove_results(each.path)
+    print(f"{len(chosen)} removed")
+
+
+def _is_older(each: Shelved, days: float) -> bool:
+    """Whether it was begun so long ago; not where nothing says when."""
+    if each.started is None:
+        return False
+    return datetime.now(each.started.tzinfo) - each.started >= timedelta(days=days)
+
+
+def _show(found: list[Shelved], console: Console) -> None:
+    table = _table(None, "Folder", "Begun", "Kind", "What", "Result", "Tags", "MiB")
+    for each in found:
+        begun = "" if each.started is None else f"{each.started:%Y-%m-%d %H:%M}"
+        bounds = {True: "bounds kept", False: "bounds not kept", None: "complete"}
+        result = bounds[each.bounds_kept] if each.completed else "incomplete"
+        table.add_row(
+            str(each.path), begun, each.kind, each.what, result, ", ".join(each.tags),
+            f"{each.size_bytes / _MIB:.1f}",
+        )  # fmt: skip
+    console.print(table)
+
+
+def _table(title: str | None, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
+def _first_sentence(file: Path) -> str:
+    """What a shipped file says of itself first, in the comment at its top."""
+    lines = []
+    for line in file.read_text().splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return " ".join(lines).partition(". ")[0].rstrip(".") + "." if lines else ""

@@ -1,0 +1,62 @@
+"""The end of a run, or of a study: it is judged, and its summary and report are written."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from typing import Any
+
+from bus_schema.recording.atomic_files import write_json
+from deploy.runs.conditions import Conditions, conditions_of_runs
+from deploy.runs.fault_record import fault_record
+from deploy.runs.metrics import summarise
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import RunFolder, read_manifest
+from deploy.study.conditions import conditions_of_study
+from deploy.study.folder import StudyFolder
+from deploy.study.study import Study
+
+
+def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
+    """Judge a run and write summary, report and the record of its fault; the summary.
+
+    Args:
+        folder: where.
+        run: its data.
+        more_faults: what the recording cannot know, such as a process that was killed; causes come
+            before what followed from them.
+    """
+    from deploy.reports.run_report import write_report  # figures take their time to import
+
+    summary = summarise(run)
+    summary["faults"] = [*more_faults, *summary["faults"]]
+    summary["completed"] = summary["completed"] and not more_faults
+    write_json(folder.summary, {**summary, "completed": False})  # until all is written
+    try:
+        if (record := fault_record(run)) is not None:
+            write_json(folder.fault, record)
+        write_report(run, summary, folder.report, conditions_in(folder, run))
+    except OSError as error:
+        summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
+        summary["completed"] = False
+    with contextlib.suppress(OSError):  # a full disk has the one from before
+        write_json(folder.summary, summary)
+    return summary
+
+
+def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
+    """Under what conditions a run came about, as its folder has them."""
+    return conditions_of_runs([run.setup], read_manifest(folder.path))
+
+
+def conclude_study(study: Study, folder: StudyFolder) -> dict[str, Any]:
+    """Judge the rows of a study and write table, summary and report; the summary."""
+    from deploy.reports.study_report import write_study_report  # as above
+
+    summary = study.summary(folder.rows)
+    summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
+    folder.put_together(summary["conditions"])
+    write_json(folder.summary, {**summary, "completed": False})  # until all is written
+    write_study_report(summary, folder)
+    write_json(folder.summary, summary)
+    return summary

@@ -1,0 +1,131 @@
+"""Folders of results side by side: what each holds, and what it is tagged with."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from bus_schema.recording.atomic_files import write_json
+from deploy.runs.new_folder import holds_results
+from deploy.runs.run_folder import read_manifest, read_summary
+from deploy.scenario.yaml_files import ScenarioError
+
+_TAGS = "tags.json"
+_TAG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
+
+
+@dataclass(frozen=True)
+class Shelved:
+    """A folder of results.
+
+    Attributes:
+        path: where.
+        kind: ``run``, ``comparison``, ``sweep``, ``margin`` or ``robustness``.
+        what: name of the scenario or study, and the law of a run.
+        started: when it was begun; None where nothing says so.
+        completed: whether it came to its end, without a fault.
+        bounds_kept: of a run; None for all else.
+        tags: in alphabetical order.
+    """
+
+    path: Path
+    kind: str
+    what: str
+    started: datetime | None
+    completed: bool
+    bounds_kept: bool | None
+    tags: list[str]
+
+    @property
+    def size_bytes(self) -> int:
+        return sum(file.stat().st_size for file in self.path.rglob("*") if file.is_file())
+
+
+def shelved(folder: Path) -> list[Shelved]:
+    """What lies in a folder of results, the oldest first.
+
+    Raises:
+        ScenarioError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise ScenarioError(f"{folder}: must be a folder of results")
+    found = [_looked_at(path) for path in _result_folders(folder)]
+    return sorted(found, key=lambda each: (_seconds(each.started), each.path))
+
+
+def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
+    """Change the tags of a folder of results; those it has then.
+
+    Raises:
+        ScenarioError: it holds no results, or a tag is none.
+    """
+    if not holds_results(path):
+        raise ScenarioError(f"{path}: holds no results")
+    for each in add:
+        if not _TAG.fullmatch(each):
+            allowed = "must be letters, digits, and _.- behind the first"
+            raise ScenarioError(f"tag {each[:100]!r}: {allowed}")
+    tags = sorted({*tags_of(path), *add} - set(remove))
+    write_json(path / _TAGS, {"tags": tags})
+    return tags
+
+
+def tags_of(path: Path) -> list[str]:
+    """Tags of a folder of results."""
+    try:
+        told = json.loads((path / _TAGS).read_text())["tags"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
+
+
+def _result_folders(folder: Path) -> Iterator[Path]:
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.is_symlink() and holds_results(path):
+            yield path
+
+
+def _looked_at(path: Path) -> Shelved:
+    summary, manifest = read_summary(path), read_manifest(path)
+    kind = str(summary.get("kind", "run"))
+    names = [summary.get("name") or summary.get("scenario") or _scenario_of(manifest)]
+    if kind == "run":
+        names.append(summary.get("law"))
+    bounds = summary.get("bounds")
+    return Shelved(
+        path,
+        kind,
+        " ".join(str(name) for name in names if name),
+        _time(manifest.get("started")),
+        completed=_is_complete(kind, summary),
+        bounds_kept=bounds.get("kept") if isinstance(bounds, dict) else None,
+        tags=tags_of(path),
+    )
+
+
+def _is_complete(kind: str, summary: dict[str, Any]) -> bool:
+    laws = summary.get("laws")
+    if kind == "comparison" and isinstance(laws, dict):
+        return all(_is_complete("run", law) for law in laws.values() if isinstance(law, dict))
+    return bool(summary.get("completed")) and not summary.get("faults")
+
+
+def _scenario_of(manifest: dict[str, Any]) -> Any:
+    scenario = manifest.get("scenario")
+    return scenario.get("name") if isinstance(scenario, dict) else None
+
+
+def _time(text: Any) -> datetime | None:
+    try:
+        return datetime.strptime(str(text), "%Y-%m-%dT%H:%M:%S%z")
+    except ValueError:
+        return None
+
+
+def _seconds(time: datetime | None) -> float:
+    return 0.0 if time is None else time.timestamp()

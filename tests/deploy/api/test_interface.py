@@ -1,0 +1,187 @@
+"""The Python interface gives what the commands give, for scenarios and laws in any form."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+import yaml
+
+import funnel_hil
+from controller.control_law import Diagnostics
+from deploy.runs.metrics import summarise
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import SHIPPED, load_setup
+
+SHORT = {"duration_s": 0.2}
+WALL = ("real_time_factor", "timing")
+"""Of a summary, what is measured in wall time."""
+
+
+class ComputedTorque:
+    def __init__(self, model, stiffness=400.0):
+        self.diagnostics = Diagnostics(model.joints)
+        self.model, self.stiffness, self.calls = model, stiffness, 0
+
+    def reset(self):
+        self.calls = 0
+
+    def torque(self, tracking):
+        self.calls += 1
+        damping = 2.0 * self.stiffness**0.5
+        wanted = tracking.reference_acceleration - self.stiffness * tracking.error
+        wanted = wanted - damping * tracking.error_rate
+        return self.model.inverse_dynamics(tracking.position, tracking.velocity, wanted)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return funnel_hil.simulate("paper_arm", SHORT)
+
+
+def digest(run):
+    return run.summary["digest"]
+
+
+def test_run_is_that_of_the_command(run):
+    data = simulate(load_setup("paper_arm", ["duration_s=0.2"])).data()
+    assert {key: value for key, value in run.summary.items() if key not in WALL} == {
+        key: value for key, value in summarise(data).items() if key not in WALL
+    }
+    assert run.kept
+    assert run.margin == run.summary["bounds"]["margin_min"]
+    np.testing.assert_array_equal(run.errors_rad, data.true_errors_rad)
+    assert run.times_s.shape == (201,)
+    assert run.torques_nm.shape == (201, 3)
+
+
+@pytest.mark.parametrize("form", ["mapping", "extended", "sections", "arrays", "file", "scenario"])
+def test_scenario_in_any_form_gives_the_same_bits(run, form, tmp_path):
+    whole = yaml.safe_load((SHIPPED / "paper_arm.yaml").read_text())
+    file = tmp_path / "mine.yaml"
+    offset = np.array(whole["robot"]["initial_offset_rad"])
+    given = {
+        "mapping": lambda: (whole, SHORT),
+        "extended": lambda: ({"extends": "paper_arm", **SHORT}, None),
+        "sections": lambda: ("paper_arm", {**SHORT, "link": {"uplink": {"loss": 0.0}}}),
+        "arrays": lambda: (
+            "paper_arm", {"duration_s": np.float64(0.2), "robot": {"initial_offset_rad": offset}}
+        ),
+        "file": lambda: (file.write_text(yaml.dump(whole)) and file, SHORT),
+        "scenario": lambda: (funnel_hil.Scenario("paper_arm", {"duration_s": 1}), SHORT),
+    }  # fmt: skip
+    assert digest(funnel_hil.simulate(*given[form]())) == digest(run)
+    assert whole == yaml.safe_load((SHIPPED / "paper_arm.yaml").read_text())
+
+
+def test_law_as_class_object_or_function_gives_the_same_bits():
+    class_, function = ComputedTorque, lambda model: ComputedTorque(model)
+    law = ComputedTorque(funnel_hil.Scenario().setup.scenario.controller.nominal_model(
+        funnel_hil.Scenario().setup.robot
+    ))  # fmt: skip
+    runs = [funnel_hil.simulate("paper_arm", SHORT, law=each) for each in (class_, law, function)]
+    assert len({digest(run) for run in runs}) == 1
+    assert runs[0].faults == []
+    assert runs[0].law.endswith(":ComputedTorque")
+    assert law.calls == 0  # runs have copies
+    gains = {**SHORT, "controller.gains.custom": {"stiffness": 100.0}}
+    assert digest(funnel_hil.simulate("paper_arm", gains, law=class_)) != digest(runs[0])
+
+
+def test_law_that_raises_is_a_fault_of_the_run():
+    class Raising(ComputedTorque):
+        def torque(self, tracking):
+            raise ValueError("no more")
+
+    run = funnel_hil.simulate("paper_arm", SHORT, law=Raising)
+    assert not run.kept
+    assert "no more" in run.faults[0]
+
+
+def test_comparison_and_its_folder(tmp_path):
+    laws = ["pid", ComputedTorque]
+    compared = funnel_hil.compare("paper_arm", SHORT, laws=laws)
+    written = funnel_hil.compare("paper_arm", SHORT, laws=laws, out=tmp_path / "both")
+    name = list(compared.runs)[1]
+    assert [row["law"] for row in compared.rows] == ["pid", name]
+    assert [digest(one) for one in written.runs.values()] == [
+        digest(one) for one in compared.runs.values()
+    ]
+    assert (tmp_path / "both" / "report.html").is_file()
+    assert isinstance(compared.figure("errors"), go.Figure)
+    assert digest(funnel_hil.load_run(tmp_path / "both" / "pid")) == digest(compared["pid"])
+
+
+def test_sweep_is_that_of_single_runs_and_goes_on_in_its_folder(tmp_path):
+    key = "controller.model_scale"  # by which gains are derived anew at every point
+    grid, told = {key: [0.8, 1.0]}, []
+    changes = {**SHORT, "controller.gains": {}}
+    swept = funnel_hil.sweep(
+        "iiwa", grid, changes, out=tmp_path / "s", progress=lambda *counts: told.append(counts)
+    )
+    alone = [funnel_hil.simulate("iiwa", {**changes, key: scale}) for scale in (0.8, 1.0)]
+    assert [row["digest"] for row in swept.rows] == [digest(run) for run in alone]
+    assert told == [(1, 2), (2, 2)]
+    assert isinstance(swept.figure("curve-violation_fraction"), go.Figure)
+    again = funnel_hil.sweep("iiwa", grid, changes, out=tmp_path / "s")
+    assert again.rows == swept.rows
+    with pytest.raises(funnel_hil.InputError, match="must be without a study, or hold this one"):
+        funnel_hil.sweep("iiwa", {key: [0.9]}, changes, out=tmp_path / "s")
+
+
+def test_margin_of_a_law_given_as_a_class():
+    found = funnel_hil.margin(
+        "paper_arm", SHORT, laws=[ComputedTorque, "pid"], seeds=1, offsets=[1.0], resolution=8.0,
+        limit=32.0,
+    )  # fmt: skip
+    assert {row["law"] for row in found.rows} == set(found.margins)
+    assert all(row["error"] is None for row in found.rows)
+
+
+def test_series_are_columns_and_data_frames(run):
+    columns = run.series()
+    np.testing.assert_array_equal(columns["error.elbow"], run.errors_rad[:, 2])
+    inside = (columns["error.elbow"] < columns["upper_bound.elbow"]) & (
+        columns["error.elbow"] > columns["lower_bound.elbow"]
+    )
+    assert inside.all()
+    reference = columns["position.elbow"] - columns["error.elbow"]
+    np.testing.assert_allclose(columns["reference.elbow"], reference)
+    assert all(len(set(map(len, run.series(name).values()))) == 1 for name in run.series_names)
+    pandas = pytest.importorskip("pandas")
+    frame = run.frame("joint_commands")
+    assert isinstance(frame, pandas.DataFrame)
+    assert list(frame) == ["effort.base_yaw", "effort.shoulder", "effort.elbow"]
+    assert frame.index.name == "time_s"
+
+
+@pytest.mark.parametrize(
+    ("ask", "told"),
+    [
+        (lambda: funnel_hil.simulate("nowhere"), "nowhere: no such file, nor one of the shipped"),
+        (lambda: funnel_hil.simulate(changes={"duration": 3}), "did you mean duration_s"),
+        (lambda: funnel_hil.simulate({"name": "x"}), "scenario: duration_s: is missing"),
+        (lambda: funnel_hil.simulate(law=3), "law = 3: must be a name, a class, or an object"),
+        (lambda: funnel_hil.simulate(law="pdi"), "controller.law = 'pdi': must be one of"),
+        (lambda: funnel_hil.compare(laws=["pid", "pid"]), "laws: must have different names"),
+        (lambda: funnel_hil.sweep(grid={"seed": [1]}), "must be given under seeds"),
+        (lambda: funnel_hil.margin(quantity="haste"), "quantity = 'haste'"),
+        (lambda: funnel_hil.load_run("nowhere"), "nowhere: holds no run.mcap"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_told_with_key_and_value(ask, told):
+    with pytest.raises(funnel_hil.InputError, match=told):
+        ask()
+
+
+def test_module_of_the_user_in_the_place_of_a_package_is_named(tmp_path):
+    (tmp_path / "deploy.py").write_text("raise RuntimeError('run')\n")
+    done = subprocess.run(
+        [sys.executable, "-c", "import funnel_hil"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"ImportError: {tmp_path / 'deploy.py'} hides the package deploy")

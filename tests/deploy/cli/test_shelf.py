@@ -1,0 +1,140 @@
+"""What is there: scenarios, runs as tables, folders of results."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+from pyarrow import csv, parquet
+
+from bus_schema.recording.atomic_files import write_json
+from deploy.runs.run_folder import load_run
+from deploy.scenario.scenario import SHIPPED
+from deploy.study.study import SHIPPED as STUDIES
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, funnel_hil):
+    folder = tmp_path_factory.mktemp("results") / "a"
+    assert funnel_hil("simulate", "--set", "duration_s=0.1", "--out", folder)[0] == 0
+    return folder
+
+
+@pytest.fixture
+def shelf(recorded, tmp_path):
+    """Three results: a run of today, an old one, and one that came to no end."""
+    manifest = json.loads((recorded / "manifest.json").read_text())
+    summary = json.loads((recorded / "summary.json").read_text())
+    for name, changes, more in (
+        ("new", {}, {}),
+        ("old", {"started": "2020-01-01T00:00:00+0000"}, {}),
+        ("broken", {}, {"completed": False}),
+    ):
+        (tmp_path / name).mkdir()
+        write_json(tmp_path / name / "manifest.json", manifest | changes)
+        write_json(tmp_path / name / "summary.json", summary | more)
+    (tmp_path / "somebody_elses").mkdir()
+    return tmp_path
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_version(funnel_hil):
+    assert funnel_hil("--version") == (0, f"funnel-hil {version('funnel-hil')}\n")
+
+
+def test_scenarios_are_listed_with_what_they_are(funnel_hil):
+    code, said = funnel_hil("scenarios")
+    assert code == 0
+    for file in [*SHIPPED.glob("*.yaml"), *STUDIES.glob("*.yaml")]:
+        (line,) = [line for line in said.splitlines() if line.split()[:1] == [file.stem]]
+        assert len(line.split()) > 4
+
+
+def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
+    code, said = funnel_hil("export", recorded, "--csv", "--parquet")
+    assert code == 0
+    assert len(said.split()) == 12
+    data, _ = load_run(recorded)
+    folder = recorded / "export"
+    for table in (
+        csv.read_csv(folder / "tracking.csv"),
+        parquet.read_table(folder / "tracking.parquet"),
+    ):
+        errors = [table[f"error.{name}"].to_numpy() for name in data.setup.robot.joint_names]
+        np.testing.assert_array_equal(np.stack(errors, axis=-1), data.true_errors_rad)
+    efforts = parquet.read_table(folder / "joint_commands.parquet")["effort.elbow"].to_numpy()
+    np.testing.assert_array_equal(efforts, data.tables["joint_commands"]["effort"][:, 2])
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "must be given --csv, --parquet, or both"),
+        (["--csv", "--series", "trcking"], "--series trcking: must be one of tracking, joint_st"),
+    ],
+)
+def test_export_refuses(funnel_hil, recorded, tmp_path, words, told):
+    code, said = funnel_hil("export", recorded, *words, "--out", tmp_path / "out")
+    assert code == 2
+    assert told in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_list_and_tags(funnel_hil, shelf):
+    assert funnel_hil("runs", "tag", shelf / "old", "paper", "v1")[1] == "paper, v1\n"
+    assert funnel_hil("runs", "tag", shelf / "old", "--remove", "v1")[1] == "paper\n"
+    code, said = funnel_hil("runs", "list", shelf)
+    assert code == 0
+    rows = said.splitlines()[1:]
+    assert [row.split()[0].rpartition("/")[2] for row in rows] == ["old", "broken", "new"]
+    assert "2020-01-01" in rows[0]
+    assert "bounds kept" in rows[0]
+    assert "paper" in rows[0]
+    assert any("incomplete" in row and "broken" in row for row in rows)
+    only = funnel_hil("runs", "list", shelf, "--tag", "paper")[1].splitlines()[1:]
+    assert len(only) == 1
+
+
+def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shelf):
+    (shelf / "broken" / "notes.txt").write_text("mine")
+    code, said = funnel_hil("runs", "prune", shelf, "--older-than", "30")
+    assert code == 0
+    assert "1 to be removed: nothing is, without --yes" in said
+    assert names_in(shelf) == ["broken", "new", "old", "somebody_elses"]
+    funnel_hil("runs", "tag", shelf / "old", "paper")
+    assert "0 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
+    funnel_hil("runs", "tag", shelf / "old", "--remove", "paper")
+    assert "1 removed" in funnel_hil("runs", "prune", shelf, "--older-than", "30", "--yes")[1]
+    assert "1 removed" in funnel_hil("runs", "prune", shelf, "--incomplete", "--yes")[1]
+    assert names_in(shelf) == ["broken", "new", "somebody_elses"]
+    assert names_in(shelf / "broken") == ["notes.txt"]
+
+
+def test_prune_removes_all_that_a_run_and_its_export_left(funnel_hil, recorded, tmp_path):
+    run = tmp_path / "compared" / "pid"
+    shutil.copytree(recorded, run)
+    for name in ("summary.json", "manifest.json"):
+        shutil.copy(recorded / name, run.parent)
+    assert funnel_hil("export", run, "--csv")[0] == 0
+    assert funnel_hil("runs", "prune", tmp_path, "--older-than", "0", "--yes")[0] == 0
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["prune", "."], "must be given --older-than, --incomplete, or both"),
+        (["list", "nowhere"], "nowhere: must be a folder of results"),
+        (["tag", "nowhere", "a"], "nowhere: holds no results"),
+    ],
+)
+def test_bad_input(funnel_hil, words, told):
+    code, said = funnel_hil("runs", *words)
+    assert code == 2
+    assert told in said
