@@ -17,7 +17,7 @@ def test_a_command_says_of_itself_what_the_table_says(name):
 
 @pytest.mark.parametrize("words", [["--help"], ["nothing-of-ours"], []])
 def test_help_and_wrong_commands_import_nothing_heavy(words):
-    heavy = ("numba", "numpy", "pinocchio", "pybullet", "plotly", "pydantic", "zenoh", "yaml")
+    heavy = ("numba", "numpy", "pinocchio", "pybullet", "plotly", "zenoh", "yaml")
     program = (
         f"import sys; sys.argv = ['funnel-hil', *{words}]\n"
         "from deploy.cli import main\n"
