@@ -44,6 +44,10 @@ Out = Annotated[
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
 ]
+NoReport = Annotated[
+    bool,
+    typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later."),
+]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
@@ -110,10 +114,15 @@ def leave(*, interrupted: bool, whole: bool, kept: bool) -> NoReturn:
 def show_places(console: Console, folder: ResultFolder) -> None:
     """Say where the results are."""
     console.print(f"results: {folder.path}", soft_wrap=True)
-    console.print(f"report:  {folder.report}", soft_wrap=True)
+    if folder.report.exists():
+        console.print(f"report:  {folder.report}", soft_wrap=True)
+    else:
+        console.print(f"funnel-hil report {folder.path} draws its report", soft_wrap=True)
 
 
-def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
+def conclude(
+    folder: RunFolder, run: RunData, more_faults: Sequence[str] = (), *, draws_report: bool = True
+) -> dict[str, Any]:
     """Judge a run and write summary, report and the record of its fault; the summary.
 
     Args:
@@ -121,9 +130,8 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
         run: its data.
         more_faults: what the recording cannot know, such as a process that was killed; causes come
             before what followed from them.
+        draws_report: a report takes longer than all else.
     """
-    from deploy.reports.run_report import write_report  # figures take their time to import
-
     summary = summarise(run)
     summary["faults"] = [*more_faults, *summary["faults"]]
     summary["completed"] = summary["completed"] and not more_faults
@@ -131,7 +139,10 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     try:
         if (record := fault_record(run)) is not None:
             write_json(folder.fault, record)
-        write_report(run, summary, folder.report, conditions_in(folder, run))
+        if draws_report:
+            from deploy.reports.run_report import write_report  # figures take their time to import
+
+            write_report(run, summary, folder.report, conditions_in(folder, run))
     except OSError as error:
         summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
         summary["completed"] = False
@@ -166,11 +177,28 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
 
 
 def finish(
-    console: Console, folder: RunFolder, outcome: RunOutcome, *, require_bounds: bool
+    console: Console,
+    folder: RunFolder,
+    outcome: RunOutcome,
+    *,
+    data: RunData | None = None,
+    require_bounds: bool,
+    draws_report: bool = True,
 ) -> None:
-    """Judge a run, show the result, and leave with the exit code it deserves."""
+    """Judge a run, show the result, and leave with the exit code it deserves.
+
+    Args:
+        console: where to show it.
+        folder: of the run.
+        outcome: what its processes said.
+        data: its data where they are at hand, equal to those of the recording; read from it if not.
+        require_bounds: whether an error that left the funnel has an exit code of its own.
+        draws_report: whether a report is drawn.
+    """
     with judging(console, folder):
-        data, summary = _judge(console, folder, outcome)
+        if data is None:
+            data = _recorded(console, folder, outcome)
+        summary = conclude(folder, data, outcome.failures, draws_report=draws_report)
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
@@ -180,10 +208,8 @@ def finish(
     )
 
 
-def _judge(
-    console: Console, folder: RunFolder, outcome: RunOutcome
-) -> tuple[RunData, dict[str, Any]]:
-    """The data of a run, and its summary; leaves where there is nothing to judge."""
+def _recorded(console: Console, folder: RunFolder, outcome: RunOutcome) -> RunData:
+    """The data of a run as recorded; leaves where there is nothing to judge."""
     try:
         data, _ = load_run(folder.path)
     except RunFolderError as error:
@@ -192,4 +218,4 @@ def _judge(
             console.print(escape(fault))
         write_json(folder.summary, {"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
-    return data, conclude(folder, data, outcome.failures)
+    return data
