@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
@@ -41,6 +41,10 @@ Out = Annotated[
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
+]
+NoReport = Annotated[
+    bool,
+    typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later."),
 ]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
@@ -108,7 +112,10 @@ def leave(*, interrupted: bool, whole: bool, kept: bool) -> NoReturn:
 def show_places(console: Console, folder: ResultFolder) -> None:
     """Say where the results are."""
     console.print(f"results: {folder.path}", soft_wrap=True)
-    console.print(f"report:  {folder.report}", soft_wrap=True)
+    if folder.report.exists():
+        console.print(f"report:  {folder.report}", soft_wrap=True)
+    else:
+        console.print(f"funnel-hil report {folder.path} draws its report", soft_wrap=True)
 
 
 @contextlib.contextmanager
@@ -132,11 +139,28 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
 
 
 def finish(
-    console: Console, folder: RunFolder, outcome: RunOutcome, *, require_bounds: bool
+    console: Console,
+    folder: RunFolder,
+    outcome: RunOutcome,
+    *,
+    data: RunData | None = None,
+    require_bounds: bool,
+    draws_report: bool = True,
 ) -> None:
-    """Judge a run, show the result, and leave with the exit code it deserves."""
+    """Judge a run, show the result, and leave with the exit code it deserves.
+
+    Args:
+        console: where to show it.
+        folder: of the run.
+        outcome: what its processes said.
+        data: its data where they are at hand, equal to those of the recording; read from it if not.
+        require_bounds: whether an error that left the funnel has an exit code of its own.
+        draws_report: whether a report is drawn.
+    """
     with judging(console, folder):
-        data, summary = _judge(console, folder, outcome)
+        if data is None:
+            data = _recorded(console, folder, outcome)
+        summary = conclude(folder, data, outcome.failures, draws_report=draws_report)
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
@@ -146,10 +170,8 @@ def finish(
     )
 
 
-def _judge(
-    console: Console, folder: RunFolder, outcome: RunOutcome
-) -> tuple[RunData, dict[str, Any]]:
-    """The data of a run, and its summary; leaves where there is nothing to judge."""
+def _recorded(console: Console, folder: RunFolder, outcome: RunOutcome) -> RunData:
+    """The data of a run as recorded; leaves where there is nothing to judge."""
     try:
         data, _ = load_run(folder.path)
     except RunFolderError as error:
@@ -158,4 +180,4 @@ def _judge(
             console.print(escape(fault))
         write_json(folder.summary, {"completed": False, "faults": faults})
         raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
-    return data, conclude(folder, data, outcome.failures)
+    return data

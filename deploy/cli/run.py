@@ -10,6 +10,7 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from deploy.cli.common import (
+    NoReport,
     Out,
     Overrides,
     Overwrite,
@@ -45,6 +46,7 @@ def run(
     out: Out = None,
     overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
+    no_report: NoReport = False,
     real_delay_ms: RealDelayOption = None,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
@@ -71,7 +73,7 @@ def run(
         folder.write_manifest(setup, outcome.realtime, held_back)
         if held_back is not None:
             show_relay(console, held_back)
-        finish(console, folder, outcome, require_bounds=require_bounds)
+        finish(console, folder, outcome, require_bounds=require_bounds, draws_report=not no_report)
 
 
 def simulate(
@@ -80,6 +82,7 @@ def simulate(
     out: Out = None,
     overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
+    no_report: NoReport = False,
 ) -> None:
     """Run a scenario in one process and in virtual time."""
     setup = load_setup(scenario, overrides or [])
@@ -93,4 +96,7 @@ def simulate(
             simulation = simulate_setup(setup, watch, folder.can_log)
         simulation.write_log(folder.log)
         outcome = RunOutcome(interrupted=stop.is_set())
-        finish(console, folder, outcome, require_bounds=require_bounds)
+        finish(
+            console, folder, outcome,
+            data=simulation.data(), require_bounds=require_bounds, draws_report=not no_report,
+        )  # fmt: skip

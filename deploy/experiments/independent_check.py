@@ -18,12 +18,13 @@ from pathlib import Path
 from bus_schema.recording.atomic_files import write_json
 from deploy.exit_codes import BAD_INPUT, FAULT
 from deploy.experiments.runge_kutta_arm import independent_physics
+from deploy.input_error import InputError
 from deploy.runs.metrics import summarise
 from deploy.runs.run_folder import provenance
 from deploy.runs.simulate import attempt
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import InputError, ScenarioError
+from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.arm.arm_plant import ArmPlant
 
 MARGINAL = 0.03

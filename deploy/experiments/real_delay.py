@@ -21,6 +21,7 @@ import numpy as np
 from bus_schema.messages import topics
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.exit_codes import BAD_INPUT
+from deploy.input_error import InputError
 from deploy.processes.launcher import Launcher
 from deploy.processes.links import check_link, require_keys, with_free_endpoints
 from deploy.processes.real_delay import check_real_delay, knowing_real_delay, real_delay
@@ -31,7 +32,7 @@ from deploy.runs.simulate import simulate
 from deploy.runs.stalls import STALL_MS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import InputError, ScenarioError, override
+from deploy.scenario.yaml_files import ScenarioError, override
 
 _SETTLED_S = 0.5
 """From here on the horizon is judged: what comes before is its start."""

@@ -17,7 +17,9 @@ from deploy.study.folder import StudyFolder
 from deploy.study.study import Study
 
 
-def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
+def conclude(
+    folder: RunFolder, run: RunData, more_faults: Sequence[str] = (), *, draws_report: bool = True
+) -> dict[str, Any]:
     """Judge a run and write summary, report and the record of its fault; the summary.
 
     Args:
@@ -25,9 +27,8 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
         run: its data.
         more_faults: what the recording cannot know, such as a process that was killed; causes come
             before what followed from them.
+        draws_report: a report takes longer than all else.
     """
-    from deploy.reports.run_report import write_report  # figures take their time to import
-
     summary = summarise(run)
     summary["faults"] = [*more_faults, *summary["faults"]]
     summary["completed"] = summary["completed"] and not more_faults
@@ -35,7 +36,10 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     try:
         if (record := fault_record(run)) is not None:
             write_json(folder.fault, record)
-        write_report(run, summary, folder.report, conditions_in(folder, run))
+        if draws_report:
+            from deploy.reports.run_report import write_report  # figures take their time to import
+
+            write_report(run, summary, folder.report, conditions_in(folder, run))
     except OSError as error:
         summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
         summary["completed"] = False

@@ -20,6 +20,7 @@ from typing import Any, Self
 from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
 from controller.laws.custom import custom_laws_left_out
+from deploy.input_error import InputError
 from deploy.processes.recorder import (
     DELAYS_ATTACHMENT,
     LOST_METADATA,
@@ -33,7 +34,7 @@ from deploy.scenario.referenced_files import DIRECTIONS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import write_scenario
-from deploy.scenario.yaml_files import InputError, ScenarioError, plain
+from deploy.scenario.yaml_files import ScenarioError, plain
 
 _LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
 

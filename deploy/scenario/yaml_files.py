@@ -13,6 +13,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import ConfigurationError, shortened, shown
+from deploy.input_error import InputError
 from deploy.scenario.explanation import Origin, explain
 from deploy.scenario.yaml_text import values_of
 
@@ -20,10 +21,6 @@ from deploy.scenario.yaml_text import values_of
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-class InputError(Exception):
-    """What the user gave cannot be used; the message says what, and what is allowed."""
 
 
 class ScenarioError(InputError):

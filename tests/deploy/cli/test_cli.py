@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from deploy import cli
+from deploy.cli.commands import COMMANDS
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import set_value
 
@@ -326,7 +327,8 @@ def test_folder_without_a_run_is_refused(refuse: Refusal, tmp_path: Path, comman
 
 def test_a_process_of_a_run_starts_without_what_only_others_need() -> None:
     look = (
-        "import sys; from deploy import cli; cli._Commands(cli._COMMANDS)['plant'];"
+        "import sys; from deploy.cli.commands import COMMANDS, LazyCommand;"
+        "LazyCommand('plant', *COMMANDS['plant']).load();"
         "print(*{'plotly', 'dask', 'pyarrow', 'can', 'canopen', 'cryptography'} & {*sys.modules})"
     )
     ended = subprocess.run(
@@ -338,7 +340,7 @@ def test_a_process_of_a_run_starts_without_what_only_others_need() -> None:
 def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil) -> None:
     code, said = funnel_hil("--help")
     assert code == 0
-    for name in cli._COMMANDS:
+    for name in COMMANDS:
         assert re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE), name
     code, said = funnel_hil("smulate")
     assert code == 2

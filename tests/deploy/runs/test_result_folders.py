@@ -128,3 +128,15 @@ def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path,
     assert funnel_hil("report", tmp_path)[0] == 0
     assert (tmp_path / "report.html").exists()
     assert json.loads((tmp_path / "summary.json").read_text())["completed"]
+
+
+def test_no_report_leaves_it_for_later(funnel_hil, tmp_path):
+    out = tmp_path / "out"
+    code, said = funnel_hil("simulate", "--set", "duration_s=0.1", "--no-report", "--out", out)
+    assert code == 0
+    assert not (out / "report.html").exists()
+    assert f"funnel-hil report {out} draws its report" in said
+    before = (out / "summary.json").read_text()
+    assert funnel_hil("report", out)[0] == 0
+    assert (out / "report.html").stat().st_size > 100_000
+    assert (out / "summary.json").read_text() == before

@@ -1,0 +1,119 @@
+"""The table of commands, each imported when it is called: help and errors need no physics."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand
+
+COMMANDS = {
+    "run": (
+        "deploy.cli.run:run",
+        "Run controller, plant and recorder as separate processes, and judge the run.",
+    ),
+    "simulate": (
+        "deploy.cli.run:simulate",
+        "Run a scenario in one process and in virtual time.",
+    ),
+    "controller": (
+        "deploy.cli.processes:controller",
+        "Be the controller: answer the joint states of a plant on the bus.",
+    ),
+    "plant": (
+        "deploy.cli.processes:plant",
+        "Be the plant: emulate the arm for a controller on the bus.",
+    ),
+    "record": (
+        "deploy.cli.processes:record",
+        "Be the recorder: write every message on the bus to a run folder.",
+    ),
+    "relay": (
+        "deploy.cli.processes:relay",
+        "Be a relay between two TCP peers: hold back every byte between controller and plant.",
+    ),
+    "keys": (
+        "deploy.cli.keys:app",
+        "Make, issue and list keys for link.security.",
+    ),
+    "compare": (
+        "deploy.cli.experiments:compare",
+        "Run a scenario under several laws in virtual time, and set their results side by side.",
+    ),
+    "sweep": (
+        "deploy.cli.studies:sweep",
+        "Run every point of a grid with every seed, on all cores or a Dask cluster.",
+    ),
+    "margin": (
+        "deploy.cli.studies:margin",
+        "Find the largest delay, or anything else, at which each law keeps its bounds.",
+    ),
+    "report": (
+        "deploy.cli.experiments:report",
+        "Judge what was recorded again: summary.json and report.html of what a folder holds.",
+    ),
+    "replay": (
+        "deploy.cli.experiments:replay",
+        "Feed a recorded run to the law again and compare the torques bit for bit.",
+    ),
+    "bench": (
+        "deploy.cli.experiments:bench",
+        "Measure what things cost on this machine, as ratios of medians side by side.",
+    ),
+    "drives": (
+        "deploy.cli.drives:drives",
+        "Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code.",
+    ),
+    "doctor": (
+        "deploy.cli.doctor:doctor",
+        "Say what this machine grants, and what each missing thing costs; nothing is changed.",
+    ),
+    "scenarios": (
+        "deploy.cli.shelf:scenarios",
+        "List the scenarios and studies that are shipped.",
+    ),
+    "export": (
+        "deploy.cli.shelf:export",
+        "Write a recorded run as tables over time: what is judged, and every topic.",
+    ),
+    "runs": (
+        "deploy.cli.shelf:app",
+        "Folders of results: list, tag, prune.",
+    ),
+    "includes": (
+        "deploy.cli.includes:includes",
+        "Print the C compiler's option for the header of controller.law: external.",
+    ),
+}
+"""Where each command is, a function or a group of commands, and the first line of its help."""
+
+
+class LazyCommand(TyperCommand):
+    """Stands for a command until it is called; knows but its name and the first line of its help.
+
+    Args:
+        name: of the command.
+        place: ``module:attribute``.
+        summary: first line of its help.
+    """
+
+    def __init__(self, name: str, place: str, summary: str) -> None:
+        super().__init__(name, help=summary)
+        self.place = place
+
+    def make_context(self, *args: Any, **extra: Any) -> Any:
+        """That of the command itself, which does all the rest."""
+        return self.load().make_context(*args, **extra)
+
+    def load(self) -> Any:
+        """The command itself."""
+        module, _, attribute = self.place.partition(":")
+        found = getattr(import_module(module), attribute)
+        if isinstance(found, typer.Typer):
+            group = typer.main.get_command(found)
+            group.name = self.name
+            return group
+        alone = typer.Typer(add_completion=False)
+        alone.command(self.name)(found)
+        return typer.main.get_command(alone)
