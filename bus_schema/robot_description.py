@@ -25,6 +25,7 @@ from bus_schema.urdf_resolved import (
     resolve_inertias,
     resolve_joints,
 )
+from bus_schema.xacro_files import expanded, is_xacro
 
 Shapes = Literal["named", "drawable", "none"]
 
@@ -170,7 +171,7 @@ def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
 
 def _parse(path: Path) -> tuple[str, ET.Element]:
     try:
-        text = path.read_text()
+        text = expanded(path) if is_xacro(path) and path.is_file() else path.read_text()
         root = ET.fromstring(text)
     except FileNotFoundError as error:
         raise RobotDescriptionError(f"{path} does not exist") from error

@@ -33,6 +33,7 @@ _COMMANDS = {
     "replay": "deploy.cli.experiments:replay",
     "bench": "deploy.cli.experiments:bench",
     "drives": "deploy.cli.drives:drives",
+    "robot": "deploy.cli.robot:robot",
     "doctor": "deploy.cli.doctor:doctor",
 }
 """Where each command is: a function, or a group of commands."""
