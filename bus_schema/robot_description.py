@@ -92,6 +92,7 @@ class RobotDescription:
             drop_shapes(root, but_drawable=shapes == "drawable")
         if payload_kg > 0.0:
             attach_payload(root, self.tip_link, payload_kg)
+        ET.indent(root)  # Bullet cuts lines of more than 8192 characters apart
         return ET.tostring(root, encoding="unicode")
 
 

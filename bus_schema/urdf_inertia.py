@@ -31,7 +31,7 @@ class OddInertia:
 
 
 def odd_inertias(root: ET.Element) -> list[OddInertia]:
-    """Links whose inertia breaks the triangle rule by more than rounding.
+    """Links whose inertia breaks the triangle rule by more than rounding, or has a negative moment.
 
     Raises:
         RobotDescriptionError: an inertia or a mass is no number, or a mass is negative.
@@ -40,8 +40,9 @@ def odd_inertias(root: ET.Element) -> list[OddInertia]:
     for link in root.findall("link"):
         if check_inertial(link) is None:
             continue
-        excess = _excess(np.linalg.eigvalsh(_tensor(link)))
-        if excess > _ROUNDING:
+        principal = np.linalg.eigvalsh(_tensor(link))
+        excess = _excess(principal)
+        if excess > _ROUNDING or principal[0] < 0.0:
             found.append(OddInertia(link.get("name", ""), excess))
     return found
 
@@ -69,6 +70,8 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
                 f" {np.linalg.eigvalsh(_tensor(link)).tolist()}; none may be negative or exceed the"
                 " sum of the others (robot.repair: true raises the smaller ones until they do not)"
             )
+        if odd.excess <= _ROUNDING:
+            continue
         said.append(
             f"the inertia of link {odd.link} breaks the triangle rule by {100 * odd.excess:.2g} %"
             " of its largest moment: its smaller moments are raised until it does not"

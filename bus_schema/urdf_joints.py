@@ -93,7 +93,9 @@ def _held(
         elif wanted is not None and name not in wanted:
             reasons[name] = "not among robot.joints"
         elif wanted is None and kind == "prismatic" and beside[_parent(joint)] > 1:
-            reasons[name] = "a gripper's finger: it slides beside another joint (name it in robot.joints to drive it)"
+            reasons[name] = (
+                "a gripper's finger: it slides beside another joint (name it in robot.joints to drive it)"
+            )
     return reasons
 
 

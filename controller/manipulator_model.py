@@ -33,12 +33,12 @@ class ManipulatorModel:
         try:
             urdf = robot.resolved_urdf(payload_kg / scale, "none")  # which is scaled back below
             self._model = pinocchio.buildModelFromXML(urdf)
+            for index, inertia in enumerate(self._model.inertias):
+                self._model.inertias[index] = pinocchio.Inertia(
+                    scale * inertia.mass, inertia.lever, scale * inertia.inertia
+                )
         except (ValueError, RuntimeError) as error:
             raise RobotDescriptionError(f"{robot.path}: pinocchio: {error}") from error
-        for index, inertia in enumerate(self._model.inertias):
-            self._model.inertias[index] = pinocchio.Inertia(
-                scale * inertia.mass, inertia.lever, scale * inertia.inertia
-            )
         moving = (*robot.joint_names, *(follower.name for follower in robot.followers))
         missing = [name for name in moving if not self._model.existJointName(name)]
         if missing:

@@ -23,8 +23,6 @@ from deploy.scenario.scenario import check
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, validated
 
-_FREE = 0.5
-
 
 def robot(
     file: Annotated[
@@ -63,8 +61,20 @@ def robot(
         console.print(f"picture: {picture}", soft_wrap=True)
 
 
-def at_rest(arm: RobotDescription, joints: list[str] | None, *, repair: bool) -> Setup:
+def at_rest(
+    arm: RobotDescription,
+    joints: list[str] | None = None,
+    *,
+    repair: bool = False,
+    duration_s: float = 1.0,
+) -> Setup:
     """A scenario in which the arm holds still, checked as any other.
+
+    Args:
+        arm: the arm.
+        joints: what `load_robot` was given to drive.
+        repair: what it was given to mend.
+        duration_s: of a run.
 
     Raises:
         ScenarioError: no scenario could run this arm.
@@ -73,10 +83,10 @@ def at_rest(arm: RobotDescription, joints: list[str] | None, *, repair: bool) ->
     rest = {"time_s": 0.0, "position_rad": _middle(arm).tolist()}
     values = {
         "name": "robot",
-        "duration_s": 1.0,
+        "duration_s": duration_s,
         "robot": {"urdf": str(arm.path), "joints": joints, "repair": repair},
         "reference": {"kind": "minimum_jerk", "waypoints": [rest]},
-        "metrics": {"from_s": _FREE},
+        "metrics": {"from_s": 0.5 * duration_s},
     }
     return check(validated(values, Scenario, origin), origin)
 

@@ -149,3 +149,19 @@ def test_followers_of_held_joints_are_held(load):
     assert [(each.name, each.multiplier) for each in robot.followers] == [("second", 2.0)]
     with pytest.raises(RobotDescriptionError, match="some of first; not 'second'"):
         load(two_links(second=mimic), ["second"])
+
+
+@pytest.mark.parametrize("links", [127, 128])
+def test_as_many_links_as_bullet_answers_for(load, links):
+    more = "".join(
+        f'<link name="more{i}">{inertial()}</link>{joint(f"j{i}", "c", f"more{i}", "fixed")}'
+        for i in range(links - 3)
+    )
+    text = two_links().replace("\n", " ").replace("</robot>", f"{more}</robot>")  # on one line
+    if links > 127:
+        with pytest.raises(RobotDescriptionError, match="has 128 links; there must be 1 to 127"):
+            load(text)
+    else:
+        robot = load(text)
+        with closing(PybulletArm(robot, 1e-3, payload_kg=1.0)) as arm:
+            arm.step(np.zeros(2))

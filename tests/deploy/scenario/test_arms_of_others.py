@@ -2,13 +2,13 @@
 
 import importlib.metadata
 import importlib.util
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.robot_description import load_robot
 from deploy.cli.robot import at_rest
 from deploy.runs.simulate import simulate
@@ -25,9 +25,9 @@ REASONS = (
     "robot.repair: true",
     "must be a joint that turns or slides",
     "must be at most 1e+09",
+    "there must be 1 to 127",
     "must move some mass off its axis",
 )
-STEP = {"duration_s": 0.005}
 
 
 def pybullet_urdfs():
@@ -51,11 +51,29 @@ def example_urdfs():
 def outcome(path):
     """Number of driven joints of an arm that was simulated for a moment; the reason if refused."""
     try:
-        setup = at_rest(load_robot(path), None, repair=False, duration_s=0.005)
+        setup = at_rest(load_robot(path), duration_s=0.005)
     except (RobotDescriptionError, ScenarioError) as error:
         assert str(path) in str(error)
         return str(error)
     data = simulate(setup).data()
-    truth = data.tables["plant_truth"]["position"]
-    assert np.isfinite(truth).all()
+    assert data.faults() == [], path
+    assert np.isfinite(data.tables[PLANT_TRUTH.name]["position"]).all()
     return setup.robot.joints
+
+
+def check_all(paths):
+    """Simulate each or see why not; how many were simulated."""
+    outcomes = {path: outcome(path) for path in paths}
+    refused = {path: said for path, said in outcomes.items() if isinstance(said, str)}
+    for path, said in refused.items():
+        assert any(reason in said for reason in REASONS), (path, said)
+    return len(outcomes) - len(refused)
+
+
+def test_all_urdfs_of_pybullet_data_are_simulated_or_refused_with_the_reason():
+    assert check_all(pybullet_urdfs()) >= 36
+
+
+@pytest.mark.skipif(not example_urdfs(), reason="example-robot-data is not installed")
+def test_all_urdfs_of_example_robot_data_are_simulated_or_refused_with_the_reason():
+    assert check_all(example_urdfs()) >= 48
