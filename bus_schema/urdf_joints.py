@@ -94,7 +94,7 @@ def _held(
             reasons[name] = "not among robot.joints"
         elif wanted is None and kind == "prismatic" and beside[_parent(joint)] > 1:
             reasons[name] = (
-                "a gripper's finger: it slides beside another joint (name it in robot.joints to drive it)"
+                "a gripper's finger: slides beside another joint (robot.joints may drive it)"
             )
     return reasons
 
