@@ -4,32 +4,51 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf_checks import ACTUATED_TYPES, check_urdf, finite_number
+from bus_schema.urdf_checks import MOVING_TYPES, check_urdf, finite_number
+from bus_schema.urdf_inertia import check_moved_masses, judge_inertias
+from bus_schema.urdf_joints import Follower, HeldJoint, joint_roles
+from bus_schema.urdf_resolved import (
+    attach_payload,
+    drop_shapes,
+    long_axes,
+    missing_meshes,
+    name_meshes,
+    resolve_inertias,
+    resolve_joints,
+)
+from bus_schema.xacro_files import expanded, is_xacro
 
-PAYLOAD_LINK = "funnel_hil_payload"
-_UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
+Shapes = Literal["named", "drawable", "none"]
 
 
 @dataclass(frozen=True)
 class RobotDescription:
     """An arm as its URDF describes it; joints in the order of the file.
 
+    Joints that slide have metres, m/s and newtons where those that turn have rad, rad/s and N m.
+
     Attributes:
         path: the URDF file.
         text: its content.
-        joint_names: names of the revolute and continuous joints; all others are held fixed.
+        joint_names: names of the driven joints; all others follow one of them or are held fixed.
         effort_limits_nm: largest torque of each joint (inf where the URDF has none).
         velocity_limits_rad_s: largest speed of each joint (inf where the URDF has none).
         lower_rad: lower end of each joint's range (-inf for continuous joints).
         upper_rad: upper end of each joint's range (inf for continuous joints).
         tip_link: the last link of the longest chain, which carries the payload.
+        slides: whether each joint is prismatic.
+        followers: mimic joints, each moved along by a driven joint.
+        held: joints that could move but do not, and why.
+        warnings: what is odd about the file but was taken, a sentence each.
     """
 
     path: Path
@@ -40,6 +59,10 @@ class RobotDescription:
     lower_rad: Vector
     upper_rad: Vector
     tip_link: str
+    slides: tuple[bool, ...]
+    followers: tuple[Follower, ...] = ()
+    held: tuple[HeldJoint, ...] = ()
+    warnings: tuple[str, ...] = field(default=(), compare=False)
 
     @property
     def joints(self) -> int:
@@ -50,82 +73,106 @@ class RobotDescription:
         root = ET.fromstring(self.text)
         if root.find(".//mesh") is None:
             return self.text
-        for mesh in root.iter("mesh"):
-            mesh.set("filename", _absolute(mesh.get("filename", ""), self.path.parent))
+        name_meshes(root, self.path.parent)
         return ET.tostring(root, encoding="unicode")
 
-    def resolved_urdf(self, payload_kg: float = 0.0) -> str:
-        """The URDF with every joint either revolute or fixed, mesh files by absolute path.
+    def resolved_urdf(self, payload_kg: float = 0.0, shapes: Shapes = "named") -> str:
+        """The URDF with every joint revolute, prismatic or fixed, with unit axes.
 
         Args:
             payload_kg: point mass fixed to the origin of the tip link.
+            shapes: what becomes of all that is only seen or touched: mesh files ``named`` by
+                absolute path, those that are ``drawable`` alone, or ``none``, as physics needs.
         """
         root = ET.fromstring(self.text)
-        for joint in root.findall("joint"):
-            if joint.get("type") in ACTUATED_TYPES:
-                _complete_limits(joint)
-            else:
-                joint.set("type", "fixed")
-        for mesh in root.iter("mesh"):
-            mesh.set("filename", _absolute(mesh.get("filename", ""), self.path.parent))
-        for link in root.findall("link"):
-            if link.find("inertial") is None:  # pybullet would take it for a mass of 1 kg
-                _add_inertial(link, 0.0)
+        resolve_joints(root, set(self.joint_names), {each.name for each in self.followers})
+        resolve_inertias(root)
+        name_meshes(root, self.path.parent)
+        if shapes != "named":
+            drop_shapes(root, but_drawable=shapes == "drawable")
         if payload_kg > 0.0:
-            _attach_payload(root, self.tip_link, payload_kg)
+            attach_payload(root, self.tip_link, payload_kg)
+        ET.indent(root)  # Bullet cuts lines of more than 8192 characters apart
         return ET.tostring(root, encoding="unicode")
 
 
-def load_robot(path: Path) -> RobotDescription:
+def load_robot(
+    path: Path, driven: Sequence[str] | None = None, *, repair: bool = False
+) -> RobotDescription:
     """Read a URDF file.
 
+    Args:
+        path: the file.
+        driven: joints to drive; None for all that have a motor, see `joint_roles`.
+        repair: mend inertias that no body has, however far off they are.
+
     Raises:
-        RobotDescriptionError: it cannot be read, is no URDF or has no revolute joint.
+        RobotDescriptionError: it cannot be read, or is no URDF of an arm with a joint to drive.
     """
     text, root = _parse(path)
-    joints = [j for j in root.findall("joint") if j.get("type") in ACTUATED_TYPES]
-    if not joints:
-        raise RobotDescriptionError(f"{path} has no revolute or continuous joint")
-    check_urdf(path, root)
-    names = tuple(joint.get("name", "") for joint in joints)
+    try:
+        return _described(path, text, root, driven, repair=repair)
+    except RobotDescriptionError as error:
+        raise RobotDescriptionError(f"{path}: {error}") from error
+
+
+def _described(
+    path: Path, text: str, root: ET.Element, driven: Sequence[str] | None, *, repair: bool
+) -> RobotDescription:
+    if not any(joint.get("type") in MOVING_TYPES for joint in root.findall("joint")):
+        raise RobotDescriptionError("has no revolute or continuous joint, nor a prismatic one")
+    check_urdf(root)
+    roles = joint_roles(root, driven)
+    moving = {*roles.driven, *(each.name for each in roles.followers)}
+    check_moved_masses(root, moving)
+    oddities = _oddities(path, root, moving)
+    warnings = [*judge_inertias(root, moving, repair=repair), *oddities]
+    joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
+    lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
+    _check_ranges(roles.driven, lower, upper)
     return RobotDescription(
         path=path,
         text=text,
-        joint_names=names,
-        effort_limits_nm=_limits(path, joints, "effort", math.inf),
-        velocity_limits_rad_s=_limits(path, joints, "velocity", math.inf),
-        lower_rad=_limits(path, joints, "lower", -math.inf),
-        upper_rad=_limits(path, joints, "upper", math.inf),
+        joint_names=roles.driven,
+        effort_limits_nm=_limits(joints, "effort", math.inf),
+        velocity_limits_rad_s=_limits(joints, "velocity", math.inf),
+        lower_rad=lower,
+        upper_rad=upper,
         tip_link=_tip_link(root),
+        slides=tuple(joint.get("type") == "prismatic" for joint in joints),
+        followers=roles.followers,
+        held=roles.held,
+        warnings=tuple(warnings),
     )
 
 
-def _complete_limits(joint: ET.Element) -> None:
-    """Make an actuated joint revolute, with all four limits that simulators ask for."""
-    limit = joint.find("limit")
-    limit = ET.SubElement(joint, "limit") if limit is None else limit
-    endless = joint.get("type") == "continuous"
-    for name, unlimited in _UNLIMITED.items():
-        if limit.get(name) is None or (endless and name in ("lower", "upper")):
-            limit.set(name, str(unlimited))
-    joint.set("type", "revolute")
+def _check_ranges(names: Sequence[str], lower: Vector, upper: Vector) -> None:
+    for name, low, high in zip(names, lower, upper, strict=True):
+        if low >= high:
+            raise RobotDescriptionError(
+                f"joint {name} has no room between lower={low:g} and upper={high:g}: lower must be"
+                " less than upper; or the joint continuous, fixed, or not among robot.joints"
+            )
 
 
-def _absolute(name: str, base: Path) -> str:
-    """Absolute path of a mesh file; a package's folder is looked for at and above the URDF's."""
-    if not name.startswith("package://"):
-        return name if "://" in name or Path(name).is_absolute() else str(base / name)
-    inside = Path(name.removeprefix("package://"))
-    for folder in (base, *base.parents):
-        for candidate in (folder / inside, folder / Path(*inside.parts[1:])):
-            if candidate.is_file():
-                return str(candidate)
-    return str(base / inside)
+def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
+    """What is odd about a file that is taken all the same."""
+    said = [
+        f"the axis of joint {name} is no unit vector: it is taken as a direction alone"
+        for name in long_axes(root)
+        if name in moving
+    ]
+    if missing := missing_meshes(root, path.parent):
+        said.append(
+            f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: pictures"
+            " lack them, and the physics needs none"
+        )
+    return said
 
 
 def _parse(path: Path) -> tuple[str, ET.Element]:
     try:
-        text = path.read_text()
+        text = expanded(path) if is_xacro(path) and path.is_file() else path.read_text()
         root = ET.fromstring(text)
     except FileNotFoundError as error:
         raise RobotDescriptionError(f"{path} does not exist") from error
@@ -136,7 +183,7 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
     return text, root
 
 
-def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float) -> Vector:
+def _limits(joints: list[ET.Element], attribute: str, missing: float) -> Vector:
     is_range = attribute in ("lower", "upper")
     values = []
     for joint in joints:
@@ -145,10 +192,7 @@ def _limits(path: Path, joints: list[ET.Element], attribute: str, missing: float
         if text is None or (is_range and joint.get("type") == "continuous"):
             values.append(missing)
             continue
-        try:
-            value = finite_number(f"joint {joint.get('name')}", attribute, text)
-        except RobotDescriptionError as error:
-            raise RobotDescriptionError(f"{path}: {error}") from error
+        value = finite_number(f"joint {joint.get('name')}", attribute, text)
         # A zero effort or velocity limit is how many exporters write "unknown".
         values.append(missing if value <= 0.0 and not is_range else value)
     return np.array(values)
@@ -167,20 +211,3 @@ def _tip_link(root: ET.Element) -> str:
         return steps
 
     return max(parents, key=depth)
-
-
-def _attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
-    link = ET.SubElement(root, "link", name=PAYLOAD_LINK)
-    _add_inertial(link, payload_kg)
-    joint = ET.SubElement(root, "joint", name="funnel_hil_payload_joint", type="fixed")
-    ET.SubElement(joint, "parent", link=tip_link)
-    ET.SubElement(joint, "child", link=PAYLOAD_LINK)
-
-
-def _add_inertial(link: ET.Element, mass_kg: float) -> None:
-    """Give `link` a point mass at its origin."""
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "mass", value=str(mass_kg))
-    ET.SubElement(
-        inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0")
-    )

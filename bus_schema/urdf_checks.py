@@ -3,41 +3,39 @@
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 
 from bus_schema.errors import RobotDescriptionError
 
-ACTUATED_TYPES = ("revolute", "continuous")
-_TYPES = (*ACTUATED_TYPES, "prismatic", "fixed", "floating", "planar")
+MOVING_TYPES = ("revolute", "continuous", "prismatic")
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_TYPES = (*MOVING_TYPES, "fixed", "floating", "planar")
 _DEEPEST = 20
-_MOST_LINKS = 200
+_MOST_LINKS = 127  # Bullet answers for 128, and the payload is one
 _LONGEST_NAME = 200
 _LARGEST = 1e9
-_INERTIA_TOLERANCE = 1e-3
-_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_UNEXPANDED = re.compile(r"\$[{(][^})]*[})]")
 
 
-def check_urdf(path: Path, root: ET.Element) -> None:
+def check_urdf(root: ET.Element) -> None:
     """Check that links and joints are one tree, and that all masses and places can be.
 
     Raises:
-        RobotDescriptionError: they are not; `path` and what is allowed are named.
+        RobotDescriptionError: they are not; the element and what is allowed are named.
     """
-    try:
-        _check_depth(root)
-        _check_names("link", root.findall("link"))
-        _check_names("joint", root.findall("joint"))
-        for joint in root.findall("joint"):
-            _check_joint(joint)
-        for link in root.findall("link"):
-            _check_inertial(link)
-        _check_tree(root)
-    except RobotDescriptionError as error:
-        raise RobotDescriptionError(f"{path}: {error}") from error
+    _check_depth(root)
+    _check_expanded(root)
+    _check_names("link", root.findall("link"))
+    _check_names("joint", root.findall("joint"))
+    for joint in root.findall("joint"):
+        _check_joint(joint)
+    for link in root.findall("link"):
+        check_inertial(link)
+    _check_tree(root)
 
 
 def finite_number(owner: str, attribute: str, text: str) -> float:
@@ -56,10 +54,12 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise RobotDescriptionError(f"{attribute}={_cut(text)!r} of {owner} is no finite number")
+        raise RobotDescriptionError(
+            f"{attribute}={shortened(text)!r} of {owner} is no finite number"
+        )
     if abs(value) > _LARGEST:
         allowed = f"must be at most {_LARGEST:g} in size"
-        raise RobotDescriptionError(f"{attribute}={_cut(text)!r} of {owner} {allowed}")
+        raise RobotDescriptionError(f"{attribute}={shortened(text)!r} of {owner} {allowed}")
     return value
 
 
@@ -71,6 +71,19 @@ def _check_depth(root: ET.Element) -> None:
         raise RobotDescriptionError(f"must not be nested deeper than {_DEEPEST} elements")
 
 
+def _check_expanded(root: ET.Element) -> None:
+    """Refuse what xacro would have to put values in for."""
+    for element in root.iter():
+        for name, text in element.attrib.items():
+            if (found := _UNEXPANDED.search(text)) is not None:
+                named = element.get("name")
+                where = f"<{element.tag}" + (f" name={shortened(named)!r}>" if named else ">")
+                raise RobotDescriptionError(
+                    f"{name} of {where} holds {shortened(found.group())!r}, which xacro has not"
+                    " expanded: name the .xacro file itself, or run xacro on it first"
+                )
+
+
 def _check_names(kind: str, elements: list[ET.Element]) -> None:
     if not 1 <= len(elements) <= _MOST_LINKS:
         allowed = f"there must be 1 to {_MOST_LINKS}"
@@ -79,7 +92,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
     for name, count in Counter(names).items():
         if count > 1 or not name or len(name) > _LONGEST_NAME:
             allowed = f"must be unique and not empty, of at most {_LONGEST_NAME} characters"
-            raise RobotDescriptionError(f"{kind} names {allowed}: {_cut(name)!r}")
+            raise RobotDescriptionError(f"{kind} names {allowed}: {shortened(name)!r}")
 
 
 def _check_tree(root: ET.Element) -> None:
@@ -88,23 +101,25 @@ def _check_tree(root: ET.Element) -> None:
     children: dict[str, list[str]] = {}
     carried: set[str] = set()
     for joint in root.findall("joint"):
-        found = [joint.findall(kind) for kind in ("parent", "child")]
-        if not all(found):
-            raise RobotDescriptionError(f"{_owner(joint)} lacks parent or child")
-        if any(len(ends) > 1 for ends in found):
-            raise RobotDescriptionError(f"{_owner(joint)} must have one parent and one child")
-        ends = [end.get("link", "") for (end,) in found]
+        ends = joint_ends(joint)
         for kind, link in zip(("parent", "child"), ends, strict=True):
             if link not in links:
-                raise RobotDescriptionError(f"{kind} of {_owner(joint)}: no link {_cut(link)!r}")
+                raise RobotDescriptionError(
+                    f"{kind} of {_owner(joint)}: no link {shortened(link)!r}"
+                )
         parent, child = ends
+        if parent == child:
+            allowed = "parent and child must be two links"
+            raise RobotDescriptionError(
+                f"{_owner(joint)} joins link {shortened(child)!r} to itself; {allowed}"
+            )
         if child in carried:
             raise RobotDescriptionError(f"link {child!r} is the child of more than one joint")
         carried.add(child)
         children.setdefault(parent, []).append(child)
     bases = sorted(links - carried)
     if len(bases) != 1:
-        shown = _cut(", ".join(bases)) or "none"
+        shown = shortened(", ".join(bases)) or "none"
         raise RobotDescriptionError(f"one link must be the child of no joint, not {shown}")
     reached = set(bases)
     level = bases
@@ -112,48 +127,76 @@ def _check_tree(root: ET.Element) -> None:
         level = [child for link in level for child in children.get(link, ())]
         reached.update(level)
     if reached != links:
-        apart = _cut(", ".join(sorted(links - reached)))
+        apart = shortened(", ".join(sorted(links - reached)))
         raise RobotDescriptionError(f"the joints of {apart} form a circle")
 
 
 def _check_joint(joint: ET.Element) -> None:
     owner, kind = _owner(joint), joint.get("type", "")
     if kind not in _TYPES:
-        raise RobotDescriptionError(f"type={_cut(kind)!r} of {owner}: one of {', '.join(_TYPES)}")
+        raise RobotDescriptionError(
+            f"type={shortened(kind)!r} of {owner}: one of {', '.join(_TYPES)}"
+        )
     _check_places(owner, joint)
     axis = joint.find("axis")
-    if kind in ACTUATED_TYPES and axis is not None:
+    if kind in MOVING_TYPES and axis is not None:
         direction = _vector(owner, "axis xyz", axis.get("xyz", "1 0 0"))
         if not 1e-3 < np.linalg.norm(direction) < 1e3:
-            raise RobotDescriptionError(f"axis xyz={axis.get('xyz')!r} of {owner} is no direction")
+            given = f"axis xyz={shortened(axis.get('xyz', ''))!r} of {owner} is no direction"
+            raise RobotDescriptionError(f"{given}; must be 0.001 to 1000 long, such as 0 0 1")
     for limit in joint.findall("limit"):
         for name in ("lower", "upper", "effort", "velocity"):
             if name in limit.attrib:
                 finite_number(owner, name, limit.attrib[name])
-    if kind in ACTUATED_TYPES and joint.find("mimic") is not None:
-        raise RobotDescriptionError(f"{owner} mimics another one, which no joint with a motor may")
 
 
-def _check_inertial(link: ET.Element) -> None:
-    """Refuse inertias that no body has: pybullet would silently set them to zero."""
+def check_inertial(link: ET.Element) -> ET.Element | None:
+    """The link's element inertial, if it has one: with a mass, an inertia, and a place.
+
+    Raises:
+        RobotDescriptionError: something of it is not there or no number, or the mass is negative.
+    """
     owner, inertial = _owner(link), link.find("inertial")
     if inertial is None:
-        return
+        return None
     _check_places(owner, inertial)
-    mass, inertia = _the_one(inertial, "mass", owner), _the_one(inertial, "inertia", owner)
-    mass_kg = finite_number(owner, "mass", mass.get("value", ""))
-    if mass_kg < 0.0:
-        raise RobotDescriptionError(f"mass={mass_kg:g} of {owner} must not be negative")
-    xx, xy, xz, yy, yz, zz = (
-        finite_number(owner, name, inertia.get(name, "0")) for name in _INERTIA
-    )
-    principal = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    slack = _INERTIA_TOLERANCE * max(abs(principal[-1]), 1e-12)
-    if principal[0] < -slack or principal[-1] > principal[0] + principal[1] + slack:
-        raise RobotDescriptionError(
-            f"{owner} has principal moments of inertia"
-            f" {principal.tolist()}; none may be negative or exceed the sum of the others"
-        )
+    if mass_of(link) < 0.0:
+        raise RobotDescriptionError(f"mass={mass_of(link):g} of {owner} must not be negative")
+    inertia_of(link)
+    return inertial
+
+
+def joint_ends(joint: ET.Element) -> tuple[str, str]:
+    """Names of the parent link and of the child link.
+
+    Raises:
+        RobotDescriptionError: one is not named, or more than once.
+    """
+    found = [joint.findall(kind) for kind in ("parent", "child")]
+    if not all(found):
+        raise RobotDescriptionError(f"{_owner(joint)} lacks parent or child")
+    if any(len(ends) > 1 for ends in found):
+        raise RobotDescriptionError(f"{_owner(joint)} must have one parent and one child")
+    parent, child = (end.get("link", "") for (end,) in found)
+    return parent, child
+
+
+def mass_of(link: ET.Element) -> float:
+    """Mass of a link, kg; 0 for one without an element inertial."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return 0.0
+    mass = _the_one(inertial, "mass", _owner(link))
+    return finite_number(_owner(link), "mass", mass.get("value", ""))
+
+
+def inertia_of(link: ET.Element) -> list[float]:
+    """Moments of inertia of a link, kg m², in the order of `INERTIA`; 0 where there are none."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return [0.0] * len(INERTIA)
+    inertia = _the_one(inertial, "inertia", _owner(link))
+    return [finite_number(_owner(link), name, inertia.get(name, "0")) for name in INERTIA]
 
 
 def _check_places(owner: str, element: ET.Element) -> None:
@@ -166,7 +209,7 @@ def _check_places(owner: str, element: ET.Element) -> None:
 def _vector(owner: str, name: str, text: str) -> list[float]:
     parts = text.split()
     if len(parts) != 3:
-        raise RobotDescriptionError(f"{name}={_cut(text)!r} of {owner} must be three numbers")
+        raise RobotDescriptionError(f"{name}={shortened(text)!r} of {owner} must be three numbers")
     return [finite_number(owner, name, part) for part in parts]
 
 
@@ -178,8 +221,9 @@ def _the_one(element: ET.Element, tag: str, owner: str) -> ET.Element:
 
 
 def _owner(element: ET.Element) -> str:
-    return f"{element.tag} {_cut(element.get('name', ''))}"
+    return f"{element.tag} {shortened(element.get('name', ''))}"
 
 
-def _cut(text: str) -> str:
+def shortened(text: str) -> str:
+    """The beginning of a text that a message can hold."""
     return text if len(text) <= 60 else text[:57] + "..."

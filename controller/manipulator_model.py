@@ -9,6 +9,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
+from controller.joint_places import JointPlaces
 from controller.rigid_bodies import RigidBodies
 
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
@@ -30,42 +31,50 @@ class ManipulatorModel:
         self, robot: RobotDescription, *, scale: float = 1.0, payload_kg: float = 0.0
     ) -> None:
         try:
-            urdf = robot.resolved_urdf(payload_kg / scale)  # which is scaled back below
+            urdf = robot.resolved_urdf(payload_kg / scale, "none")  # which is scaled back below
             self._model = pinocchio.buildModelFromXML(urdf)
+            for index, inertia in enumerate(self._model.inertias):
+                self._model.inertias[index] = pinocchio.Inertia(
+                    scale * inertia.mass, inertia.lever, scale * inertia.inertia
+                )
         except (ValueError, RuntimeError) as error:
             raise RobotDescriptionError(f"{robot.path}: pinocchio: {error}") from error
-        for index, inertia in enumerate(self._model.inertias):
-            self._model.inertias[index] = pinocchio.Inertia(
-                scale * inertia.mass, inertia.lever, scale * inertia.inertia
-            )
-        missing = [name for name in robot.joint_names if not self._model.existJointName(name)]
+        moving = (*robot.joint_names, *(follower.name for follower in robot.followers))
+        missing = [name for name in moving if not self._model.existJointName(name)]
         if missing:
             raise RobotDescriptionError(f"{robot.path}: pinocchio makes no joint of {missing}")
         self._data = self._model.createData()
         self._names = robot.joint_names
         self._tip = self._model.getFrameId(robot.tip_link, pinocchio.FrameType.BODY)
         self.joints = robot.joints
-        # pinocchio may order the joints otherwise than the URDF file: the place of each one there.
-        self._order = np.array(
-            [self._model.joints[self._model.getJointId(name)].idx_v for name in robot.joint_names]
+        # pinocchio may order the joints otherwise than the URDF file
+        self._places = JointPlaces(
+            np.array([self._place(name) for name in robot.joint_names]),
+            [
+                (self._place(f.name), robot.joint_names.index(f.leader), f.multiplier, f.offset)
+                for f in robot.followers
+            ],
         )
-        self._sorting = np.argsort(self._order)
-        # pinocchio fills the upper triangle of symmetric matrices.
-        self._upper = (
-            np.minimum.outer(self._order, self._order),
-            np.maximum.outer(self._order, self._order),
-        )
+        self._slides = np.array(robot.slides)
 
     def rigid_bodies(self) -> RigidBodies:
-        """The arm's structure, for compiled code."""
+        """The arm's structure, for compiled code.
+
+        Raises:
+            ConfigurationError: it has mimic joints, of which compiled code knows nothing.
+        """
+        if self._places.couples:
+            allowed = "must be false for an arm with mimic joints (robot.joints may leave them out)"
+            raise ConfigurationError("controller.delay_compensation.enabled", True, allowed)
         zero, joints = np.zeros(self.joints), range(self.joints)
         numbers = [int(self._model.getJointId(name)) for name in self._names]
         axes = np.empty((self.joints, 3))
         for i in joints:
             velocity = np.zeros(self.joints)
-            velocity[self._order[i]] = 1.0
+            velocity[self._places.order[i]] = 1.0
             pinocchio.forwardKinematics(self._model, self._data, zero, velocity)
-            axes[i] = self._data.v[numbers[i]].angular
+            twist = self._data.v[numbers[i]]
+            axes[i] = twist.linear if self._slides[i] else twist.angular
         carriers = [int(self._model.parents[number]) for number in numbers]
         placements = [self._model.jointPlacements[number] for number in numbers]
         return RigidBodies(
@@ -74,6 +83,7 @@ class ManipulatorModel:
             rotations=np.array([placement.rotation for placement in placements]),
             origins=np.array([placement.translation for placement in placements]),
             axes=axes,
+            slides=self._slides,
             gravity=np.array(self._model.gravity.linear),
         )
 
@@ -83,9 +93,9 @@ class ManipulatorModel:
         return np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
 
     def mass_matrix(self, position: Vector) -> Matrix:
-        """M(q), shape (joints, joints), kg m²."""
-        full = pinocchio.crba(self._model, self._data, self._sorted(position))
-        return np.asarray(full[self._upper])
+        """M(q), shape (joints, joints), kg m² (kg for joints that slide)."""
+        full = pinocchio.crba(self._model, self._data, self._places.positions(position))
+        return self._places.symmetric(full)
 
     def governing_inertia(self, positions: Matrix) -> Vector:
         """Inertia by which joint gains may be sized on a motion, shape (joints,), kg m².
@@ -125,22 +135,25 @@ class ManipulatorModel:
     def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
         """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
         full = pinocchio.computeCoriolisMatrix(
-            self._model, self._data, self._sorted(position), self._sorted(velocity)
+            self._model, self._data, self._places.positions(position), self._places.rates(velocity)
         )
-        return np.ascontiguousarray(full[np.ix_(self._order, self._order)])
+        return self._places.square(full)
 
     def gravity(self, position: Vector) -> Vector:
         """G(q), shape (joints,), N m."""
-        full = pinocchio.computeGeneralizedGravity(self._model, self._data, self._sorted(position))
-        return np.ascontiguousarray(full[self._order])
+        full = pinocchio.computeGeneralizedGravity(
+            self._model, self._data, self._places.positions(position)
+        )
+        return self._places.torques(full)
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
         """Torque of a motion, shape (joints,), N m."""
+        places = self._places
         full = pinocchio.rnea(
             self._model, self._data,
-            self._sorted(position), self._sorted(velocity), self._sorted(acceleration),
+            places.positions(position), places.rates(velocity), places.rates(acceleration),
         )  # fmt: skip
-        return np.ascontiguousarray(full[self._order])
+        return places.torques(full)
 
     def torque_along(
         self, position: Vector, velocity: Vector, along_velocity: Vector, acceleration: Vector
@@ -149,33 +162,41 @@ class ManipulatorModel:
 
         As M a + C q̇ + G, which is one recursion, and C (v − q̇), for which C itself is needed.
         """
-        position, velocity = self._sorted(position), self._sorted(velocity)
+        places = self._places
+        position, velocity = places.positions(position), places.rates(velocity)
         torque = pinocchio.rnea(
-            self._model, self._data, position, velocity, self._sorted(acceleration)
+            self._model, self._data, position, velocity, places.rates(acceleration)
         )
         coriolis = pinocchio.computeCoriolisMatrix(self._model, self._data, position, velocity)
-        change = self._sorted(along_velocity) - velocity
-        return np.asarray((torque + coriolis @ change)[self._order])
+        change = places.rates(along_velocity) - velocity
+        return places.torques(torque + coriolis @ change)
 
     def forward_dynamics(self, position: Vector, velocity: Vector, torque: Vector) -> Vector:
         """Acceleration under a torque, shape (joints,), rad/s²."""
+        places = self._places
+        if places.couples:
+            load = self.inverse_dynamics(position, velocity, np.zeros(self.joints))
+            return np.asarray(np.linalg.solve(self.mass_matrix(position), torque - load))
         full = pinocchio.aba(
             self._model, self._data,
-            self._sorted(position), self._sorted(velocity), self._sorted(torque),
+            places.positions(position), places.rates(velocity), places.rates(torque),
         )  # fmt: skip
-        return np.ascontiguousarray(full[self._order])
+        return places.torques(full)
 
     def energy(self, position: Vector, velocity: Vector) -> float:
         """Kinetic plus potential energy, J."""
         return float(
             pinocchio.computeMechanicalEnergy(
-                self._model, self._data, self._sorted(position), self._sorted(velocity)
+                self._model,
+                self._data,
+                self._places.positions(position),
+                self._places.rates(velocity),
             )
         )
 
     def tip_position(self, position: Vector) -> Vector:
         """Origin of the tip link in the base frame, shape (3,), m."""
-        pinocchio.forwardKinematics(self._model, self._data, self._sorted(position))
+        pinocchio.forwardKinematics(self._model, self._data, self._places.positions(position))
         placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
         return np.array(placement.translation)
 
@@ -186,7 +207,7 @@ class ManipulatorModel:
             ConfigurationError: the arm is no such arm, or does not lie along x at zero.
         """
         zero = np.zeros(self._model.nv)
-        if len(self._order) == 3:
+        if self._model.nv == self.joints == 3 and not self._slides.any():
             pinocchio.computeJointJacobians(self._model, self._data, zero)
             tip = self.tip_position(zero)
             origins = [self._data.oMi[j].translation for j in range(1, 4)]
@@ -204,6 +225,6 @@ class ManipulatorModel:
             " with all joints at zero; joint_sinusoids and minimum_jerk work for any arm",
         )
 
-    def _sorted(self, values: Vector) -> Vector:
-        """A value per joint, shape (joints,), in pinocchio's order."""
-        return values[self._sorting]
+    def _place(self, name: str) -> int:
+        """Place of a joint in pinocchio's lists."""
+        return int(self._model.joints[self._model.getJointId(name)].idx_v)

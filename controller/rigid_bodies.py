@@ -33,6 +33,7 @@ class RigidBodies(NamedTuple):
         rotations: of joint i's frame in the frame of its parent, at zero; shape (joints, 3, 3).
         origins: of joint i's frame there, m; shape (joints, 3).
         axes: unit axis of joint i in its own frame, shape (joints, 3).
+        slides: whether joint i moves along its axis, not about it; shape (joints,).
         gravity: m/s², in the base frame; shape (3,).
     """
 
@@ -41,6 +42,7 @@ class RigidBodies(NamedTuple):
     rotations: NDArray[np.float64]
     origins: Matrix
     axes: Matrix
+    slides: NDArray[np.bool_]
     gravity: Vector
 
 
@@ -91,8 +93,9 @@ class _Placed(NamedTuple):
     """An arm in a posture, in the base frame.
 
     Attributes:
-        axes: z, shape (joints, 3).
-        moments: o × z of the joints' origins o, shape (joints, 3): with z, the joint's screw.
+        axes: z, shape (joints, 3); 0 for joints that slide.
+        moments: o × z of the joints' origins o, shape (joints, 3): with z, the joint's screw. For
+            joints that slide, their direction.
         masses: shape (joints,).
         first: mass times centre of mass, shape (joints, 3).
         second: rotational inertia about the base's origin, shape (joints, 6), order as above.
@@ -140,11 +143,17 @@ def _place(bodies: RigidBodies, inertia: Matrix, position: Vector) -> _Placed:
                     fixed[row, column] = total
             origin = _add(_get(origins, parent), _rotated(frames[parent], origin))
         axis = _get(bodies.axes, i)
-        _turned(fixed, axis, position[i], frames[i])
         z = _rotated(fixed, axis)
+        if bodies.slides[i]:
+            frames[i] = fixed
+            origin = _add(origin, _scaled(position[i], z))
+            _put(placed.axes, i, (0.0, 0.0, 0.0))
+            _put(placed.moments, i, z)
+        else:
+            _turned(fixed, axis, position[i], frames[i])
+            _put(placed.axes, i, z)
+            _put(placed.moments, i, _cross(origin, z))
         _put(origins, i, origin)
-        _put(placed.axes, i, z)
-        _put(placed.moments, i, _cross(origin, z))
         _place_inertia(inertia[i], frames[i], origin, i, placed)
     return placed
 

@@ -65,6 +65,10 @@ COMMANDS = {
         "deploy.cli.drives:drives",
         "Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code.",
     ),
+    "robot": (
+        "deploy.cli.robot:robot",
+        "Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd.",
+    ),
     "doctor": (
         "deploy.cli.doctor:doctor",
         "Say what this machine grants, and what each missing thing costs; nothing is changed.",

@@ -24,6 +24,7 @@ from deploy.processes.launcher import RunOutcome
 from deploy.reports.conclude import conclude, conditions_in
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
+from deploy.scenario.oddities import oddities
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
@@ -67,6 +68,12 @@ def parse_laws(text: str | None) -> list[str] | None:
             allowed = f"{', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL}"
             raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
     return laws
+
+
+def say_oddities(setup: Setup) -> None:
+    """Warn, on standard error, of what the arm's file leaves open or has odd."""
+    for said in oddities(setup):
+        typer.echo(f"warning: {said}", err=True)
 
 
 def watching(

@@ -19,6 +19,7 @@ from deploy.cli.common import (
     judging,
     leave,
     parse_laws,
+    say_oddities,
     show_places,
     watching,
 )
@@ -63,6 +64,7 @@ def compare(
 ) -> None:
     """Run a scenario under several laws in virtual time, and set their results side by side."""
     setups = load_setups(scenario, overrides or [], parse_laws(laws))
+    say_oddities(setups[0])
     folder = ComparisonFolder.begin(setups, out, overwrite=overwrite)
     with folder:
         console, stop = Console(), threading.Event()

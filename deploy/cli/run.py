@@ -17,6 +17,7 @@ from deploy.cli.common import (
     RequireBounds,
     ScenarioArgument,
     finish,
+    say_oddities,
     watching,
 )
 from deploy.cli.progress import CommandProgress
@@ -51,6 +52,7 @@ def run(
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, overrides or [])
+    say_oddities(setup)
     if real_delay_ms is not None:
         check_real_delay(setup, real_delay_ms)
         setup = knowing_real_delay(setup, real_delay_ms)
@@ -86,6 +88,7 @@ def simulate(
 ) -> None:
     """Run a scenario in one process and in virtual time."""
     setup = load_setup(scenario, overrides or [])
+    say_oddities(setup)
     check_link(setup, one_process=True)
     console = Console()
     folder = RunFolder.begin(setup, out, overwrite=overwrite)

@@ -33,10 +33,15 @@ class RobotConfiguration(StrictModel):
     Attributes:
         urdf: a path (relative to the scenario file), the name of a shipped robot, or
             ``pybullet_data:`` with a path inside that package.
+        joints: names of the joints to drive, all others are held; None for all that turn or slide,
+            but the fingers of grippers.
+        repair: mend inertias that no body has, however far off they are.
         initial_offset_rad: joint positions at the start, relative to the reference.
     """
 
     urdf: str
+    joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    repair: bool = False
     initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
 
 

@@ -227,7 +227,8 @@ def check(scenario: Scenario, origin: Origin) -> Setup:
 def _check(scenario: Scenario, source: Path) -> Setup:
     link_kind = LINK_KINDS.build(scenario.link.kind)
     PROTOCOLS.check(scenario.link.can.protocol)
-    robot = load_robot(find_urdf(scenario.robot.urdf, source.parent))
+    given = scenario.robot
+    robot = load_robot(find_urdf(given.urdf, source.parent), given.joints, repair=given.repair)
     reference = scenario.reference.build(robot)
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
     if scenario.duration_s * 1e9 < grid.period_ns:

@@ -41,7 +41,10 @@ def portable_scenario(setup: Setup) -> str:
 def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
     """Name and text of a copy of each file that a scenario refers to, by its key."""
     robot, links = setup.robot, delay_files(setup.scenario.link)
-    found = {"robot.urdf": (robot.path, robot.portable_urdf())}
+    arm = robot.path
+    if arm.suffix == ".xacro":  # the copy is what it stands for
+        arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
+    found = {"robot.urdf": (arm, robot.portable_urdf())}
     for direction, file in links.items():
         found[f"link.{direction}.distribution_file"] = (file, file.read_text())
     return {key: (_name(file, text), text) for key, (file, text) in found.items()}

@@ -12,7 +12,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains, no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
-from bus_schema.robot_description import RobotDescription
+from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import Mode, Trigger, follow
 from plant_emulator.arm.bullet_arm import BulletArm
@@ -109,7 +109,8 @@ class ArmPlant:
         gains = no_drive_feedback(robot.joints)
         JointTorques(configuration, robot, grid.substep_s, random, limits, gains)
         Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
-        require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg))
+        shapes: Shapes = "drawable" if configuration.gui else "none"
+        require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg, shapes))
 
     def read_encoders(self, now_ns: int = 0) -> None:
         """Bring `measured` up to date; `now_ns` is for faults that come and go."""

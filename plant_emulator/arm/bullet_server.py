@@ -2,25 +2,34 @@
 
 pybullet's Python functions build lists, tuples and dictionaries around each of these calls, and
 Python has to call them in every substep; these can be called from compiled code, as `bullet_arm.py`
-does. Both end in the same functions, so they give the same bits. Names and arguments are those of
-``examples/SharedMemory/PhysicsClientC_API.h`` and ``SharedMemoryPublic.h`` in Bullet's sources.
+does. Both end in the same functions, so they give the same bits.
 """
 
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import PAYLOAD_LINK, RobotDescription
+from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import c_function, compiled
+from bus_schema.urdf_resolved import PAYLOAD_LINK
+from plant_emulator.arm.bullet_gears import tie
+from plant_emulator.arm.bullet_library import (
+    DOUBLE,
+    INT,
+    LIBRARY,
+    POINTER,
+    JointInfo,
+    function,
+    setter,
+)
 from plant_emulator.arm.quiet import quiet
 
 GRAVITY_M_S2 = 9.81
@@ -28,21 +37,8 @@ CONTROL_VELOCITY, CONTROL_TORQUE = 0, 1
 _USE_SIMPLE_BROADPHASE = 4
 _USE_INERTIA_FROM_FILE = 2
 _BASE_LINK = -1
-_NAME_BYTES = 1024
+_MOST_ITERATIONS = 500
 _ANY_PAYLOAD_KG = 1.0
-
-
-class _JointInfo(ctypes.Structure):
-    """The beginning of ``b3JointInfo``, and room for all the rest of it."""
-
-    _fields_ = (
-        ("link_name", ctypes.c_char * _NAME_BYTES),
-        ("joint_name", ctypes.c_char * _NAME_BYTES),
-        ("joint_type", ctypes.c_int),
-        ("position_index", ctypes.c_int),
-        ("velocity_index", ctypes.c_int),
-        ("rest", ctypes.c_char * 2048),
-    )
 
 
 class Joint(NamedTuple):
@@ -53,72 +49,52 @@ class Joint(NamedTuple):
     velocity_index: int
 
 
-def _load_library() -> ctypes.CDLL:
-    found = importlib.util.find_spec("pybullet")
-    if found is None or found.origin is None:
-        raise ImportError("pybullet is not installed")
-    return ctypes.CDLL(found.origin)
-
-
-_LIBRARY = _load_library()
-_POINTER, _INT, _DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
-
-
-def _function(name: str, result: Any, *arguments: Any) -> Any:
-    function = getattr(_LIBRARY, "b3" + name)
-    function.restype, function.argtypes = result, arguments
-    return function
-
-
-def _setter(name: str, *arguments: Any) -> Any:
-    """A function that completes a command."""
-    return _function(name, _INT, _POINTER, *arguments)
-
-
-_connect = _function("ConnectPhysicsDirect", _POINTER)
-_connect_window = _function("CreateInProcessPhysicsServerAndConnect", _POINTER, _INT, _POINTER)
-_disconnect = _function("DisconnectSharedMemory", None, _POINTER)
-_can_submit = _function("CanSubmitCommand", _INT, _POINTER)
-_submit = _function("SubmitClientCommandAndWaitStatus", _POINTER, _POINTER, _POINTER)
-_reset = _function("InitResetSimulationCommand", _POINTER, _POINTER)
-_set_reset_flags = _setter("InitResetSimulationSetFlags", _INT)
-_world = _function("InitPhysicsParamCommand", _POINTER, _POINTER)
-_set_gravity = _setter("PhysicsParamSetGravity", _DOUBLE, _DOUBLE, _DOUBLE)
-_set_time_step = _setter("PhysicsParamSetTimeStep", _DOUBLE)
-_load_urdf = _function("LoadUrdfCommandInit", _POINTER, _POINTER, ctypes.c_char_p)
-_set_fixed_base = _setter("LoadUrdfCommandSetUseFixedBase", _INT)
-_set_load_flags = _setter("LoadUrdfCommandSetFlags", _INT)
-_loaded_body = _function("GetStatusBodyIndex", _INT, _POINTER)
-_number_of_joints = _function("GetNumJoints", _INT, _POINTER, _INT)
-_joint_info = _function("GetJointInfo", _INT, _POINTER, _INT, _INT, _POINTER)
-_dynamics = _function("InitChangeDynamicsInfo", _POINTER, _POINTER)
-_set_linear_damping = _setter("ChangeDynamicsInfoSetLinearDamping", _INT, _DOUBLE)
-_set_angular_damping = _setter("ChangeDynamicsInfoSetAngularDamping", _INT, _DOUBLE)
-_set_joint_damping = _setter("ChangeDynamicsInfoSetJointDamping", _INT, _INT, _DOUBLE)
-_set_mass = _setter("ChangeDynamicsInfoSetMass", _INT, _INT, _DOUBLE)
-_set_inertia = _setter("ChangeDynamicsInfoSetLocalInertiaDiagonal", _INT, _INT, _POINTER)
-_pose = _function("CreatePoseCommandInit", _POINTER, _POINTER, _INT)
-_set_position = _setter("CreatePoseCommandSetJointPosition", _POINTER, _INT, _DOUBLE)
-_set_velocity = _setter("CreatePoseCommandSetJointVelocity", _POINTER, _INT, _DOUBLE)
-_control = _function("JointControlCommandInit2", _POINTER, _POINTER, _INT, _INT)
-_set_desired_velocity = _setter("JointControlSetDesiredVelocity", _INT, _DOUBLE)
-_set_velocity_gain = _setter("JointControlSetKd", _INT, _DOUBLE)
-_set_largest_force = _setter("JointControlSetMaximumForce", _INT, _DOUBLE)
+_connect = function("ConnectPhysicsDirect", POINTER)
+_connect_window = function("CreateInProcessPhysicsServerAndConnect", POINTER, INT, POINTER)
+_disconnect = function("DisconnectSharedMemory", None, POINTER)
+_can_submit = function("CanSubmitCommand", INT, POINTER)
+_submit = function("SubmitClientCommandAndWaitStatus", POINTER, POINTER, POINTER)
+_reset = function("InitResetSimulationCommand", POINTER, POINTER)
+_set_reset_flags = setter("InitResetSimulationSetFlags", INT)
+_world = function("InitPhysicsParamCommand", POINTER, POINTER)
+_set_gravity = setter("PhysicsParamSetGravity", DOUBLE, DOUBLE, DOUBLE)
+_set_time_step = setter("PhysicsParamSetTimeStep", DOUBLE)
+_set_iterations = setter("PhysicsParamSetNumSolverIterations", INT)
+_set_residual = setter("PhysicsParamSetSolverResidualThreshold", DOUBLE)
+_load_urdf = function("LoadUrdfCommandInit", POINTER, POINTER, ctypes.c_char_p)
+_set_fixed_base = setter("LoadUrdfCommandSetUseFixedBase", INT)
+_set_load_flags = setter("LoadUrdfCommandSetFlags", INT)
+_loaded_body = function("GetStatusBodyIndex", INT, POINTER)
+_number_of_joints = function("GetNumJoints", INT, POINTER, INT)
+_joint_info = function("GetJointInfo", INT, POINTER, INT, INT, POINTER)
+_dynamics = function("InitChangeDynamicsInfo", POINTER, POINTER)
+_set_linear_damping = setter("ChangeDynamicsInfoSetLinearDamping", INT, DOUBLE)
+_set_angular_damping = setter("ChangeDynamicsInfoSetAngularDamping", INT, DOUBLE)
+_set_joint_damping = setter("ChangeDynamicsInfoSetJointDamping", INT, INT, DOUBLE)
+_set_mass = setter("ChangeDynamicsInfoSetMass", INT, INT, DOUBLE)
+_set_inertia = setter("ChangeDynamicsInfoSetLocalInertiaDiagonal", INT, INT, POINTER)
+_pose = function("CreatePoseCommandInit", POINTER, POINTER, INT)
+_set_position = setter("CreatePoseCommandSetJointPosition", POINTER, INT, DOUBLE)
+_set_velocity = setter("CreatePoseCommandSetJointVelocity", POINTER, INT, DOUBLE)
+_control = function("JointControlCommandInit2", POINTER, POINTER, INT, INT)
+_set_desired_velocity = setter("JointControlSetDesiredVelocity", INT, DOUBLE)
+_set_velocity_gain = setter("JointControlSetKd", INT, DOUBLE)
+_set_largest_force = setter("JointControlSetMaximumForce", INT, DOUBLE)
 
 # The same interface as compiled code calls it; a handle is an unsigned integer there.
-can_submit = c_function(_LIBRARY, "b3CanSubmitCommand", "intc", "uintp")
+can_submit = c_function(LIBRARY, "b3CanSubmitCommand", "intc", "uintp")
 _submit_and_wait = c_function(
-    _LIBRARY, "b3SubmitClientCommandAndWaitStatus", "uintp", "uintp", "uintp"
+    LIBRARY, "b3SubmitClientCommandAndWaitStatus", "uintp", "uintp", "uintp"
 )
-_send = c_function(_LIBRARY, "b3SubmitClientCommand", "intc", "uintp", "uintp")
-_answer = c_function(_LIBRARY, "b3ProcessServerStatus", "uintp", "uintp")
-control = c_function(_LIBRARY, "b3JointControlCommandInit2", "uintp", "uintp", "intc", "intc")
+_send = c_function(LIBRARY, "b3SubmitClientCommand", "intc", "uintp", "uintp")
+_answer = c_function(LIBRARY, "b3ProcessServerStatus", "uintp", "uintp")
+control = c_function(LIBRARY, "b3JointControlCommandInit2", "uintp", "uintp", "intc", "intc")
 set_torque = c_function(
-    _LIBRARY, "b3JointControlSetDesiredForceTorque", "intc", "uintp", "intc", "float64"
+    LIBRARY, "b3JointControlSetDesiredForceTorque", "intc", "uintp", "intc", "float64"
 )
-step_simulation = c_function(_LIBRARY, "b3InitStepSimulationCommand", "uintp", "uintp")
-request_state = c_function(_LIBRARY, "b3RequestActualStateCommandInit", "uintp", "uintp", "intc")
-get_state = c_function(_LIBRARY, "b3GetStatusActualState", "intc", *["uintp"] * 8)
+step_simulation = c_function(LIBRARY, "b3InitStepSimulationCommand", "uintp", "uintp")
+request_state = c_function(LIBRARY, "b3RequestActualStateCommandInit", "uintp", "uintp", "intc")
+get_state = c_function(LIBRARY, "b3GetStatusActualState", "intc", *["uintp"] * 8)
 copy_memory = c_function(ctypes.CDLL(None), "memcpy", "uintp", "uintp", "uintp", "uintp")
 
 
@@ -176,7 +152,8 @@ class BulletServer:
         try:
             # Bullet cannot add a link later: one without mass is there for what is picked up.
             at_first_kg = payload_kg or (_ANY_PAYLOAD_KG if payload_changes else 0.0)
-            self.body = _load(self.handle, robot.path, robot.resolved_urdf(at_first_kg))
+            urdf = robot.resolved_urdf(at_first_kg, "drawable" if gui else "none")
+            self.body = _load(self.handle, robot.path, urdf)
         except RobotDescriptionError:
             self.close()
             raise
@@ -188,11 +165,22 @@ class BulletServer:
         self.payload_kg = payload_kg
         if at_first_kg != payload_kg:
             self.carry(payload_kg)
-        self._set_up_world(substep_s, len(names))
+        self._set_up_world(substep_s, len(names), iterates=bool(robot.followers))
+        self._followers = [
+            (names[each.name][0], robot.joint_names.index(each.leader), each)
+            for each in robot.followers
+        ]
+        for joint, leader, follower in self._followers:
+            links = joint.link, self.joints[leader].link
+            tie(self.handle, self.body, links, follower, self._submit)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
-        for joint, angle in zip(self.joints, position.tolist(), strict=True):
+        placed = list(zip(self.joints, position.tolist(), strict=True))
+        for joint, leader, follower in self._followers:
+            angle = follower.multiplier * float(position[leader]) + follower.offset
+            placed.append((joint, angle))
+        for joint, angle in placed:
             pose = _pose(self.handle, self.body)
             _set_position(self.handle, pose, joint.link, angle)
             _set_velocity(self.handle, pose, joint.link, 0.0)
@@ -201,7 +189,9 @@ class BulletServer:
     def hold_with(self, torques_nm: Sequence[float]) -> None:
         """Hold each joint at rest with so much torque at most; 0 lets it go."""
         motors = _control(self.handle, self.body, CONTROL_VELOCITY)
-        for joint, torque_nm in zip(self.joints, torques_nm, strict=True):
+        # followers go with their leaders, but every joint has a motor at first
+        free = [(joint, 0.0) for joint, _, _ in self._followers]
+        for joint, torque_nm in [*zip(self.joints, torques_nm, strict=True), *free]:
             _set_desired_velocity(motors, joint.velocity_index, 0.0)
             _set_velocity_gain(motors, joint.velocity_index, 1.0)
             _set_largest_force(motors, joint.velocity_index, torque_nm)
@@ -217,7 +207,7 @@ class BulletServer:
             change = _dynamics(self.handle)
             _set_mass(change, self.body, link, payload_kg)
             # left to itself, Bullet makes up an inertia of what it takes for the link's extent
-            _set_inertia(change, self.body, link, (_DOUBLE * 3)())
+            _set_inertia(change, self.body, link, (DOUBLE * 3)())
             self._submit(change)
 
     def close(self) -> None:
@@ -233,17 +223,20 @@ class BulletServer:
     def _link_names(self) -> dict[str, tuple[Joint, str]]:
         """Joint and link by name of the joint."""
         by_name = {}
-        info = _JointInfo()
+        info = JointInfo()
         for link in range(_number_of_joints(self.handle, self.body)):
             _joint_info(self.handle, self.body, link, ctypes.addressof(info))
             joint = Joint(link, info.position_index, info.velocity_index)
             by_name[info.joint_name.decode()] = (joint, info.link_name.decode())
         return by_name
 
-    def _set_up_world(self, substep_s: float, links: int) -> None:
+    def _set_up_world(self, substep_s: float, links: int, *, iterates: bool) -> None:
         world = _world(self.handle)
         _set_gravity(world, 0.0, 0.0, -GRAVITY_M_S2)
         _set_time_step(world, substep_s)
+        if iterates:  # else gears are left half solved
+            _set_iterations(world, _MOST_ITERATIONS)
+            _set_residual(world, 0.0)
         self._submit(world)
         for link in range(_BASE_LINK, links):
             change = _dynamics(self.handle)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import RobotDescription
+from bus_schema.robot_description import RobotDescription, Shapes
 from plant_emulator.arm.bullet_server import GRAVITY_M_S2, loadable_file
 from plant_emulator.arm.quiet import quiet
 
@@ -48,6 +48,9 @@ class PybulletArm:
         pybullet.resetSimulation(pybullet.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self._client)
         self._body = self._load(robot, payload_kg)
         self._joints = self._find_joints(robot.joint_names)
+        self._followers = robot.followers
+        self._leaders = [robot.joint_names.index(each.leader) for each in robot.followers]
+        self._following = self._find_joints([each.name for each in robot.followers])
         pybullet.setGravity(0, 0, -GRAVITY_M_S2, physicsClientId=self._client)
         pybullet.setTimeStep(substep_s, physicsClientId=self._client)
         for link in range(-1, pybullet.getNumJoints(self._body, physicsClientId=self._client)):
@@ -64,7 +67,9 @@ class PybulletArm:
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
-        for joint, angle in zip(self._joints, position, strict=True):
+        led = zip(self._leaders, self._followers, strict=True)
+        angles = [*position, *(each.multiplier * position[i] + each.offset for i, each in led)]
+        for joint, angle in zip([*self._joints, *self._following], angles, strict=True):
             pybullet.resetJointState(
                 self._body, joint, float(angle), 0.0, physicsClientId=self._client
             )
@@ -172,16 +177,23 @@ class PybulletArm:
 
     def _load(self, robot: RobotDescription, payload_kg: float) -> int:
         try:
-            with loadable_file(robot.path, robot.resolved_urdf(payload_kg)) as file:
-                body: int = pybullet.loadURDF(
-                    str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-                    physicsClientId=self._client,
-                )  # fmt: skip
+            return self._load_with(robot, payload_kg, "drawable")
+        except pybullet.error:  # a mesh that cannot be read is no reason to do without the arm
+            pass
+        try:
+            return self._load_with(robot, payload_kg, "none")
         except pybullet.error as error:
             raise RobotDescriptionError(f"{robot.path}: pybullet: {error}") from error
+
+    def _load_with(self, robot: RobotDescription, payload_kg: float, shapes: Shapes) -> int:
+        with loadable_file(robot.path, robot.resolved_urdf(payload_kg, shapes)) as file:
+            body: int = pybullet.loadURDF(
+                str(file), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                physicsClientId=self._client,
+            )  # fmt: skip
         return body
 
-    def _find_joints(self, names: tuple[str, ...]) -> list[int]:
+    def _find_joints(self, names: Sequence[str]) -> list[int]:
         count = pybullet.getNumJoints(self._body, physicsClientId=self._client)
         index_by_name = {
             pybullet.getJointInfo(self._body, i, physicsClientId=self._client)[1].decode(): i

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison as LawComparison
+from deploy.input_error import InputError
 from deploy.reports.compare_report import PANELS as COMPARISON_PANELS
 from deploy.reports.page import Panel
 from deploy.reports.run_report import PANELS as RUN_PANELS
@@ -18,7 +19,6 @@ from deploy.reports.study_report import content_of
 from deploy.runs.run_data import RunData, Table
 from deploy.runs.run_rows import Row, row
 from deploy.runs.time_series import SERIES, TRACKING, Columns, series
-from deploy.scenario.yaml_files import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

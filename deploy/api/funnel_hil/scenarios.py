@@ -14,12 +14,12 @@ import numpy as np
 
 from controller.control_law import ControlLaw
 from controller.laws.custom import Maker, laws_given
+from deploy.input_error import InputError
 from deploy.scenario.referenced_files import delay_files
 from deploy.scenario.scenario import SHIPPED, build_setup, effective_values, given_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
 from deploy.scenario.yaml_files import (
-    InputError,
     ScenarioError,
     find_yaml,
     override,

@@ -9,13 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from bus_schema.arrays import Vector
 from bus_schema.messages import topics
+from bus_schema.robot_description import RobotDescription
 from deploy.reports.page import Picture
 from deploy.runs.run_data import RunData
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _OVERSAMPLING = 2
+_ANY_STEP_S = 1e-3
 
 
 def arm_pictures(run: RunData) -> list[Picture] | None:
@@ -35,6 +38,12 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
             Picture(float(times_s[tick]), _png(arm.render(position, *size_px, extent)))
             for tick, position in zip(ticks, positions, strict=True)
         ]
+
+
+def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
+    """A PNG file of the arm in one posture, shape (joints,)."""
+    with closing(PybulletArm(robot, _ANY_STEP_S)) as arm:
+        return _png(arm.render(position_rad, _OVERSAMPLING * _WIDTH_PX, _OVERSAMPLING * _HEIGHT_PX))
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

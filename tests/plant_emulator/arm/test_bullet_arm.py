@@ -102,7 +102,7 @@ def test_several_arms_do_not_know_of_each_other():
 def test_urdf_that_bullet_cannot_load_is_named(tmp_path):
     robot = load_robot(find_urdf("paper_arm", Path()))
     object.__setattr__(robot, "path", tmp_path / "arm.urdf")
-    object.__setattr__(robot, "resolved_urdf", lambda _: "<robot/>")
+    object.__setattr__(robot, "resolved_urdf", lambda *_: "<robot/>")
     with pytest.raises(RobotDescriptionError, match=r"arm\.urdf: pybullet cannot load it"):
         BulletArm(robot, GRID, torques_of(robot))
 

@@ -1,0 +1,138 @@
+"""A URDF written so that every simulator reads the same arm from it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+
+from bus_schema.urdf_checks import MOVING_TYPES
+from bus_schema.urdf_inertia import mend_inertias
+
+PAYLOAD_LINK = "funnel_hil_payload"
+_UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
+_SHAPES = (".obj", ".stl", ".dae")
+"""Mesh files that pybullet can draw."""
+
+
+def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> None:
+    """Make every joint revolute, prismatic or fixed, with unit axes and all four limits."""
+    for joint in root.findall("joint"):
+        name = joint.get("name")
+        if name in driven or name in followers:
+            _complete_limits(joint, endless=name in followers)
+            _normalise_axis(joint)
+        else:
+            joint.set("type", "fixed")
+        for mimic in joint.findall("mimic"):  # who reads this decides what follows
+            joint.remove(mimic)
+
+
+def resolve_inertias(root: ET.Element) -> None:
+    """Mend inertias that no body has; links without any get none, or pybullet gives them 1 kg."""
+    mend_inertias(root)
+    for link in root.findall("link"):
+        if link.find("inertial") is None:
+            _add_inertial(link, 0.0)
+
+
+def drop_shapes(root: ET.Element, *, but_drawable: bool) -> None:
+    """Leave out what is only seen or touched: rigid-body physics needs none of it.
+
+    Args:
+        root: the URDF, with absolute paths.
+        but_drawable: keep shapes all of whose mesh files are there and can be drawn.
+    """
+    for link in root.findall("link"):
+        for kind in ("visual", "collision"):
+            for shape in link.findall(kind):
+                names = [mesh.get("filename", "") for mesh in shape.iter("mesh")]
+                if not (but_drawable and all(_is_drawable(name) for name in names)):
+                    link.remove(shape)
+
+
+def name_meshes(root: ET.Element, base: Path) -> None:
+    """Name mesh files by absolute path.
+
+    Args:
+        root: the URDF.
+        base: its folder.
+    """
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", _absolute(mesh.get("filename", ""), base))
+
+
+def missing_meshes(root: ET.Element, base: Path) -> list[str]:
+    """Names of mesh files that are not there, or of a kind that cannot be drawn; each once."""
+    names = dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh"))
+    return [name for name in names if not _is_drawable(_absolute(name, base))]
+
+
+def long_axes(root: ET.Element) -> list[str]:
+    """Names of moving joints whose axis is no unit vector."""
+    return [
+        joint.get("name", "")
+        for joint in root.findall("joint")
+        if joint.get("type") in MOVING_TYPES and abs(np.linalg.norm(_axis(joint)) - 1.0) > 1e-3
+    ]
+
+
+def attach_payload(root: ET.Element, tip_link: str, payload_kg: float) -> None:
+    """Fix a point mass to the origin of the tip link."""
+    link = ET.SubElement(root, "link", name=PAYLOAD_LINK)
+    _add_inertial(link, payload_kg)
+    joint = ET.SubElement(root, "joint", name="funnel_hil_payload_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=tip_link)
+    ET.SubElement(joint, "child", link=PAYLOAD_LINK)
+
+
+def _complete_limits(joint: ET.Element, *, endless: bool) -> None:
+    """Give a moving joint all four limits that simulators ask for."""
+    limit = joint.find("limit")
+    limit = ET.SubElement(joint, "limit") if limit is None else limit
+    endless = endless or joint.get("type") == "continuous"
+    for name, unlimited in _UNLIMITED.items():
+        if limit.get(name) is None or (endless and name in ("lower", "upper")):
+            limit.set(name, str(unlimited))
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+
+
+def _normalise_axis(joint: ET.Element) -> None:
+    """Simulators multiply torques by the length of the axis, or divide by it."""
+    axis, direction = joint.find("axis"), _axis(joint)
+    length = float(np.linalg.norm(direction))
+    if axis is not None and length != 1.0:
+        axis.set("xyz", " ".join(repr(part / length) for part in direction))
+
+
+def _axis(joint: ET.Element) -> list[float]:
+    axis = joint.find("axis")
+    return [float(part) for part in ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split()]
+
+
+def _is_drawable(name: str) -> bool:
+    path = Path(name.removeprefix("file://"))
+    return path.suffix.lower() in _SHAPES and path.is_file()
+
+
+def _absolute(name: str, base: Path) -> str:
+    """Absolute path of a mesh file; a package's folder is looked for at and above the URDF's."""
+    if not name.startswith("package://"):
+        return name if "://" in name or Path(name).is_absolute() else str(base / name)
+    inside = Path(name.removeprefix("package://"))
+    for folder in (base, *base.parents):
+        for candidate in (folder / inside, folder / Path(*inside.parts[1:])):
+            if candidate.is_file():
+                return str(candidate)
+    return str(base / inside)
+
+
+def _add_inertial(link: ET.Element, mass_kg: float) -> None:
+    """Give `link` a point mass at its origin."""
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=str(mass_kg))
+    ET.SubElement(
+        inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0")
+    )

@@ -1,0 +1,53 @@
+"""The C functions in pybullet's library, by name.
+
+Names and arguments are those of ``examples/SharedMemory/PhysicsClientC_API.h`` and
+``SharedMemoryPublic.h`` in Bullet's sources.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from typing import Any
+
+POINTER, INT, DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double
+_NAME_BYTES = 1024
+
+
+class JointInfo(ctypes.Structure):
+    """The beginning of ``b3JointInfo``, and room for all the rest of it."""
+
+    _fields_ = (
+        ("link_name", ctypes.c_char * _NAME_BYTES),
+        ("joint_name", ctypes.c_char * _NAME_BYTES),
+        ("joint_type", ctypes.c_int),
+        ("position_index", ctypes.c_int),
+        ("velocity_index", ctypes.c_int),
+        ("index_and_flags", ctypes.c_int * 2),
+        ("limits", ctypes.c_double * 6),
+        ("parent_frame", ctypes.c_double * 7),
+        ("child_frame", ctypes.c_double * 7),
+        ("rest", ctypes.c_char * 2048),
+    )
+
+
+def _load_library() -> ctypes.CDLL:
+    found = importlib.util.find_spec("pybullet")
+    if found is None or found.origin is None:
+        raise ImportError("pybullet is not installed")
+    return ctypes.CDLL(found.origin)
+
+
+LIBRARY = _load_library()
+
+
+def function(name: str, result: Any, *arguments: Any) -> Any:
+    """The function ``b3<name>``."""
+    found = getattr(LIBRARY, "b3" + name)
+    found.restype, found.argtypes = result, arguments
+    return found
+
+
+def setter(name: str, *arguments: Any) -> Any:
+    """A function that completes a command."""
+    return function(name, INT, POINTER, *arguments)

@@ -1,0 +1,167 @@
+"""What URDFs get wrong: taken with a warning, or refused with file, element and what is allowed."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.robot_description import load_robot
+from controller.manipulator_model import ManipulatorModel
+from plant_emulator.arm.bullet_server import require_loadable
+from plant_emulator.arm.pybullet_arm import PybulletArm
+
+LIMIT = '<limit effort="5" velocity="3" lower="-1" upper="2"/>'
+
+
+def inertial(mass="2", ixx="0.02", iyy="0.03", izz="0.04"):
+    return f"""<inertial><origin xyz="0.2 0 0"/><mass value="{mass}"/>
+      <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial>"""
+
+
+def joint(name, parent, child, kind="revolute", axis="0 1 0", inside=LIMIT):
+    return f"""<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+      <origin xyz="0.3 0 0"/><axis xyz="{axis}"/>{inside}</joint>"""
+
+
+def two_links(first=None, second=None, b=None, c=None, a=""):
+    return f"""<robot name="test"><link name="a">{a}</link>
+      <link name="b">{inertial() if b is None else b}</link>
+      <link name="c">{inertial() if c is None else c}</link>
+      {first or joint("first", "a", "b")}{second or joint("second", "b", "c")}</robot>"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    def load_text(text, *arguments, **options):
+        path = tmp_path / "arm.urdf"
+        path.write_text(text)
+        return load_robot(path, *arguments, **options)
+
+    return load_text
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (two_links(c=""), ("link c", "joint second", "no inertia", "<inertial>")),
+        (two_links(b=inertial("0", "0", "0", "0")), ("link b", "joint first", "no inertia")),
+        (two_links(joint("first", "a", "b", axis="0 0 0")), ("0 0 0", "joint first", "0 0 1")),
+        (two_links(b=inertial("${m}")), ("${m}", "<mass>", "xacro")),
+        (two_links(b=inertial("$(arg m)")), ("$(arg m)", "<mass>", "xacro")),
+        (two_links(b=inertial("nan")), ("mass='nan'", "link b", "finite")),
+        (two_links(joint("first", "a", "b", axis="0 nan 1")), ("axis", "joint first", "finite")),
+        (two_links(b=inertial("-2")), ("mass=-2", "link b", "negative")),
+        (two_links(second=joint("second", "c", "c")), ("joint second", "itself", "two links")),
+        (two_links(b=inertial(izz="0.09")), ("link b", "robot.repair")),
+        (
+            two_links(joint("first", "a", "b", inside='<limit lower="1" upper="-1"/>')),
+            ("joint first", "lower=1", "less than upper"),
+        ),
+        (
+            two_links(second=joint("second", "b", "c", inside='<mimic joint="third"/>')),
+            ("joint second", "'third'", "must be a joint"),
+        ),
+        (
+            two_links(
+                joint("first", "a", "b", inside='<mimic joint="second"/>'),
+                joint("second", "b", "c", inside='<mimic joint="first"/>'),
+            ),
+            ("first", "circle"),
+        ),
+    ],
+)
+def test_refused_with_file_element_and_what_is_allowed(load, tmp_path, text, told):
+    with pytest.raises(RobotDescriptionError) as caught:
+        load(text)
+    for part in (str(tmp_path / "arm.urdf"), *told):
+        assert part in str(caught.value)
+
+
+def test_the_length_of_an_axis_changes_no_torque(load):
+    unit = load(two_links())
+    long = load(two_links(joint("first", "a", "b", axis="0 2 0")))
+    assert "axis of joint first" in long.warnings[0]
+    q = np.array([0.3, -0.4])
+    np.testing.assert_allclose(
+        ManipulatorModel(long).gravity(q), ManipulatorModel(unit).gravity(q), rtol=1e-12
+    )
+    moved = []
+    for robot in (unit, long):
+        with closing(PybulletArm(robot, 1e-3)) as arm:
+            arm.step(np.array([3.0, 1.0]))
+            moved.append(arm.velocity.copy())
+    np.testing.assert_allclose(moved[1], moved[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("izz", "repair"), [("0.0505", False), ("0.055", False), ("0.2", True)])
+def test_odd_inertias_are_mended_for_both_simulators_and_said(load, izz, repair):
+    robot = load(two_links(b=inertial(izz=izz)), repair=repair)
+    assert "link b breaks the triangle rule" in robot.warnings[0]
+    with closing(PybulletArm(robot, 1e-3)) as arm:
+        inertia = arm.mass_matrix(np.zeros(2))
+    expected = ManipulatorModel(robot).mass_matrix(np.zeros(2))
+    np.testing.assert_allclose(inertia, expected, atol=1e-12)
+    lacking = float(izz) - 0.02 - 0.03  # half of it goes to iyy, about which the joint turns
+    mended = ManipulatorModel(load(two_links())).mass_matrix(np.zeros(2))[0, 0] + lacking / 2
+    assert inertia[0, 0] == pytest.approx(mended, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ["package://some_robot/arm.stl", "lost.stl", "arm.step"])
+def test_meshes_that_are_not_there_cost_one_line(load, name):
+    shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    robot = load(two_links(a=shape, b=inertial() + shape + shape.replace("visual", "collision")))
+    (said,) = robot.warnings
+    assert "mesh" in said
+    assert name in said
+    with closing(PybulletArm(robot, 1e-3)) as arm:
+        assert arm.render(np.zeros(2), 40, 30).shape == (30, 40, 3)
+
+
+def test_physics_reads_no_mesh(load, tmp_path):
+    (tmp_path / "broken.obj").write_text("f 1 2 3\n")  # of which Bullet's reader dies
+    shape = '<collision><geometry><mesh filename="broken.obj"/></geometry></collision>'
+    robot = load(two_links(b=inertial() + shape))
+    require_loadable(robot.path, robot.resolved_urdf(shapes="none"))
+    ManipulatorModel(robot)
+
+
+def test_fingers_are_held_and_a_lone_slide_is_driven(load):
+    finger = joint("finger", "a", "c", "prismatic")
+    held = load(two_links(second=finger))
+    assert held.joint_names == ("first",)
+    assert [each.name for each in held.held] == ["finger"]
+    assert "finger" in held.held[0].reason
+    alone = load(two_links(second=joint("slide", "b", "c", "prismatic")))
+    assert alone.joint_names == ("first", "slide")
+    assert alone.slides == (False, True)
+    chosen = load(two_links(second=finger), ["finger"])
+    assert chosen.joint_names == ("finger",)
+    assert chosen.held[0].reason == "not among robot.joints"
+    with pytest.raises(RobotDescriptionError, match=r"some of first, finger; not 'thumb'"):
+        load(two_links(second=finger), ["thumb"])
+
+
+def test_followers_of_held_joints_are_held(load):
+    mimic = joint("second", "b", "c", inside=f'{LIMIT}<mimic joint="first" multiplier="2"/>')
+    robot = load(two_links(second=mimic))
+    assert robot.joint_names == ("first",)
+    assert [(each.name, each.multiplier) for each in robot.followers] == [("second", 2.0)]
+    with pytest.raises(RobotDescriptionError, match="some of first; not 'second'"):
+        load(two_links(second=mimic), ["second"])
+
+
+@pytest.mark.parametrize("links", [127, 128])
+def test_as_many_links_as_bullet_answers_for(load, links):
+    more = "".join(
+        f'<link name="more{i}">{inertial()}</link>{joint(f"j{i}", "c", f"more{i}", "fixed")}'
+        for i in range(links - 3)
+    )
+    text = two_links().replace("\n", " ").replace("</robot>", f"{more}</robot>")  # on one line
+    if links > 127:
+        with pytest.raises(RobotDescriptionError, match="has 128 links; there must be 1 to 127"):
+            load(text)
+    else:
+        robot = load(text)
+        with closing(PybulletArm(robot, 1e-3, payload_kg=1.0)) as arm:
+            arm.step(np.zeros(2))

@@ -1,0 +1,112 @@
+"""`funnel-hil robot`, and what commands say of arms."""
+
+import pytest
+from typer.testing import CliRunner
+
+from deploy.cli import app, main
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import write_scenario
+from deploy.scenario.yaml_files import ScenarioError
+
+XACRO = """<robot name="test" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:property name="length" value="0.4"/>
+  <xacro:include filename="$(find some_robot)/links.xacro"/>
+  <link name="base"/>
+  <xacro:rod name="arm" mass="${2 * 1.5}"/>
+  <joint name="hinge" type="revolute">
+    <parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="{effort}" velocity="0"/>
+  </joint>
+</robot>"""
+LINKS = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:macro name="rod" params="name mass">
+    <link name="${name}"><inertial><origin xyz="${length/2} 0 0"/><mass value="${mass}"/>
+      <inertia ixx="0.001" iyy="0.04" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  </xacro:macro>
+</robot>"""
+SCENARIO = """
+name: test
+duration_s: 0.05
+robot: {urdf: some_robot/urdf/arm.urdf.xacro}
+reference: {kind: minimum_jerk, waypoints: [{time_s: 0, position_rad: 0.0}]}
+metrics: {from_s: 0.01}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    urdf = tmp_path / "some_robot" / "urdf"
+    urdf.mkdir(parents=True)
+    (tmp_path / "some_robot" / "links.xacro").write_text(LINKS)
+    (urdf / "arm.urdf.xacro").write_text(XACRO.replace("{effort}", "5"))
+    (tmp_path / "test.yaml").write_text(SCENARIO)
+    return tmp_path
+
+
+def test_a_xacro_file_is_an_arm_like_any_other(folder):
+    setup = load_setup(str(folder / "test.yaml"))
+    assert setup.robot.joint_names == ("hinge",)
+    # m (l/2)² + I = 3 × 0.2² + 0.04
+    assert setup.governing_inertia_kg_m2[0] == pytest.approx(0.16)
+    written = folder / "results" / "scenario.yaml"
+    written.parent.mkdir()
+    write_scenario(setup, written)
+    (copy,) = written.parent.glob("*.urdf")
+    assert "xacro:" not in copy.read_text()
+    assert load_setup(str(written)).governing_inertia_kg_m2[0] == pytest.approx(0.16)
+
+
+def test_what_xacro_refuses_is_told_by_file(folder):
+    path = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
+    path.write_text(path.read_text().replace("2 * 1.5", "twice"))
+    with pytest.raises(ScenarioError, match=r"arm\.urdf\.xacro: xacro: .*twice"):
+        load_setup(str(folder / "test.yaml"))
+    path.write_text(path.read_text().replace("find some_robot", "find other_robot"))
+    with pytest.raises(ScenarioError, match=r"no folder 'other_robot'"):
+        load_setup(str(folder / "test.yaml"))
+
+
+def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
+    picture = tmp_path / "arm.png"
+    arguments = ["robot", "pybullet_data:franka_panda/panda.urdf", "--picture", str(picture)]
+    result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
+    assert result.exit_code == 0, result.output
+    for text in ("7 driven joints", "7 panda_joint7", "12 N m", "panda_finger_joint1", "held",
+                 "finger", "Gains of fixed_time_neural", "k_1", "closes to 0.01"):  # fmt: skip
+        assert text in result.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_robot_shows_followers_slides_and_warnings():
+    for name, texts in {
+        "xarm/xarm6_with_gripper.urdf": ("follows drive_joint", "triangle rule by 0.74 %"),
+        "cartpole.urdf": ("slides", "UNLIMITED"),
+    }.items():
+        arguments = ["robot", f"pybullet_data:{name}"]
+        result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
+        assert result.exit_code == 0, result.output
+        for text in texts:
+            assert text in result.output
+
+
+@pytest.mark.parametrize("name", ["nowhere.urdf", "pybullet_data:cube.urdf"])
+def test_robot_refuses_with_exit_code_2(name, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["funnel-hil", "robot", name])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert name.split(":")[-1] in capsys.readouterr().err
+
+
+def test_missing_limits_are_said_loudly_unless_the_scenario_has_them(folder):
+    path = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
+    path.write_text(path.read_text().replace('effort="5"', ""))
+    arguments = ["simulate", str(folder / "test.yaml"), "--out"]
+    said = CliRunner().invoke(app, [*arguments, str(folder / "a")])
+    assert said.exit_code == 0
+    assert "no effort limit in the URDF for hinge: torques are UNLIMITED" in said.stderr
+    assert "no velocity limit in the URDF for hinge" in said.stderr
+    limits = ["--set", "limits.torque_nm=5", "--set", "limits.velocity_rad_s=3"]
+    quiet = CliRunner().invoke(app, [*arguments, str(folder / "b"), *limits])
+    assert quiet.exit_code == 0
+    assert "UNLIMITED" not in quiet.stderr

@@ -1,0 +1,141 @@
+"""Joints that slide, and joints that follow others: Bullet against pinocchio."""
+
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from bus_schema.configuration import ConfigurationError
+from bus_schema.drive_feedback import no_drive_feedback
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.robot_description import load_robot
+from bus_schema.runtime.clock import TickGrid
+from controller.manipulator_model import ManipulatorModel
+from controller.rigid_bodies import inverse_dynamics, mass_and_load
+from plant_emulator.arm.bullet_arm import BulletArm
+from plant_emulator.arm.joint_torques import JointTorques
+from plant_emulator.configuration import PlantConfiguration
+
+GRID = TickGrid(1000.0, 10)
+STEP_S = 1e-4
+ROD = """
+    <inertial>
+      <origin xyz="0.15 0.02 0" rpy="0.1 0.2 0.3"/><mass value="{mass}"/>
+      <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="0.002" iyz="0.003"/>
+    </inertial>"""
+
+
+def joint(name, kind, parent, child, axis, extra=""):
+    limits = '<limit lower="-2" upper="2" effort="500" velocity="20"/>'
+    return f"""
+  <joint name="{name}" type="{kind}">
+    <parent link="{parent}"/><child link="{child}"/>
+    <origin xyz="0.3 0.1 0.05" rpy="0.2 0.1 0"/><axis xyz="{axis}"/>{limits}{extra}
+  </joint>"""
+
+
+def write(tmp_path, *joints):
+    links = "".join(
+        f'<link name="{name}">{ROD.format(mass=mass)}</link>'
+        for name, mass in zip("bcde"[: len(joints)], (3, 2, 1.5, 1), strict=False)
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(f'<robot name="test"><link name="a"/>{links}{"".join(joints)}</robot>')
+    return path
+
+
+@pytest.fixture
+def sliding(tmp_path):
+    """Turns, slides, turns."""
+    return load_robot(
+        write(
+            tmp_path,
+            joint("swing", "revolute", "a", "b", "0 1 0"),
+            joint("reach", "prismatic", "b", "c", "1 0 2"),
+            joint("wrist", "continuous", "c", "d", "0 0 1"),
+        )
+    )
+
+
+def mimic(leader, multiplier, offset):
+    return f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/>'
+
+
+@pytest.fixture
+def following(tmp_path):
+    """An elbow that follows the shoulder in series, and a slide beside that follows the elbow."""
+    return load_robot(
+        write(
+            tmp_path,
+            joint("shoulder", "revolute", "a", "b", "0 1 0"),
+            joint("elbow", "revolute", "b", "c", "0 1 0", mimic("shoulder", -0.5, 0.1)),
+            joint("wrist", "revolute", "c", "d", "0 0 1"),
+            joint("slide", "prismatic", "b", "e", "0 0 1", mimic("elbow", 2, 0.05)),
+        )
+    )
+
+
+def free_arm(robot):
+    torques = JointTorques(
+        PlantConfiguration(), robot, STEP_S, np.random.default_rng(0), LimitsConfiguration(),
+        no_drive_feedback(robot.joints),
+    )  # fmt: skip
+    return torques, closing(BulletArm(robot, GRID, torques))
+
+
+@pytest.mark.parametrize("name", ["sliding", "following"])
+def test_bullet_accelerates_as_the_model_does(name, request):
+    robot = request.getfixturevalue(name)
+    model, random = ManipulatorModel(robot), np.random.default_rng(3)
+    torques, opened = free_arm(robot)
+    with opened as arm:
+        for _ in range(10):
+            position = random.uniform(-0.4, 0.4, robot.joints)
+            torque = random.uniform(-40, 40, robot.joints)
+            arm.place(position)
+            torques.asked[:] = torque
+            arm.advance(0, 1)
+            expected = model.forward_dynamics(position, np.zeros(robot.joints), torque)
+            np.testing.assert_allclose(
+                arm.velocity / STEP_S, expected, rtol=0, atol=1e-3 * np.abs(expected).max()
+            )
+
+
+def test_a_follower_stays_with_its_leader_and_energy_is_kept(following):
+    model = ManipulatorModel(following)
+    _, opened = free_arm(following)
+    with opened as arm:
+        arm.place(np.array([0.3, 0.2]))
+        before = model.energy(arm.position, arm.velocity)
+        scale = abs(model.gravity(arm.position)).max()
+        arm.advance(0, 2000)
+        assert np.abs(arm.velocity).max() > 0.5
+        # The swing turns over tens of joules; a follower left behind would not be in the sum.
+        assert model.energy(arm.position, arm.velocity) == pytest.approx(before, abs=0.01 * scale)
+
+
+def test_compiled_terms_of_an_arm_that_slides_are_those_of_pinocchio(sliding):
+    model, random = ManipulatorModel(sliding, payload_kg=1.0), np.random.default_rng(5)
+    bodies, table = model.rigid_bodies(), model.inertia_table()
+    mass, load, torque = np.empty((3, 3)), np.empty(3), np.empty(3)
+    for _ in range(10):
+        q, v, a = random.uniform(-1.5, 1.5, (3, 3))
+        mass_and_load(bodies, table, q, v, mass, load)
+        inverse_dynamics(bodies, table, q, v, a, torque)
+        np.testing.assert_allclose(mass, model.mass_matrix(q), atol=1e-11)
+        np.testing.assert_allclose(torque, model.inverse_dynamics(q, v, a), atol=1e-10)
+
+
+def test_reduced_terms_fit_together(following):
+    model, random = ManipulatorModel(following), np.random.default_rng(6)
+    for _ in range(5):
+        q, v, a = random.uniform(-1, 1, (3, 2))
+        terms = model.mass_matrix(q) @ a + model.coriolis_matrix(q, v) @ v + model.gravity(q)
+        np.testing.assert_allclose(model.inverse_dynamics(q, v, a), terms, atol=1e-10)
+        np.testing.assert_allclose(model.torque_along(q, v, v, a), terms, atol=1e-10)
+        np.testing.assert_allclose(model.forward_dynamics(q, v, terms), a, atol=1e-9)
+
+
+def test_delay_compensation_refuses_followers_in_one_sentence(following):
+    with pytest.raises(ConfigurationError, match=r"mimic joints"):
+        ManipulatorModel(following).rigid_bodies()
