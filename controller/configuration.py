@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
+from pathlib import PurePath
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, PlainValidator, create_model, field_validator
+from pydantic import (
+    Field,
+    PlainValidator,
+    ValidationInfo,
+    create_model,
+    field_validator,
+    model_validator,
+)
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
+    ConfigurationError,
     NonNegative,
     Number,
     PerJointPositive,
@@ -31,6 +41,12 @@ from controller.laws import LAWS
 from controller.laws.custom import build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
+
+
+PROCESS = "process"
+"""In place of the name of a law: the controller is a process of the user's own on the bus."""
+_INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
+_PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
 
 
 class DelayCompensationConfiguration(StrictModel):
@@ -95,7 +111,10 @@ class ControllerConfiguration(StrictModel):
     """The controller.
 
     Attributes:
-        law: name of the control law, or ``module:Class`` for one of the user's own.
+        law: name of the control law, or ``module:Class`` for one of the user's own; ``process``
+            wherever a process is given.
+        process: command of a process of the user's own, which is the controller in place of any
+            law: the program and its arguments, started in the current folder, without a shell.
         gains: gains by law; ``custom`` are keyword arguments for a law of the user's own. A law
             without an entry derives its gains from the arm's nominal inertia.
         model_scale: factor on the masses and inertias of the nominal model.
@@ -103,18 +122,49 @@ class ControllerConfiguration(StrictModel):
     """
 
     law: str = "fixed_time_neural"
+    process: Annotated[
+        tuple[Annotated[str, Field(min_length=1)], ...] | None,
+        Field(min_length=1, validate_default=True),
+    ] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _process_has_no_law(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("process") is not None:
+            return {**given, "law": PROCESS}
+        return given
+
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS and not is_custom(law):
+        if law not in LAWS and law != PROCESS and not is_custom(law):
             raise ValueError(f"one of {', '.join(LAWS)}, or module:Class for a law of your own")
         return law
+
+    @field_validator("process")
+    @classmethod
+    def _is_there(cls, process: Any, info: ValidationInfo) -> Any:
+        if process is None and info.data.get("law") == PROCESS:
+            raise ValueError(f"a program and its arguments, as controller.law is {PROCESS}")
+        return process
+
+    @field_validator("torque_rate_limit_nm_s", "delay_compensation")
+    @classmethod
+    def _takes_effect(cls, value: Any, info: ValidationInfo) -> Any:
+        is_off = value is None or not getattr(value, "enabled", True)
+        if not is_off and info.data.get("law") == PROCESS:
+            raise ValueError("left out or off: controller.process has its own, if any")
+        return value
+
+    @property
+    def name(self) -> str:
+        """Whose controller it is: the law, or the process as its program is called."""
+        return self.law if self.process is None else f"{PROCESS}: {_program_name(self.process)}"
 
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
         """The gains of the configured law, expanded to the robot's joints.
@@ -127,6 +177,8 @@ class ControllerConfiguration(StrictModel):
         Raises:
             ConfigurationError: there are as many values of a gain as suits another arm.
         """
+        if self.law == PROCESS:
+            return {}
         if self.law not in LAWS:
             return self.gains["custom"]
         gains = self.gains.get(self.law)
@@ -138,8 +190,11 @@ class ControllerConfiguration(StrictModel):
         """The configured law with gains from `build_gains`.
 
         Raises:
-            ConfigurationError: a law of the user's own cannot be made.
+            ConfigurationError: a law of the user's own cannot be made; a process is no law.
         """
+        if self.law == PROCESS:
+            allowed = "must be the name of a law: a process is there in `run` and studies alone"
+            raise ConfigurationError("controller.law", self.law, allowed)
         model = self.nominal_model(robot)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
@@ -193,3 +248,13 @@ class ControllerConfiguration(StrictModel):
             return np.full(joints, np.inf)
         key = "controller.torque_rate_limit_nm_s"
         return expand(self.torque_rate_limit_nm_s, joints, key)
+
+
+def _program_name(command: tuple[str, ...]) -> str:
+    """What a command runs: what an interpreter is given is more telling than the interpreter."""
+    program, *arguments = command
+    scripts = [word for word in arguments if not word.startswith("-")]
+    is_interpreter = _INTERPRETER.fullmatch(PurePath(program).name) is not None
+    if is_interpreter and scripts and _PLAIN_NAME.fullmatch(scripts[0]):
+        program = scripts[0]
+    return PurePath(program).stem

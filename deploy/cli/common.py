@@ -142,7 +142,8 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
 
 def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
     """Under what conditions a run came about, as its folder has them."""
-    return conditions_of_runs([run.setup], read_manifest(folder.path))
+    conditions = conditions_of_runs([run.setup], read_manifest(folder.path))
+    return {**conditions, "law": run.controller}
 
 
 @contextlib.contextmanager

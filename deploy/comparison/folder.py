@@ -58,14 +58,14 @@ class ComparisonFolder(ResultFolder):
         name = f"compare-{setups[0].scenario.name}"
         folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
         folder.lock()
-        laws = [setup.scenario.controller.law for setup in setups]
+        laws = [setup.scenario.controller.name for setup in setups]
         write_json(folder.manifest, {**manifest_of(setups), "laws": laws})
         return folder
 
     def add(self, simulation: Simulation) -> LawRun:
         """Write the run of one law to its folder, and judge it."""
         setup = simulation.setup
-        law = setup.scenario.controller.law
+        law = setup.scenario.controller.name
         folder = RunFolder.begin(setup, self._law_path(law), overwrite=True)
         simulation.write_log(folder.log)
         data = simulation.data()

@@ -37,7 +37,7 @@ def summarise(run: RunData) -> dict[str, Any]:
     wall_s = float(outcome.get("wall_s", 0.0))
     return {
         "scenario": setup.scenario.name,
-        "law": setup.scenario.controller.law,
+        "law": run.controller,
         "clock": run.clock,
         "link": run.link,
         "duration_s": duration_s,

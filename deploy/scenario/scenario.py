@@ -76,6 +76,7 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
     scenario = validated(values, Scenario, origin)
     with naming(path):
         _check_judged_time(scenario, overrides)
+        _check_law_is_used(scenario, overrides)
     return replace(check(scenario, origin), overrides=tuple(overrides))
 
 
@@ -154,6 +155,14 @@ def _check_judged_time(scenario: Scenario, overrides: Sequence[str]) -> None:
         raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
 
 
+def _check_law_is_used(scenario: Scenario, overrides: Sequence[str]) -> None:
+    """Check that a law that was asked for is not displaced by a process of the scenario's file."""
+    for key, value in map(parse_override, overrides):
+        if key == "controller.law" and scenario.controller.law != value:
+            allowed = "must be left out, or controller.process set to null"
+            raise ConfigurationError(key, value, f"{allowed}: a process has no law of ours")
+
+
 def _read_scenario(path: Path) -> dict[str, Any]:
     """The values of a scenario; one that ``extends`` another says only what is different."""
     values = read_yaml(path)
@@ -228,7 +237,11 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         governing_inertia_kg_m2=inertia,
         grid=grid,
     )
-    setup.control_task()
+    if scenario.controller.process is None:
+        setup.control_task()
+    elif scenario.link.kind != "zenoh":
+        allowed = "must be zenoh, which controller.process speaks"
+        raise ConfigurationError("link.kind", scenario.link.kind, allowed)
     link_kind.check(setup.link_run(lockstep=True))
     ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
     if scenario.uncertainty:
