@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from pydantic import (
+    BeforeValidator,
     Field,
     PlainValidator,
     ValidationInfo,
@@ -47,6 +48,16 @@ PROCESS = "process"
 """In place of the name of a law: the controller is a process of the user's own on the bus."""
 _INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
 _PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
+
+
+def _to_word(value: Any) -> Any:
+    """YAML has numbers where a command line has words."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return str(value) if is_number else value
+
+
+Word = Annotated[str, BeforeValidator(_to_word), Field(min_length=1)]
+"""A word of a command line."""
 
 
 class DelayCompensationConfiguration(StrictModel):
@@ -123,8 +134,7 @@ class ControllerConfiguration(StrictModel):
 
     law: str = "fixed_time_neural"
     process: Annotated[
-        tuple[Annotated[str, Field(min_length=1)], ...] | None,
-        Field(min_length=1, validate_default=True),
+        tuple[Word, ...] | None, Field(min_length=1, validate_default=True)
     ] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0

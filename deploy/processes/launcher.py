@@ -103,7 +103,7 @@ class Launcher:
         finally:
             self._clear_up()
         self._handle_messages(on_message)
-        self._note_early_end()
+        self._note_what_program_said()
         return self._outcome
 
     def _start(self, role: Role) -> None:
@@ -167,8 +167,12 @@ class Launcher:
             return
         if self._has_gone(Role.PLANT):
             program.ask_to_stop()
+            if not self._has_begun:
+                self._children[Role.RECORDER].ask_to_stop()  # it may not have met the plant
         elif self._has_gone(Role.CONTROLLER) and not self._has_begun:
-            self._children[Role.PLANT].ask_to_stop()  # which would wait for it
+            plant = self._children[Role.PLANT]
+            if plant.has_started.is_set():  # before, a signal would kill it
+                plant.ask_to_stop()  # it would wait for the program in vain
 
     def _time_to_leave_s(self) -> float:
         """The plant has its command timeout and its stop to get through, in wall time."""
@@ -215,11 +219,13 @@ class Launcher:
                     text = f"the {child.role} ended before the run did"
                     self._note_failure(Failure(text, is_cause=True))
 
-    def _note_early_end(self) -> None:
-        """A program that left in order is what a run failed of, if it did or never began."""
+    def _note_what_program_said(self) -> None:
+        """Where a run failed or never began, a program may be the cause though it says it is not."""
         program = self._children.get(Role.CONTROLLER)
-        if isinstance(program, Program) and (self._outcome.failures or not self._has_begun):
-            self._note_failure(program.early_end())
+        if not isinstance(program, Program) or program.failure() is not None:
+            return
+        if self._outcome.failures or not (self._has_begun or self._outcome.interrupted):
+            self._note_failure(program.suspicion())
 
     def _note_failure(self, failure: Failure | None) -> None:
         if failure is not None:

@@ -22,6 +22,7 @@ from deploy.scenario.yaml_files import naming
 _NODE = "controller_process"
 _LONGEST_WORDS = 2000
 _LAST_BYTES = 65_536
+_SILENT = "it left no message"
 
 
 def require_program(setup: Setup) -> None:
@@ -87,6 +88,7 @@ class Program(ChildProcess):
         variables = program_variables(setup, scenario, plant_endpoint)
         self._name = setup.scenario.controller.name
         self._stderr = scenario.with_name("controller_stderr.log")
+        self._said_before = self._stderr.stat().st_size if self._stderr.exists() else 0
         stdout = scenario.with_name("controller_stdout.log")
         command = setup.scenario.controller.process
         process = start_program(command, {**os.environ, **variables}, stdout, self._stderr)
@@ -120,20 +122,22 @@ class Program(ChildProcess):
             how = f"failed with exit code {code}"
         return Failure(f"the controller ({self._name}) {how}: {self._last_words()}", is_cause=True)
 
-    def early_end(self) -> Failure | None:
-        """That it left in order though nobody asked it to, for a run that did not get through."""
-        if self._was_asked_to_stop or self._process.exitcode != 0:
+    def suspicion(self) -> Failure | None:
+        """What it may have to do with a failure, for one that has not failed itself."""
+        who, said = f"the controller ({self._name})", self._last_words()
+        if not self._was_asked_to_stop:
+            return Failure(f"{who} ended by itself with exit code 0: {said}", is_cause=True)
+        if said == _SILENT:
             return None
-        text = f"the controller ({self._name}) ended by itself with exit code 0"
-        return Failure(f"{text}: {self._last_words()}", is_cause=True)
+        return Failure(f"{who} had to be stopped; its last words: {said}", is_cause=False)
 
     def _last_words(self) -> str:
         """The last line on its standard error."""
         try:
             with self._stderr.open("rb") as file:
-                file.seek(max(0, file.seek(0, os.SEEK_END) - _LAST_BYTES))
+                file.seek(max(self._said_before, file.seek(0, os.SEEK_END) - _LAST_BYTES))
                 lines = file.read().decode(errors="replace").splitlines()
         except OSError:
             lines = []
         last = deque((line for line in lines if line.strip()), maxlen=1)
-        return last[0].strip()[:_LONGEST_WORDS] if last else "it left no message"
+        return last[0].strip()[:_LONGEST_WORDS] if last else _SILENT

@@ -14,6 +14,7 @@ from bus_schema.configuration import shortened
 from deploy.scenario.yaml_files import ScenarioError
 
 _RESULTS = (
+    "controller_stdout.log", "controller_stderr.log",
     "run.mcap", "run.partial.mcap", "summary.json", "manifest.json", "report.html", "fault.json",
     "study.yaml", "comparison.parquet", "sweep.parquet", "margin.parquet", "robustness.parquet",
 )  # fmt: skip

@@ -106,11 +106,11 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: over.set())
     while not over.wait(0.05):
         pass
-    if "--fail-after" in limit:
-        raise RuntimeError("the encoder of my own is gone")
     for entity in (token, subscriber):
         entity.undeclare()
     session.close()
+    if "--fail-after" in limit:
+        raise RuntimeError("the encoder of my own is gone")
     print(f"{answered} states answered")
 
 
