@@ -133,9 +133,7 @@ class ControllerConfiguration(StrictModel):
     """
 
     law: str = "fixed_time_neural"
-    process: Annotated[
-        tuple[Word, ...] | None, Field(min_length=1, validate_default=True)
-    ] = None
+    process: Annotated[tuple[Word, ...] | None, Field(min_length=1, validate_default=True)] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None

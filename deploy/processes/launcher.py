@@ -220,7 +220,7 @@ class Launcher:
                     self._note_failure(Failure(text, is_cause=True))
 
     def _note_what_program_said(self) -> None:
-        """Where a run failed or never began, a program may be the cause though it says it is not."""
+        """Where a run failed or never began, a program may be the cause all the same."""
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, Program) or program.failure() is not None:
             return

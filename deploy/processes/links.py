@@ -71,7 +71,7 @@ def check_awaiting(setup: Setup) -> None:
             allowed = "must be null with --await-controller, which starts no controller"
             raise ConfigurationError("controller.process", list(controller.process), allowed)
         for fault in process_faults(setup.scenario.faults):
-            if fault.target == Role.CONTROLLER:
+            if Role(fault.target) is Role.CONTROLLER:
                 allowed = "must be another one with --await-controller, which has no such process"
                 raise ConfigurationError("faults: target", fault.target, allowed)
     with _refusing(setup, "plant_endpoint"), _listening(setup.scenario.link.plant_endpoint):

@@ -1,6 +1,6 @@
 """A controller that others wrote: PID to one point, with `zenoh` and `struct` and nothing of ours.
 
-    python foreign_controller.py [--fail-after N | --leave-after N]
+python foreign_controller.py [--fail-after N | --leave-after N]
 """
 
 import os
@@ -58,7 +58,7 @@ def command(stamp: tuple, names: list, torque_nm: list) -> bytes:
 
 def main() -> None:
     variable = {name: text for name, text in os.environ.items() if name.startswith("FUNNEL_HIL_")}
-    limit = {word: int(number) for word, number in zip(sys.argv[1::2], sys.argv[2::2])}
+    limit = {word: int(number) for word, number in zip(sys.argv[1::2], sys.argv[2::2], strict=True)}
     over, answered, integral = threading.Event(), 0, [0.0, 0.0, 0.0]
     names = variable["FUNNEL_HIL_JOINTS"].split(",")
     configuration = zenoh.Config()
