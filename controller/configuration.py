@@ -43,7 +43,6 @@ from controller.laws.custom import build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
 
-
 PROCESS = "process"
 """In place of the name of a law: the controller is a process of the user's own on the bus."""
 _INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")

@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
+from controller.configuration import PROCESS
 from controller.laws import LAWS
 from controller.laws.custom import is_custom
 from deploy.cli.progress import CommandProgress
@@ -61,8 +62,8 @@ def parse_laws(text: str | None) -> list[str] | None:
     if not laws:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
     for law in laws:
-        if law not in LAWS and not is_custom(law):
-            allowed = f"{', '.join(LAWS)}, or module:Class for a law of your own"
+        if law not in LAWS and law != PROCESS and not is_custom(law):
+            allowed = f"{', '.join(LAWS)}, {PROCESS}, or module:Class for a law of your own"
             raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
     return laws
 
@@ -124,9 +125,7 @@ def conclude(folder: RunFolder, run: RunData, more_faults: Sequence[str] = ()) -
     """
     from deploy.reports.run_report import write_report  # figures take their time to import
 
-    summary = summarise(run)
-    summary["faults"] = [*more_faults, *summary["faults"]]
-    summary["completed"] = summary["completed"] and not more_faults
+    summary = summarise(run, more_faults)
     write_json(folder.summary, {**summary, "completed": False})  # until all is written
     try:
         if (record := fault_record(run)) is not None:

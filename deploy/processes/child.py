@@ -73,7 +73,7 @@ class ChildProcess(ABC):
             with contextlib.suppress(ProcessLookupError):  # it has ended just now
                 os.kill(self._process.pid, number)
 
-    def confirm(self) -> None:
+    def confirm(self) -> None:  # noqa: B027 (a program waits for nothing)
         """Tell a child that waits for it that what it asked for is done."""
 
     def kill(self) -> None:

@@ -25,7 +25,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
-from controller.configuration import ControllerConfiguration
+from controller.configuration import PROCESS, ControllerConfiguration
 from controller.laws import LAWS
 from controller.reference import Reference, sample_positions
 from deploy.link_kinds.table import LINK_KINDS
@@ -71,12 +71,11 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
     path = find_yaml(name_or_path, SHIPPED)
     values = _read_scenario(path)
     for text in overrides:
-        set_value(values, *parse_override(text))
+        _override(values, text)
     origin = Origin(path, tuple(overrides), given_by)
     scenario = validated(values, Scenario, origin)
     with naming(path):
         _check_judged_time(scenario, overrides)
-        _check_law_is_used(scenario, overrides)
     return replace(check(scenario, origin), overrides=tuple(overrides))
 
 
@@ -155,12 +154,12 @@ def _check_judged_time(scenario: Scenario, overrides: Sequence[str]) -> None:
         raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
 
 
-def _check_law_is_used(scenario: Scenario, overrides: Sequence[str]) -> None:
-    """Check that a law that was asked for is not displaced by a process of the scenario's file."""
-    for key, value in map(parse_override, overrides):
-        if key == "controller.law" and scenario.controller.law != value:
-            allowed = "must be left out, or controller.process set to null"
-            raise ConfigurationError(key, value, f"{allowed}: a process has no law of ours")
+def _override(values: dict[str, Any], text: str) -> None:
+    """Set a value; a law takes the place of a process that was given before it."""
+    key, value = parse_override(text)
+    set_value(values, key, value)
+    if key == "controller.law" and value != PROCESS and "process" in values["controller"]:
+        set_value(values, "controller.process", None)
 
 
 def _read_scenario(path: Path) -> dict[str, Any]:
