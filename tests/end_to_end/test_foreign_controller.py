@@ -15,6 +15,8 @@ from running import Finished, free_endpoint, funnel_hil_here, settings, started
 from deploy.processes.program import program_variables
 from deploy.runs.run_data import FOREIGN
 from deploy.scenario.scenario import load_setup
+from deploy.study.margin import Margin
+from tests.deploy.study.studies import Here, conduct, make_sweep
 
 CLIENT = [sys.executable, str(Path(__file__).with_name("foreign_controller.py"))]
 WIDE = {"convergence_margin_rad": 1.0, "overshoot_margin_rad": 1.0, "final_rad": 0.9}
@@ -142,3 +144,38 @@ def test_nobody_came(tmp_path: Path) -> None:
     ended = run(tmp_path / "run", "--await-controller", **given)
     assert ended.code == 1
     assert "the controller is silent: no sign of life within 0.5 s" in ended.output
+
+
+def test_compare_sets_it_beside_a_law(tmp_path: Path) -> None:
+    given = settings(**SHORT, controller__process=CLIENT, link__uplink__delay_ms=2.0)
+    words = ["compare", "paper_arm", "--laws", "process,pid", *given]
+    ended = funnel_hil_here(*words, out=tmp_path / "both")
+    assert ended.code == 0, ended.output
+    own, pid = (ended.summary["laws"][law] for law in (NAME, "pid"))
+    assert own["completed"]
+    assert own["law"] == NAME
+    assert own["timing"]["round_trip_us"] == pid["timing"]["round_trip_us"]
+    assert own["torque"]["peak_nm"] == pytest.approx(pid["torque"]["peak_nm"], rel=0.05)
+    again = funnel_hil_here("report", str(ended.folder), out=None)
+    assert again.code == 0, again.output
+
+
+def test_margin_and_sweep_run_it_in_lockstep_with_the_delays_of_the_link(tmp_path: Path) -> None:
+    fixed = {**SHORT, "controller.process": CLIENT}
+    values = {"laws": ["process"], "offsets": [1.0], "resolution": 20, "limit": 20, "set": fixed}
+    margin = Margin(values, Path("margin"))
+    whole, folder = conduct(margin, tmp_path / "margin", Here())
+    (case,) = margin.summary(folder.rows)["cases"]
+    assert whole
+    assert case["law"] == NAME
+    by_delay = {row["value"]: row for row in folder.rows}
+    assert [by_delay[ms]["error"] for ms in (0.0, 20.0)] == [None, None]
+    assert by_delay[20.0]["uplink_delay_mean_ms"] == by_delay[20.0]["downlink_delay_mean_ms"] == 10
+    assert {row["law"] for row in folder.rows} == {NAME}
+
+    fixed["controller.process"] = [*CLIENT, "--fail-after", 50]
+    grid = {"link.uplink.delay_ms": [1.0]}
+    sweep = make_sweep(tmp_path, grid, seeds=1, set=fixed)
+    _, folder = conduct(sweep, tmp_path / "sweep", Here())
+    (row,) = folder.rows
+    assert row["error"].startswith(f"the controller ({NAME}) failed with exit code 1: RuntimeError")
