@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
+from pathlib import PurePath
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, PlainValidator, create_model, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+    create_model,
+    field_validator,
+    model_validator,
+)
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import (
+    ConfigurationError,
     NonNegative,
     Number,
     PerJointPositive,
@@ -33,6 +44,21 @@ from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
+
+PROCESS = "process"
+"""In place of the name of a law: the controller is a process of the user's own on the bus."""
+_INTERPRETER = re.compile(r"env|(ba|da|z)?sh|node|ruby|perl|lua|julia|java|((py)?py|python)[\d.]*")
+_PLAIN_NAME = re.compile(r"[\w.+/-]{1,200}")
+
+
+def _to_word(value: Any) -> Any:
+    """YAML has numbers where a command line has words."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return str(value) if is_number else value
+
+
+Word = Annotated[str, BeforeValidator(_to_word), Field(min_length=1)]
+"""A word of a command line."""
 
 
 class DelayCompensationConfiguration(StrictModel):
@@ -98,7 +124,9 @@ class ControllerConfiguration(StrictModel):
 
     Attributes:
         law: name of the control law, ``module:Class`` for one of the user's own, or ``external``
-            for one in a program of its own.
+            for one in a program of its own; ``process`` wherever a process is given.
+        process: command of a process of the user's own, which is the controller in place of any
+            law: the program and its arguments, started in the current folder, without a shell.
         gains: gains by law; ``custom`` are keyword arguments for a law of the user's own. A law
             without an entry derives its gains from the arm's nominal inertia.
         external: that program.
@@ -107,6 +135,7 @@ class ControllerConfiguration(StrictModel):
     """
 
     law: str = "fixed_time_neural"
+    process: Annotated[tuple[Word, ...] | None, Field(min_length=1, validate_default=True)] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     external: ExternalLawConfiguration | None = None
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
@@ -114,10 +143,17 @@ class ControllerConfiguration(StrictModel):
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
 
+    @model_validator(mode="before")
+    @classmethod
+    def _process_has_no_law(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("process") is not None:
+            return {**given, "law": PROCESS}
+        return given
+
     @field_validator("law")
     @classmethod
     def _known(cls, law: str) -> str:
-        if law not in LAWS and not is_custom(law):
+        if law not in LAWS and law != PROCESS and not is_custom(law):
             raise ValueError(
                 f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
                 " program of your own"
@@ -132,6 +168,26 @@ class ControllerConfiguration(StrictModel):
             )
         return self
 
+    @field_validator("process")
+    @classmethod
+    def _is_there(cls, process: Any, info: ValidationInfo) -> Any:
+        if process is None and info.data.get("law") == PROCESS:
+            raise ValueError(f"a program and its arguments, as controller.law is {PROCESS}")
+        return process
+
+    @field_validator("torque_rate_limit_nm_s", "delay_compensation")
+    @classmethod
+    def _takes_effect(cls, value: Any, info: ValidationInfo) -> Any:
+        is_off = value is None or not getattr(value, "enabled", True)
+        if not is_off and info.data.get("law") == PROCESS:
+            raise ValueError("left out or off: controller.process has its own, if any")
+        return value
+
+    @property
+    def name(self) -> str:
+        """Whose controller it is: the law, or the process as its program is called."""
+        return self.law if self.process is None else f"{PROCESS}: {_program_name(self.process)}"
+
     def build_gains(self, robot: RobotDescription, inertia_kg_m2: Vector) -> Any:
         """The gains of the configured law, expanded to the robot's joints.
 
@@ -143,7 +199,7 @@ class ControllerConfiguration(StrictModel):
         Raises:
             ConfigurationError: there are as many values of a gain as suits another arm.
         """
-        if self.law == EXTERNAL:
+        if self.law in (EXTERNAL, PROCESS):
             return {}
         if self.law not in LAWS:
             return self.gains["custom"]
@@ -156,8 +212,11 @@ class ControllerConfiguration(StrictModel):
         """The configured law with gains from `build_gains`.
 
         Raises:
-            ConfigurationError: a law of the user's own cannot be made.
+            ConfigurationError: a law of the user's own cannot be made; a process is no law.
         """
+        if self.law == PROCESS:
+            allowed = "must be the name of a law: a process is there in `run` and studies alone"
+            raise ConfigurationError("controller.law", self.law, allowed)
         if self.law == EXTERNAL:
             if are_left_out():
                 return LeftOut(robot.joints)
@@ -216,3 +275,13 @@ class ControllerConfiguration(StrictModel):
             return np.full(joints, np.inf)
         key = "controller.torque_rate_limit_nm_s"
         return expand(self.torque_rate_limit_nm_s, joints, key)
+
+
+def _program_name(command: tuple[str, ...]) -> str:
+    """What a command runs: what an interpreter is given is more telling than the interpreter."""
+    program, *arguments = command
+    scripts = [word for word in arguments if not word.startswith("-")]
+    is_interpreter = _INTERPRETER.fullmatch(PurePath(program).name) is not None
+    if is_interpreter and scripts and _PLAIN_NAME.fullmatch(scripts[0]):
+        program = scripts[0]
+    return PurePath(program).stem

@@ -15,6 +15,7 @@ from rich.markup import escape
 
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
+from controller.configuration import PROCESS
 from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.progress import CommandProgress
@@ -60,14 +61,16 @@ def parse_laws(text: str | None) -> list[str] | None:
     """
     if text is None:
         return None
-    laws = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if not laws:
+    named = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not named:
         raise ScenarioError(f"--laws {text!r}: must name one or more of {', '.join(LAWS)}")
-    for law in laws:
-        if law not in LAWS and not is_custom(law):
-            allowed = f"{', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL}"
+    for law in named:
+        if law not in LAWS and law != PROCESS and not is_custom(law):
+            allowed = (
+                f"{', '.join(LAWS)}, {PROCESS}, module:Class for a law of your own, or {EXTERNAL}"
+            )
             raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
-    return laws
+    return named
 
 
 def say_oddities(setup: Setup) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +32,7 @@ from deploy.comparison.comparison import Comparison, LawRun, load_setups
 from deploy.comparison.folder import KIND, ComparisonFolder
 from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
+from deploy.processes.program import require_program
 from deploy.reports.compare_report import write_comparison_report
 from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_table
 from deploy.reports.conclude import conclude, conditions_in
@@ -43,6 +46,7 @@ from deploy.runs.run_folder import RunFolder, load_run, read_summary
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
+from deploy.stop_signals import on_stop
 
 RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 
@@ -65,6 +69,8 @@ def compare(
     """Run a scenario under several laws in virtual time, and set their results side by side."""
     setups = load_setups(scenario, overrides or [], parse_laws(laws))
     say_oddities(setups[0])
+    for setup in setups:
+        require_program(setup)
     folder = ComparisonFolder.begin(setups, out, overwrite=overwrite)
     with folder:
         console, stop = Console(), threading.Event()
@@ -72,6 +78,8 @@ def compare(
         interrupted = stop.is_set()
         if settling and not interrupted:
             for setup in setups:
+                if setup.scenario.controller.process is not None:
+                    continue  # it has no bound, and each of its starts would be a run of its own
                 test = settling_test(setup)
                 comparison.settling.append(test)
                 console.print(settling_sentence(test), markup=False, highlight=False)
@@ -96,6 +104,8 @@ def replay(
     """Feed a recorded run to the law again and compare the torques bit for bit."""
     data, contents = load_run(run_dir)
     law = data.setup.scenario.controller.law
+    if data.setup.scenario.controller.process is not None:
+        raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
     if is_custom(law) and not allow_custom_law:
         raise ScenarioError(
             f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
@@ -171,14 +181,27 @@ def _run_all(
     total_s, before_s = sum(setup.scenario.duration_s for setup in setups), 0.0
     with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
-            law = setup.scenario.controller.law
-            watch = watching(progress, setup, law, stop, before_s)
-            runs.append(folder.add(attempt(setup, watch)))
+            law = setup.scenario.controller.name
+            if setup.scenario.controller.process is None:
+                watch = watching(progress, setup, law, stop, before_s)
+                runs.append(folder.add(attempt(setup, watch)))
+            else:
+                runs.append(folder.add_process(setup, partial(_stop_by, stop)))
             progress.say(f"{law}: {bounds_sentence(runs[-1])}")
             before_s += setup.scenario.duration_s
             if stop.is_set():
                 break
     return runs
+
+
+def _stop_by(stop: threading.Event, request_stop: Callable[[], None]) -> None:
+    """Have an interrupt stop a run by `request_stop`, and set `stop`."""
+
+    def both() -> None:
+        stop.set()
+        request_stop()
+
+    on_stop(both)
 
 
 def _conclude_comparison(

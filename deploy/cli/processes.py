@@ -13,7 +13,7 @@ from bus_schema.recording.atomic_files import partial_path
 from deploy.cli.common import Out, Overrides, Overwrite, ScenarioArgument, finish
 from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
-from deploy.processes.links import check_link, require_keys
+from deploy.processes.links import check_link, require_keys, require_own_controller
 from deploy.processes.parent import end_with_parent
 from deploy.processes.processes import (
     StopRequest,
@@ -45,6 +45,7 @@ def controller(
     reporter = _reporter(Role.CONTROLLER, parent_pid)
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
+    require_own_controller(setup)
     require_keys(setup, Role.CONTROLLER)
     raise typer.Exit(run_controller(setup, reporter, await_recorder=await_recorder))
 

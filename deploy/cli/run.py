@@ -23,11 +23,18 @@ from deploy.cli.common import (
 from deploy.cli.progress import CommandProgress
 from deploy.cli.show_run import show_relay, status_handler
 from deploy.processes.launcher import Launcher, RunOutcome
-from deploy.processes.links import check_link, require_keys, with_free_endpoints
-from deploy.processes.real_delay import check_real_delay, knowing_real_delay, real_delay
+from deploy.processes.links import (
+    check_awaiting,
+    check_link,
+    require_keys,
+    with_free_endpoints,
+)
+from deploy.processes.program import require_program
+from deploy.processes.real_delay import RealDelay, check_real_delay, knowing_real_delay, real_delay
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from deploy.stop_signals import on_stop
 
 RealDelayOption = Annotated[
@@ -40,6 +47,15 @@ RealDelayOption = Annotated[
     ),
 ]
 
+AwaitController = Annotated[
+    bool,
+    typer.Option(
+        "--await-controller",
+        help="Start plant and recorder only, and wait for a controller that is started elsewhere:"
+        " for link.connect_timeout_s, at the endpoints of the scenario.",
+    ),
+]
+
 
 def run(
     scenario: ScenarioArgument = "paper_arm",
@@ -49,6 +65,7 @@ def run(
     require_bounds: RequireBounds = False,
     no_report: NoReport = False,
     real_delay_ms: RealDelayOption = None,
+    await_controller: AwaitController = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, overrides or [])
@@ -57,25 +74,42 @@ def run(
         check_real_delay(setup, real_delay_ms)
         setup = knowing_real_delay(setup, real_delay_ms)
     check_link(setup, one_process=False)
+    require_program(setup)
     require_keys(setup, *Role)
-    setup = with_free_endpoints(setup)
+    if await_controller:
+        check_awaiting(setup)
+    else:
+        setup = with_free_endpoints(setup)
     delay = None if real_delay_ms is None else real_delay(setup, real_delay_ms)
     console = Console()
     folder = RunFolder.begin(setup, out, overwrite=overwrite)
     with folder:
         launcher = Launcher(
-            setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay
-        )
+            setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay,
+            awaits_controller=await_controller,
+        )  # fmt: skip
         on_stop(launcher.request_stop)
         with CommandProgress(
             console, setup.scenario.name, setup.scenario.duration_s, "s"
         ) as progress:
+            if await_controller:
+                progress.say(waiting_sentence(setup, delay))
             outcome = launcher.run(status_handler(progress))
         held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
         folder.write_manifest(setup, outcome.realtime, held_back)
         if held_back is not None:
             show_relay(console, held_back)
         finish(console, folder, outcome, require_bounds=require_bounds, draws_report=not no_report)
+
+
+def waiting_sentence(setup: Setup, delay: RealDelay | None) -> str:
+    """Where a controller from elsewhere finds the plant, and the recorder finds it."""
+    link = setup.scenario.link
+    place = link.plant_endpoint if delay is None else delay.endpoint
+    return (
+        f"waiting for a controller, {link.connect_timeout_s:g} s: the plant is at {place}, and the"
+        f" recorder looks for the controller at {link.controller_endpoint}"
+    )
 
 
 def simulate(

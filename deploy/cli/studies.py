@@ -23,6 +23,7 @@ from deploy.cli.margin_options import (
 )
 from deploy.cli.progress import CommandProgress
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.processes.program import require_program
 from deploy.reports.conclude import conclude_study
 from deploy.reports.robustness_tables import (
     losses_table,
@@ -143,6 +144,9 @@ def _conduct(
     """Carry a study out, or on, and show what came of it."""
     if workers is not None and scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
+    if scheduler is None:  # else it has to be on the hosts of the cluster
+        for base in study.bases:
+            require_program(base)
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
     stop, console, lost = threading.Event(), Console(), None

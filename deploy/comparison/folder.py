@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.metrics import summarise
 from deploy.runs.new_folder import new_folder
+from deploy.runs.process_run import lockstep_setup, run_process
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
@@ -58,14 +59,14 @@ class ComparisonFolder(ResultFolder):
         name = f"compare-{setups[0].scenario.name}"
         folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
         folder.lock()
-        laws = [setup.scenario.controller.law for setup in setups]
+        laws = [setup.scenario.controller.name for setup in setups]
         write_json(folder.manifest, {**manifest_of(setups), "laws": laws})
         return folder
 
     def add(self, simulation: Simulation) -> LawRun:
         """Write the run of one law to its folder, and judge it."""
         setup = simulation.setup
-        law = setup.scenario.controller.law
+        law = setup.scenario.controller.name
         folder = RunFolder.begin(setup, self._law_path(law), overwrite=True)
         simulation.write_log(folder.log)
         data = simulation.data()
@@ -74,6 +75,14 @@ class ComparisonFolder(ResultFolder):
         if (record := fault_record(data)) is not None:
             write_json(folder.fault, record)
         return run
+
+    def add_process(self, setup: Setup, on_start: Callable[[Callable[[], None]], None]) -> LawRun:
+        """Run the scenario's process in its folder, and judge it; `on_start` as `run_process`."""
+        name = setup.scenario.controller.name
+        folder = RunFolder.begin(lockstep_setup(setup), self._law_path(name), overwrite=True)
+        data, summary = run_process(setup, folder.path, on_start)
+        write_json(folder.summary, summary)
+        return LawRun(name, data, summary)
 
     def conclude(self, comparison: Comparison) -> None:
         """Write rows and summary of all runs, with their conditions."""

@@ -7,6 +7,8 @@ import os
 import queue
 import signal
 import threading
+from abc import ABC, abstractmethod
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -31,38 +33,22 @@ class Failure(NamedTuple):
     is_cause: bool
 
 
-class Child:
+class ChildProcess(ABC):
     """One child process. It ends with its parent, and no signal of the terminal reaches it.
 
     Args:
         role: what it is called.
-        arguments: words of its command line.
-        inbox: takes the messages it sends.
+        process: it, started.
 
     Attributes:
-        has_started: set with its first message, once it is on the bus.
+        has_started: set once it is on the bus, as far as that can be known.
     """
 
-    def __init__(
-        self, role: str, arguments: list[str], inbox: queue.SimpleQueue[StatusMessage]
-    ) -> None:
+    def __init__(self, role: str, process: BaseProcess) -> None:
         self.role = role
         self.has_started = threading.Event()
-        self._inbox = inbox
+        self._process = process
         self._was_asked_to_stop = False
-        self._faults: list[Failure] = []
-        self._errors: list[str] = []
-        command = start(arguments)
-        self._process, self._stdin = command.process, command.stdin
-        self._readers = [
-            threading.Thread(target=read, args=(pipe,), daemon=True)
-            for read, pipe in (
-                (self._read_messages, command.stdout),
-                (self._read_errors, command.stderr),
-            )
-        ]
-        for reader in self._readers:
-            reader.start()
 
     def is_running(self) -> bool:
         return self._process.is_alive()
@@ -79,7 +65,7 @@ class Child:
         """Ask once; a second signal could meet an interpreter that is already shutting down."""
         if self.is_running() and not self._was_asked_to_stop:
             self._was_asked_to_stop = True
-            self._process.terminate()
+            self.send(signal.SIGTERM)
 
     def send(self, number: signal.Signals) -> None:
         """Send a signal."""
@@ -87,11 +73,8 @@ class Child:
             with contextlib.suppress(ProcessLookupError):  # it has ended just now
                 os.kill(self._process.pid, number)
 
-    def confirm(self) -> None:
+    def confirm(self) -> None:  # noqa: B027 (a program waits for nothing)
         """Tell a child that waits for it that what it asked for is done."""
-        with contextlib.suppress(OSError):
-            self._stdin.write("done\n")
-            self._stdin.flush()
 
     def kill(self) -> None:
         """Kill it, and wait until it is gone."""
@@ -99,8 +82,45 @@ class Child:
             self._process.kill()
         self._process.join()
 
+    @abstractmethod
     def failure(self) -> Failure | None:
         """What went wrong with the process, which has ended; None if nothing did."""
+
+
+class Child(ChildProcess):
+    """A command of ours, which reports.
+
+    Args:
+        role: what it is called.
+        arguments: words of its command line.
+        inbox: takes the messages it sends.
+    """
+
+    def __init__(
+        self, role: str, arguments: list[str], inbox: queue.SimpleQueue[StatusMessage]
+    ) -> None:
+        command = start(arguments)
+        super().__init__(role, command.process)
+        self._inbox = inbox
+        self._stdin = command.stdin
+        self._faults: list[Failure] = []
+        self._errors: list[str] = []
+        self._readers = [
+            threading.Thread(target=read, args=(pipe,), daemon=True)
+            for read, pipe in (
+                (self._read_messages, command.stdout),
+                (self._read_errors, command.stderr),
+            )
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def confirm(self) -> None:
+        with contextlib.suppress(OSError):
+            self._stdin.write("done\n")
+            self._stdin.flush()
+
+    def failure(self) -> Failure | None:
         code = self._process.exitcode or 0
         for reader in self._readers:
             reader.join(timeout=_OUTPUT_TIMEOUT_S)

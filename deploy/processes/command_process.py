@@ -1,29 +1,36 @@
-"""A command of the command line in a process of its own, forked from one that has it loaded."""
+"""A process of its own, forked from one that has few threads: a command of ours, or a program.
+
+A command finds the libraries of the command line loaded; a program of the user's own takes the
+place of all that is there.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import runpy
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, NoReturn
 
 from setproctitle import setproctitle
 
-from deploy.processes.parent import FOR_FORK_SERVER, SAFE_PATH
+from deploy.processes.parent import FOR_FORK_SERVER, PR_SET_PDEATHSIG, SAFE_PATH
 from deploy.stop_signals import STOPS
 
 _PROGRAM = "deploy.cli"
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["deploy.processes.fork_server", f"{_PROGRAM}.processes"])
+CANNOT_START = 127
+"""Exit code of a program that could not be started, as shells have it."""
 _LONG_PATH = 60
 """Of the 107 characters that the path of a socket may have, 32 are Python's own."""
 
@@ -52,6 +59,26 @@ def start(words: list[str]) -> CommandProcess:
     for end in theirs:
         end.close()
     return CommandProcess(process, _file(to_it, "w"), _file(from_it, "r"), _file(errors, "r"))
+
+
+def start_program(
+    command: Sequence[str], environment: Mapping[str, str], stdout: Path, stderr: Path
+) -> BaseProcess:
+    """Start a program in this folder, in a process group of its own; from the main thread.
+
+    It is killed when this process ends, and no signal of the terminal reaches it.
+
+    Args:
+        command: the program and its arguments.
+        environment: all of its environment variables.
+        stdout: file that takes its standard output.
+        stderr: file that takes its standard error.
+    """
+    arguments = (list(command), dict(environment), Path.cwd(), (stdout, stderr))
+    process = _CONTEXT.Process(target=_be_program, args=arguments, daemon=True)
+    with _fork_server_survives():
+        process.start()
+    return process
 
 
 @contextmanager
@@ -99,3 +126,23 @@ def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
     if launcher is not None and launcher.is_alive():  # from here on its end is noticed
         sys.argv[1:] = words
         runpy.run_module(_PROGRAM, run_name="__main__", alter_sys=True)
+
+
+def _be_program(
+    command: list[str], environment: dict[str, str], folder: Path, outputs: tuple[Path, Path]
+) -> NoReturn:
+    """Be the program."""
+    os.setsid()
+    if sys.platform == "linux":  # its parent, the fork server, ends with whoever asked for it
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # which Python ignores, and programs inherit
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    for number, path in enumerate(outputs, start=1):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), number)
+    try:
+        os.chdir(folder)
+        os.execvpe(command[0], command, environment)
+    except OSError as error:
+        os.write(2, f"{command[0]}: {error.strerror}\n".encode(errors="replace"))
+        os._exit(CANNOT_START)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from bus_schema.messages.topics import Role
-from deploy.processes.child import Child
+from deploy.processes.child import ChildProcess
 from plant_emulator.faults.process_faults import ProcessAction
 from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
@@ -26,7 +26,9 @@ class ProcessFaultInjector:
         removed: processes that were killed and will be started again.
     """
 
-    def __init__(self, processes: Mapping[Role, Child], start: Callable[[Role], None]) -> None:
+    def __init__(
+        self, processes: Mapping[Role, ChildProcess], start: Callable[[Role], None]
+    ) -> None:
         self._processes = processes
         self._start = start
         self._requested: set[int] = set()
@@ -65,7 +67,7 @@ class ProcessFaultInjector:
                 process.send(signal.SIGCONT)
 
 
-def _freeze(process: Child) -> None:
+def _freeze(process: ChildProcess) -> None:
     process.send(signal.SIGSTOP)
     give_up_s = time.monotonic() + _FREEZE_TIMEOUT_S
     while process.is_running() and not process.is_frozen() and time.monotonic() < give_up_s:

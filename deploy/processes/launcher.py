@@ -1,7 +1,8 @@
 """`run`: recorder, plant and controller as child processes, watched until none is left.
 
 Each child is `funnel-hil record`, `plant` or `controller`; what it does is in `processes.py` beside
-this file. With a real delay there is a `relay` between plant and controller.
+this file. The controller may be a program of the user's own instead (`program.py`), or be awaited
+from elsewhere. With a real delay there is a `relay` between plant and controller.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.messages.topics import Role
-from deploy.processes.child import Child, Failure
+from deploy.processes.child import Child, ChildProcess, Failure
 from deploy.processes.fault_injector import ProcessFaultInjector
+from deploy.processes.program import Program
 from deploy.processes.real_delay import RELAY, RealDelay
 from deploy.processes.status import StatusMessage
 from deploy.scenario.setup import Setup
@@ -54,6 +56,7 @@ class Launcher:
             a file beside it: run-2.mcap, run-3.mcap and so on.
         can_log: likewise for the frames of a CAN bus.
         delay: a real delay between controller and plant; None for none.
+        awaits_controller: start no controller, as one will come from elsewhere.
     """
 
     def __init__(
@@ -64,16 +67,19 @@ class Launcher:
         log: Path,
         can_log: Path,
         delay: RealDelay | None = None,
+        awaits_controller: bool = False,
     ) -> None:
         self._setup, self._delay = setup, delay
+        self._roles = [Role.RECORDER, Role.PLANT, *([] if awaits_controller else [Role.CONTROLLER])]
         self._scenario_file, self._log, self._can_log = scenario, log, can_log
         self._inbox: queue.SimpleQueue[StatusMessage] = queue.SimpleQueue()
-        self._children: dict[Role, Child] = {}
+        self._children: dict[Role, ChildProcess] = {}
         self._relay: Child | None = None
         self._starts: Counter[Role] = Counter()
         self._injector = ProcessFaultInjector(self._children, self._start)
         self._outcome = RunOutcome()
         self._stop_requested = False
+        self._has_begun = False
 
     def request_stop(self) -> None:
         """End the run cleanly; a second request ends it at once."""
@@ -91,12 +97,13 @@ class Launcher:
         try:
             if self._delay is not None:
                 self._relay = Child(RELAY, self._delay.arguments, self._inbox)
-            for role in (Role.RECORDER, Role.PLANT, Role.CONTROLLER):
+            for role in self._roles:
                 self._start(role)
             self._watch(on_message)
         finally:
             self._clear_up()
         self._handle_messages(on_message)
+        self._note_what_program_said()
         return self._outcome
 
     def _start(self, role: Role) -> None:
@@ -105,10 +112,18 @@ class Launcher:
         if gone is not None:
             self._note_failure(gone.failure())
         self._starts[role] += 1
-        child = Child(role, self._arguments(role, self._starts[role]), self._inbox)
+        child = self._child(role)
         self._children[role] = child
         if gone is not None and self._setup.scenario.clock == "lockstep":
             child.has_started.wait(_RESTART_TIMEOUT_S)  # virtual time waits for it
+
+    def _child(self, role: Role) -> ChildProcess:
+        """A process of a role, started."""
+        link, controller = self._setup.scenario.link, self._setup.scenario.controller
+        if role is Role.CONTROLLER and controller.process is not None:
+            place = link.plant_endpoint if self._delay is None else self._delay.endpoint
+            return Program(self._setup, self._scenario_file, place)
+        return Child(role, self._arguments(role, self._starts[role]), self._inbox)
 
     def _arguments(self, role: Role, start: int) -> list[str]:
         """Command line of the process that is the `start`-th of its role, counted from 1."""
@@ -125,7 +140,7 @@ class Launcher:
     def _watch(self, on_message: Callable[[StatusMessage], None]) -> None:
         """Follow the children until the plant is done and the others had time to follow."""
         leave_by_s: float | None = None
-        while self._injector.removed or any(c.is_running() for c in self._children.values()):
+        while self._injector.removed or self._one_of_ours_is_running():
             self._handle_messages(on_message)
             self._injector.run_due()
             plant = self._children[Role.PLANT]
@@ -134,11 +149,30 @@ class Launcher:
                 plant.ask_to_stop()
             if self._has_gone(Role.RECORDER) or self._relay_has_gone():
                 plant.ask_to_stop()
+            self._look_after_program()
             if self._has_gone(Role.PLANT) or self._has_gone(Role.CONTROLLER):
                 leave_by_s = leave_by_s or time.monotonic() + self._time_to_leave_s()
             if leave_by_s is not None and time.monotonic() > leave_by_s:
                 return
             time.sleep(_POLL_S)
+
+    def _one_of_ours_is_running(self) -> bool:
+        ours = (child for child in self._children.values() if not isinstance(child, Program))
+        return any(child.is_running() for child in ours)
+
+    def _look_after_program(self) -> None:
+        """A program of the user's own knows neither when a run is over nor whom else it keeps."""
+        program = self._children.get(Role.CONTROLLER)
+        if not isinstance(program, Program):
+            return
+        if self._has_gone(Role.PLANT):
+            program.ask_to_stop()
+            if not self._has_begun:
+                self._children[Role.RECORDER].ask_to_stop()  # it may not have met the plant
+        elif self._has_gone(Role.CONTROLLER) and not self._has_begun:
+            plant = self._children[Role.PLANT]
+            if plant.has_started.is_set():  # before, a signal would kill it
+                plant.ask_to_stop()  # it would wait for the program in vain
 
     def _time_to_leave_s(self) -> float:
         """The plant has its command timeout and its stop to get through, in wall time."""
@@ -149,12 +183,13 @@ class Launcher:
         return _KILL_AFTER_S + self._setup.scenario.link.reply_timeout_s + stopping_s
 
     def _has_gone(self, role: Role) -> bool:
-        return not self._children[role].is_running() and role not in self._injector.removed
+        child = self._children.get(role)
+        return child is not None and not child.is_running() and role not in self._injector.removed
 
     def _relay_has_gone(self) -> bool:
         return self._relay is not None and not self._relay.is_running()
 
-    def _all_children(self) -> list[Child]:
+    def _all_children(self) -> list[ChildProcess]:
         return [*self._children.values(), *([] if self._relay is None else [self._relay])]
 
     def _clear_up(self) -> None:
@@ -175,7 +210,7 @@ class Launcher:
             if child in frozen:
                 text = f"the {child.role} was frozen (stopped by a signal)"
                 self._note_failure(Failure(text, is_cause=True))
-            elif was_running:
+            elif was_running and not isinstance(child, Program):
                 text = f"the {child.role} did not end and was killed"
                 self._note_failure(Failure(text, is_cause=False))
             else:
@@ -183,6 +218,14 @@ class Launcher:
                 if child is early and not child.failure():
                     text = f"the {child.role} ended before the run did"
                     self._note_failure(Failure(text, is_cause=True))
+
+    def _note_what_program_said(self) -> None:
+        """Where a run failed or never began, a program may be the cause all the same."""
+        program = self._children.get(Role.CONTROLLER)
+        if not isinstance(program, Program) or program.failure() is not None:
+            return
+        if self._outcome.failures or not (self._has_begun or self._outcome.interrupted):
+            self._note_failure(program.suspicion())
 
     def _note_failure(self, failure: Failure | None) -> None:
         if failure is not None:
@@ -192,6 +235,8 @@ class Launcher:
     def _handle_messages(self, on_message: Callable[[StatusMessage], None]) -> None:
         while not self._inbox.empty():
             message = self._inbox.get()
+            if message.kind == "progress" or message.values.get("ticks"):
+                self._has_begun = True
             if message.kind == "realtime":
                 self._outcome.realtime[message.role] = message.values["settings"]
             elif message.kind == "result" and message.role == RELAY:

@@ -10,10 +10,12 @@ import socket
 from collections.abc import Iterator
 from dataclasses import replace
 
+from bus_schema.configuration import ConfigurationError
 from bus_schema.messages.topics import Role
 from deploy.processes.free_ports import free_ports
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
+from plant_emulator.faults.process_faults import process_faults
 
 _KEYS = ("plant_endpoint", "controller_endpoint")
 _DATAGRAM_PROTOCOLS = ("udp", "quic")
@@ -25,8 +27,23 @@ def check_link(setup: Setup, *, one_process: bool) -> None:
     Raises:
         ScenarioError: it has not.
     """
+    if one_process:
+        require_own_controller(setup)
     with naming(setup.source):
         setup.link_kind.check_machine(setup.scenario.link, one_process=one_process)
+
+
+def require_own_controller(setup: Setup) -> None:
+    """Check that the scenario's controller is one of ours, which a process of the user's is not.
+
+    Raises:
+        ScenarioError: it is not.
+    """
+    process = setup.scenario.controller.process
+    if process is not None:
+        allowed = "must be null here: run starts it, with clock lockstep in virtual time"
+        with naming(setup.source):
+            raise ConfigurationError("controller.process", list(process), allowed)
 
 
 def require_keys(setup: Setup, *roles: Role) -> None:
@@ -42,6 +59,25 @@ def require_keys(setup: Setup, *roles: Role) -> None:
         check_keys(security.keys, roles)
 
 
+def check_awaiting(setup: Setup) -> None:
+    """Check that a controller from elsewhere can be waited for, at the scenario's own endpoints.
+
+    Raises:
+        ScenarioError: it cannot.
+    """
+    controller = setup.scenario.controller
+    with naming(setup.source):
+        if controller.process is not None:
+            allowed = "must be null with --await-controller, which starts no controller"
+            raise ConfigurationError("controller.process", list(controller.process), allowed)
+        for fault in process_faults(setup.scenario.faults):
+            if Role(fault.target) is Role.CONTROLLER:
+                allowed = "must be another one with --await-controller, which has no such process"
+                raise ConfigurationError("faults: target", fault.target, allowed)
+    with _refusing(setup, "plant_endpoint"), _listening(setup.scenario.link.plant_endpoint):
+        pass
+
+
 def with_free_endpoints(setup: Setup) -> Setup:
     """A scenario with free TCP ports in place of the default endpoints.
 
@@ -55,17 +91,24 @@ def with_free_endpoints(setup: Setup) -> Setup:
     defaults = [key for key in _KEYS if key not in given]
     with contextlib.ExitStack() as stack:
         for key in given:
-            try:
+            with _refusing(setup, key):
                 stack.enter_context(_listening(getattr(link, key)))
-            except (OSError, OverflowError, UnicodeError) as error:
-                raise ScenarioError(
-                    f"{setup.source}: link.{key} = {getattr(link, key)!r}: must be an endpoint that"
-                    f" this machine can listen at: {error}"
-                ) from error
         ports = zip(defaults, free_ports(len(defaults)), strict=True)
         free = {key: f"{getattr(link, key).rpartition(':')[0]}:{port}" for key, port in ports}
     scenario = setup.scenario.model_copy(update={"link": link.model_copy(update=free)})
     return replace(setup, scenario=scenario)
+
+
+@contextlib.contextmanager
+def _refusing(setup: Setup, key: str) -> Iterator[None]:
+    """Tell of an endpoint that cannot be listened at as of bad input."""
+    try:
+        yield
+    except (OSError, OverflowError, UnicodeError) as error:
+        raise ScenarioError(
+            f"{setup.source}: link.{key} = {getattr(setup.scenario.link, key)!r}: must be an"
+            f" endpoint that this machine can listen at: {error}"
+        ) from error
 
 
 @contextlib.contextmanager

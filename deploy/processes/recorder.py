@@ -58,7 +58,7 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
         log.attach(name, "text/plain", file.read_bytes())
     log.add_metadata(
         RUN_METADATA,
-        {"scenario": scenario.name, "law": scenario.controller.law, "clock": clock, "link": link},
+        {"scenario": scenario.name, "law": scenario.controller.name, "clock": clock, "link": link},
     )
     if log.failure is not None:
         raise log.failure

@@ -29,9 +29,7 @@ def conclude(
             before what followed from them.
         draws_report: a report takes longer than all else.
     """
-    summary = summarise(run)
-    summary["faults"] = [*more_faults, *summary["faults"]]
-    summary["completed"] = summary["completed"] and not more_faults
+    summary = summarise(run, more_faults)
     write_json(folder.summary, {**summary, "completed": False})  # until all is written
     try:
         if (record := fault_record(run)) is not None:
@@ -50,7 +48,8 @@ def conclude(
 
 def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
     """Under what conditions a run came about, as its folder has them."""
-    return conditions_of_runs([run.setup], read_manifest(folder.path))
+    conditions = conditions_of_runs([run.setup], read_manifest(folder.path))
+    return {**conditions, "law": run.controller}
 
 
 def conclude_study(study: Study, folder: StudyFolder) -> dict[str, Any]:

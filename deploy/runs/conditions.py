@@ -22,7 +22,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         setups: the scenario, under each law.
         manifest: ``manifest.json`` of the folder; empty where there is none.
     """
-    scenario, laws = setups[0].scenario, [setup.scenario.controller.law for setup in setups]
+    scenario, laws = setups[0].scenario, [setup.scenario.controller.name for setup in setups]
     start = ", ".join(f"{offset:g}" for offset in scenario.robot.initial_offset_rad)
     return {
         **provenance_of(manifest),

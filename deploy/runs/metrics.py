@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,14 @@ _SHORTEST_S = 1e-6
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
-def summarise(run: RunData) -> dict[str, Any]:
-    """The summary of a run, ready for JSON."""
+def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
+    """The summary of a run, ready for JSON.
+
+    Args:
+        run: the run.
+        more_faults: what its data cannot know, such as a process that was killed; causes come
+            before what followed from them.
+    """
     setup = run.setup
     truth = run.tables[topics.PLANT_TRUTH.name]
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
@@ -37,13 +44,13 @@ def summarise(run: RunData) -> dict[str, Any]:
     wall_s = float(outcome.get("wall_s", 0.0))
     return {
         "scenario": setup.scenario.name,
-        "law": setup.scenario.controller.law,
+        "law": run.controller,
         "clock": run.clock,
         "link": run.link,
         "duration_s": duration_s,
         "ticks": ticks,
-        "completed": bool(outcome.get("completed", False)) and run.complete,
-        "faults": run.faults(),
+        "completed": bool(outcome.get("completed", False)) and run.complete and not more_faults,
+        "faults": [*more_faults, *run.faults()],
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
         "bounds": judge_bounds(run),
         "tracking": _tracking(run),

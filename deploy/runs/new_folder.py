@@ -15,6 +15,7 @@ from deploy.scenario.written import is_copy
 from deploy.scenario.yaml_files import ScenarioError
 
 _RESULTS = (
+    "controller_stdout.log", "controller_stderr.log",
     "run.mcap", "run.partial.mcap", "summary.json", "manifest.json", "report.html", "fault.json",
     "study.yaml", "comparison.parquet", "sweep.parquet", "margin.parquet", "robustness.parquet",
 )  # fmt: skip

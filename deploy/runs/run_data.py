@@ -22,6 +22,9 @@ from controller.reference import sample_positions
 from deploy.runs.told import Told, what_was_told
 from deploy.scenario.setup import Setup
 
+FOREIGN = "a foreign controller"
+"""What is given for the law where the controller is nobody's we know."""
+
 Table = NDArray[np.void]
 """Messages of one topic, one row each; fields by dotted name (``header.stamp.sec``)."""
 
@@ -56,6 +59,17 @@ class RunData:
     complete: bool
     damage: Sequence[str] = ()
     lacks_checksums: bool = False
+
+    @property
+    def controller(self) -> str:
+        """Whose controller it was: a law's name, or a process's; ours tells of all it does."""
+        controller = self.setup.scenario.controller
+        has_told = len(self.tables[topics.CONTROL_STATUS.name]) or any(
+            event.source == Role.CONTROLLER for event in self.events
+        )
+        has_commanded = len(self.tables[topics.JOINT_COMMANDS.name]) > 0
+        is_ours = bool(has_told) or not has_commanded or self.link != "zenoh"
+        return controller.name if is_ours or controller.process is not None else FOREIGN
 
     def times_s(self, topic: Topic) -> Vector:
         """Stamps of a topic's messages, shape (messages,)."""

@@ -198,7 +198,7 @@ def manifest_of(
         **provenance(),
         "realtime": dict(grants),
         "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
-        "gains": {setup.scenario.controller.law: plain(setup.gains) for setup in setups},
+        "gains": {setup.scenario.controller.name: plain(setup.gains) for setup in setups},
         "scenario": plain(setups[0].scenario),
     }
 

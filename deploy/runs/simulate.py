@@ -184,6 +184,10 @@ def attempt(setup: Setup, on_start: Callable[[PlantLoop], None] | None = None) -
     try:
         return simulate(setup, on_start)
     except Exception as error:  # noqa: BLE001 - a law of the user's own may raise anything
-        detail = f"{type(error).__name__}: {error}"
-        event = RunEvent(0, Role.CONTROLLER, EventKind.FAULT, detail)
-        return Simulation(setup, [RUN_EVENTS], [event.encode()], None)
+        return failed_simulation(setup, f"{type(error).__name__}: {error}")
+
+
+def failed_simulation(setup: Setup, detail: str) -> Simulation:
+    """A run that came to nothing but a fault of its controller."""
+    event = RunEvent(0, Role.CONTROLLER, EventKind.FAULT, detail)
+    return Simulation(setup, [RUN_EVENTS], [event.encode()], None)

@@ -26,7 +26,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
-from controller.configuration import ControllerConfiguration
+from controller.configuration import PROCESS, ControllerConfiguration
 from controller.laws import LAWS
 from controller.reference import Reference, sample_positions
 from deploy.link_kinds.table import LINK_KINDS
@@ -180,8 +180,16 @@ def given_values(
     """All that a scenario says, of what it extends too, and what is set beside it; unchecked."""
     given = _extended(values, source)
     for text in overrides:
-        set_value(given, *parse_override(text))
+        _override(given, text)
     return given
+
+
+def _override(values: dict[str, Any], text: str) -> None:
+    """Set a value; a law takes the place of a process that was given before it."""
+    key, value = parse_override(text)
+    set_value(values, key, value)
+    if key == "controller.law" and value != PROCESS and "process" in values["controller"]:
+        set_value(values, "controller.process", None)
 
 
 def _extended(given: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -259,7 +267,11 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         governing_inertia_kg_m2=inertia,
         grid=grid,
     )
-    setup.control_task()
+    if scenario.controller.process is None:
+        setup.control_task()
+    elif scenario.link.kind != "zenoh":
+        allowed = "must be zenoh, which controller.process speaks"
+        raise ConfigurationError("link.kind", scenario.link.kind, allowed)
     link_kind.check(setup.link_run(lockstep=True))
     ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
     if scenario.uncertainty:

@@ -140,7 +140,14 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
                 wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
             )
         yield Setting(
-            scenario, base, law, compensation, drive_feedback, running, overrides, quantity
+            scenario,
+            base,
+            base.scenario.controller.name,
+            compensation,
+            drive_feedback,
+            running,
+            overrides,
+            quantity,
         )
 
 

@@ -44,7 +44,7 @@ def _laws(study: Study, summary: Mapping[str, Any]) -> list[str]:
     swept = [
         law for axis in summary.get("axes", ()) if _LAW in axis["keys"] for law in axis["values"]
     ]
-    own = [base.scenario.controller.law for base in study.bases]
+    own = [base.scenario.controller.name for base in study.bases]
     return list(dict.fromkeys(cases or swept or own))
 
 

@@ -11,12 +11,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
 from deploy.runs.metrics import summarise
+from deploy.runs.process_run import run_process
 from deploy.runs.run_rows import Row, failed_row, row
 from deploy.runs.simulate import attempt
 from deploy.scenario.definition import Name
@@ -118,10 +120,17 @@ def execute(run: Run) -> Row:
     """Simulate and judge; whatever goes wrong is the row's `error`."""
     try:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
-        values = row(summarise(attempt(setup).data()), setup.scenario.seed)
+        values = row(_summary(setup), setup.scenario.seed)
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
         return failed(run, f"{type(error).__name__}: {error}")
     return {"point": run.point, **run.columns, **values}
+
+
+def _summary(setup: Setup) -> dict[str, Any]:
+    if setup.scenario.controller.process is None:
+        return summarise(attempt(setup).data())
+    with TemporaryDirectory(prefix="funnel-hil-") as folder:
+        return run_process(setup, Path(folder)).summary
 
 
 def failed(run: Run, error: str) -> Row:

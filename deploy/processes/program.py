@@ -1,0 +1,143 @@
+"""``controller.process``: a controller of the user's own on the bus, as a process of a run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import signal
+from collections import deque
+from pathlib import Path
+
+from bus_schema.configuration import ConfigurationError
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Role
+from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
+from deploy.processes.child import ChildProcess, Failure
+from deploy.processes.command_process import CANNOT_START, start_program
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import naming
+
+_NODE = "controller_process"
+_LONGEST_WORDS = 2000
+_LAST_BYTES = 65_536
+_SILENT = "it left no message"
+
+
+def require_program(setup: Setup) -> None:
+    """Check that the program of ``controller.process`` is there, before anything starts.
+
+    Raises:
+        ScenarioError: it is not.
+    """
+    command = setup.scenario.controller.process
+    if command is not None and shutil.which(command[0]) is None:
+        with naming(setup.source):
+            raise ConfigurationError(
+                "controller.process", list(command),
+                f"must begin with a program that can be run; {command[0]!r} is none, from"
+                f" {Path.cwd()} or on the PATH",
+            )  # fmt: skip
+
+
+def program_variables(setup: Setup, scenario: Path, plant_endpoint: str) -> dict[str, str]:
+    """What the process is told of its run: environment variables, beside those of ours.
+
+    Args:
+        setup: the scenario.
+        scenario: file of its effective form.
+        plant_endpoint: where the process finds the plant.
+    """
+    link, names = setup.scenario.link, setup.robot.joint_names
+    session = secrets.token_hex(16)
+    token = endpoint_token(
+        link.domain, session, _NODE, 1, EntityKind.PUBLISHER, topics.JOINT_COMMANDS
+    )
+    return {
+        "FUNNEL_HIL_PLANT_ENDPOINT": plant_endpoint,
+        "FUNNEL_HIL_CONTROLLER_ENDPOINT": link.controller_endpoint,
+        "FUNNEL_HIL_DOMAIN": str(link.domain),
+        "FUNNEL_HIL_JOINTS": ",".join(names),
+        "FUNNEL_HIL_STATE_KEY": topics.JOINT_STATES.key_expression(link.domain),
+        "FUNNEL_HIL_COMMAND_KEY": topics.JOINT_COMMANDS.key_expression(link.domain),
+        "FUNNEL_HIL_COMMAND_TOKEN": token,
+        "FUNNEL_HIL_COMMAND_GID": endpoint_gid(token).hex(),
+        "FUNNEL_HIL_CLOCK": setup.scenario.clock,
+        "FUNNEL_HIL_RATE_HZ": repr(setup.scenario.rate_hz),
+        "FUNNEL_HIL_DURATION_S": repr(setup.scenario.duration_s),
+        "FUNNEL_HIL_SCENARIO": str(scenario.resolve()),
+        "FUNNEL_HIL_URDF": str(setup.robot.path),
+        "FUNNEL_HIL_SECURITY_FOLDER": str(link.security.folder) if link.security.enabled else "",
+    }
+
+
+class Program(ChildProcess):
+    """The process of ``controller.process``, with whatever it starts itself.
+
+    When the run is over it is asked to stop; how it then ends is its own affair.
+
+    Args:
+        setup: the scenario.
+        scenario: file of its effective form; what the process says is written beside it.
+        plant_endpoint: where the process finds the plant.
+    """
+
+    def __init__(self, setup: Setup, scenario: Path, plant_endpoint: str) -> None:
+        assert setup.scenario.controller.process is not None  # else there is none to start
+        variables = program_variables(setup, scenario, plant_endpoint)
+        self._name = setup.scenario.controller.name
+        self._stderr = scenario.with_name("controller_stderr.log")
+        self._said_before = self._stderr.stat().st_size if self._stderr.exists() else 0
+        stdout = scenario.with_name("controller_stdout.log")
+        command = setup.scenario.controller.process
+        process = start_program(command, {**os.environ, **variables}, stdout, self._stderr)
+        super().__init__(Role.CONTROLLER, process)
+        self.has_started.set()  # it tells nobody when it is ready
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to it and all it has started."""
+        if self._process.pid is not None:
+            try:
+                os.killpg(self._process.pid, number)
+            except ProcessLookupError:  # it has no group yet, or is gone
+                super().send(number)
+
+    def kill(self) -> None:
+        """Kill it and all it has started, and wait until it is gone."""
+        if self._process.pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        super().kill()
+
+    def failure(self) -> Failure | None:
+        code = self._process.exitcode or 0
+        if self._was_asked_to_stop or code == 0:
+            return None
+        if code == CANNOT_START:
+            how = "could not be started"
+        elif code < 0:
+            how = f"was killed by {signal.Signals(-code).name}"
+        else:
+            how = f"failed with exit code {code}"
+        return Failure(f"the controller ({self._name}) {how}: {self._last_words()}", is_cause=True)
+
+    def suspicion(self) -> Failure | None:
+        """What it may have to do with a failure, for one that has not failed itself."""
+        who, said = f"the controller ({self._name})", self._last_words()
+        if not self._was_asked_to_stop:
+            return Failure(f"{who} ended by itself with exit code 0: {said}", is_cause=True)
+        if said == _SILENT:
+            return None
+        return Failure(f"{who} had to be stopped; its last words: {said}", is_cause=False)
+
+    def _last_words(self) -> str:
+        """The last line on its standard error."""
+        try:
+            with self._stderr.open("rb") as file:
+                file.seek(max(self._said_before, file.seek(0, os.SEEK_END) - _LAST_BYTES))
+                lines = file.read().decode(errors="replace").splitlines()
+        except OSError:
+            lines = []
+        last = deque((line for line in lines if line.strip()), maxlen=1)
+        return last[0].strip()[:_LONGEST_WORDS] if last else _SILENT

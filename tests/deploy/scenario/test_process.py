@@ -1,0 +1,69 @@
+"""`controller.process` in a scenario: what displaces what, what is refused, and whose it is."""
+
+from __future__ import annotations
+
+import pytest
+
+from deploy.cli.common import parse_laws
+from deploy.runs.simulate import attempt
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import ScenarioError
+
+PROCESS = "controller.process=[./my_controller, --gain, 3]"
+
+
+def load(*overrides: str) -> Setup:
+    return load_setup("paper_arm", overrides)
+
+
+def test_a_process_displaces_the_law_of_the_file() -> None:
+    controller = load(PROCESS).scenario.controller
+    assert controller.law == "process"
+    assert controller.process == ("./my_controller", "--gain", "3")
+
+
+def test_a_law_that_is_set_displaces_a_process() -> None:
+    controller = load(PROCESS, "controller.law=pid").scenario.controller
+    assert (controller.law, controller.process) == ("pid", None)
+    assert load(PROCESS, "controller.law=process").scenario.controller.process is not None
+    assert parse_laws("process,pid") == ["process", "pid"]
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("[./my_controller]", "my_controller"),
+        ("[build/loop.bin, fast]", "loop"),
+        ("[/usr/bin/python3.11, -u, control/arm.py, --fast]", "arm"),
+        ("[python, -m, arm_control]", "arm_control"),
+        ("[sh, -c, 'exec ./this']", "sh"),
+    ],
+)
+def test_it_is_called_after_its_program(command: str, name: str) -> None:
+    assert load(f"controller.process={command}").scenario.controller.name == f"process: {name}"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["controller.law=process"], "controller.process = None: must be a program"),
+        (["controller.process=[]"], r"controller\.process = \(?\[?\]?"),
+        (["controller.process=./mine"], r"controller\.process = './mine'"),
+        (["controller.process=['']"], r"controller\.process\.0 = ''"),
+        (
+            [PROCESS, "controller.delay_compensation.enabled=true"],
+            r"controller\.delay_compensation = .* must be left out or off",
+        ),
+        ([PROCESS, "controller.torque_rate_limit_nm_s=5"], r"controller\.torque_rate_limit_nm_s"),
+        ([PROCESS, "link.kind=in_process"], r"link\.kind = 'in_process': must be zenoh"),
+    ],
+)
+def test_what_cannot_be_is_refused(overrides: list[str], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        load(*overrides)
+
+
+def test_a_simulation_has_no_process() -> None:
+    simulation = attempt(load(PROCESS, "duration_s=0.1"))
+    assert "controller.law = 'process'" in str(simulation.data().faults())

@@ -1,0 +1,181 @@
+"""A controller of the user's own on the bus: started by `run` for a scenario, or awaited."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running import Finished, free_endpoint, funnel_hil_here, settings, started
+
+from deploy.processes.program import program_variables
+from deploy.runs.run_data import FOREIGN
+from deploy.scenario.scenario import load_setup
+from deploy.study.margin import Margin
+from tests.deploy.study.studies import Here, conduct, make_sweep
+
+CLIENT = [sys.executable, str(Path(__file__).with_name("foreign_controller.py"))]
+WIDE = {"convergence_margin_rad": 1.0, "overshoot_margin_rad": 1.0, "final_rad": 0.9}
+POINT = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": [0.2, -0.3, 0.5]}]}
+SHORT: dict[str, Any] = {"duration_s": 0.2, "reference": POINT, "funnel": WIDE}
+LOCKSTEP = {**SHORT, "clock": "lockstep"}
+NAME = "process: foreign_controller"
+
+
+def run(out: Path, *more: str, with_report: bool = False, **values: Any) -> Finished:
+    given = settings(**values)
+    return funnel_hil_here("run", "paper_arm", *given, *more, out=out, with_report=with_report)
+
+
+def test_a_process_is_judged_by_its_joint_states_alone(tmp_path: Path) -> None:
+    ended = run(tmp_path / "run", with_report=True, **LOCKSTEP, controller__process=CLIENT)
+    assert ended.code == 0, ended.output
+    summary = ended.summary
+    assert summary["law"] == NAME
+    assert summary["completed"]
+    assert summary["bounds"]["kept"]
+    assert summary["transport"]["downlink"]["delivered"] == summary["ticks"] == 200
+    assert min(summary["torque"]["peak_nm"]) > 10.0
+    assert summary["timing"]["control_step_us"]["p50"] is None
+    assert NAME in (ended.folder / "report.html").read_text()
+    assert f"law: {NAME}" in ended.output
+    assert "fixed_time_neural" not in ended.output
+    assert (ended.folder / "controller_stdout.log").read_text() == "200 states answered\n"
+
+
+def test_in_lockstep_it_gives_the_same_bits_again_under_delay_too(tmp_path: Path) -> None:
+    late = {**LOCKSTEP, "link__uplink__delay_ms": 3.0, "link__downlink__delay_ms": 2.0}
+    first, second = (
+        run(tmp_path / name, **late, controller__process=CLIENT) for name in ("first", "second")
+    )
+    assert first.digest == second.digest
+    assert first.summary["timing"]["round_trip_us"]["p50"] == 5000.0
+
+
+def test_a_process_in_real_time(tmp_path: Path) -> None:
+    values = {**SHORT, "plant__command_timeout_ms": 1000}
+    ended = run(tmp_path / "run", **values, controller__process=CLIENT)
+    assert ended.code == 0, ended.output
+    assert ended.summary["clock"] == "realtime"
+    assert ended.summary["law"] == NAME
+
+
+@pytest.mark.parametrize(
+    ("process", "first"),
+    [
+        (
+            [*CLIENT, "--fail-after", 100],
+            "failed with exit code 1: RuntimeError: the encoder of my own is gone",
+        ),
+        ([*CLIENT, "--leave-after", 100], "ended by itself with exit code 0: it left no message"),
+        (["sh", "-c", "echo no such gain >&2; exit 3"], "failed with exit code 3: no such gain"),
+        (["sh", "-c", "kill -SEGV $$"], "was killed by SIGSEGV: it left no message"),
+        ([os.devnull], None),
+    ],
+    ids=["fails", "leaves", "fails at once", "crashes", "cannot be run"],
+)
+def test_how_it_failed_is_the_first_cause(
+    process: list[str], first: str | None, tmp_path: Path
+) -> None:
+    ended = run(tmp_path / "run", **LOCKSTEP, controller__process=process)
+    if first is None:
+        assert ended.code == 2
+        assert "controller.process = ['/dev/null']: must begin with a program" in ended.output
+        assert not ended.folder.exists()
+        return
+    assert ended.code == 1
+    assert ended.summary["faults"][0].startswith("the controller (process: ")
+    assert ended.summary["faults"][0].endswith(first)
+    assert not ended.summary["completed"]
+
+
+def test_what_it_started_itself_does_not_outlive_the_run(tmp_path: Path) -> None:
+    pid = tmp_path / "pid"
+    script = f'sleep 1000 & echo $! > {pid}; exec "$0" "$@"'
+    ended = run(tmp_path / "run", **LOCKSTEP, controller__process=["sh", "-c", script, *CLIENT])
+    assert ended.code == 0, ended.output
+    state = Path(f"/proc/{int(pid.read_text())}/stat")
+    assert not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+@pytest.fixture
+def client_from_elsewhere() -> Iterator[tuple[dict[str, str], Any]]:
+    """Endpoints, and a function that starts the foreign client at them."""
+    at = {"plant_endpoint": free_endpoint(), "controller_endpoint": free_endpoint()}
+    clients = []
+
+    def start() -> None:
+        link = [f"link.{key}={value}" for key, value in at.items()]
+        setup = load_setup("paper_arm", link)
+        variables = program_variables(setup, Path("nowhere.yaml"), at["plant_endpoint"])
+        clients.append(subprocess.Popen(CLIENT, env={**os.environ, **variables}))
+
+    yield at, start
+    for client in clients:
+        client.kill()
+        client.wait()
+
+
+def test_a_controller_from_elsewhere_is_awaited_at_the_given_endpoints(
+    client_from_elsewhere: tuple[dict[str, str], Any], tmp_path: Path
+) -> None:
+    at, start = client_from_elsewhere
+    given = settings(**LOCKSTEP, **{f"link__{key}": value for key, value in at.items()},
+                     link__connect_timeout_s=100)  # fmt: skip
+    words = ["run", "paper_arm", *given, "--await-controller"]
+    with started(*words, out=tmp_path / "run") as running:
+        assert running.plant_endpoint() == at["plant_endpoint"]
+        start()
+        ended = running.end()
+    assert ended.code == 0, ended.output
+    assert f"the plant is at {at['plant_endpoint']}" in ended.output
+    assert ended.summary["completed"]
+    assert ended.summary["law"] == FOREIGN
+    assert ended.summary["transport"]["downlink"]["delivered"] == 200
+
+
+def test_nobody_came(tmp_path: Path) -> None:
+    given = {**LOCKSTEP, "link__connect_timeout_s": 0.5, "link__plant_endpoint": free_endpoint(),
+             "link__controller_endpoint": free_endpoint()}  # fmt: skip
+    ended = run(tmp_path / "run", "--await-controller", **given)
+    assert ended.code == 1
+    assert "the controller is silent: no sign of life within 0.5 s" in ended.output
+
+
+def test_compare_sets_it_beside_a_law(tmp_path: Path) -> None:
+    given = settings(**SHORT, controller__process=CLIENT, link__uplink__delay_ms=2.0)
+    words = ["compare", "paper_arm", "--laws", "process,pid", *given]
+    ended = funnel_hil_here(*words, out=tmp_path / "both")
+    assert ended.code == 0, ended.output
+    own, pid = (ended.summary["laws"][law] for law in (NAME, "pid"))
+    assert own["completed"]
+    assert own["law"] == NAME
+    assert own["timing"]["round_trip_us"] == pid["timing"]["round_trip_us"]
+    assert own["torque"]["peak_nm"] == pytest.approx(pid["torque"]["peak_nm"], rel=0.05)
+    again = funnel_hil_here("report", str(ended.folder), out=None)
+    assert again.code == 0, again.output
+
+
+def test_margin_and_sweep_run_it_in_lockstep_with_the_delays_of_the_link(tmp_path: Path) -> None:
+    fixed = {**SHORT, "controller.process": CLIENT}
+    values = {"laws": ["process"], "offsets": [1.0], "resolution": 20, "limit": 20, "set": fixed}
+    margin = Margin(values, Path("margin"))
+    whole, folder = conduct(margin, tmp_path / "margin", Here())
+    (case,) = margin.summary(folder.rows)["cases"]
+    assert whole
+    assert case["law"] == NAME
+    by_delay = {row["value"]: row for row in folder.rows}
+    assert [by_delay[ms]["error"] for ms in (0.0, 20.0)] == [None, None]
+    assert by_delay[20.0]["uplink_delay_mean_ms"] == by_delay[20.0]["downlink_delay_mean_ms"] == 10
+    assert {row["law"] for row in folder.rows} == {NAME}
+
+    fixed["controller.process"] = [*CLIENT, "--fail-after", 50]
+    grid = {"link.uplink.delay_ms": [1.0]}
+    sweep = make_sweep(tmp_path, grid, seeds=1, set=fixed)
+    _, folder = conduct(sweep, tmp_path / "sweep", Here())
+    (row,) = folder.rows
+    assert row["error"].startswith(f"the controller ({NAME}) failed with exit code 1: RuntimeError")
