@@ -61,7 +61,8 @@ class LinkConfiguration(StrictModel, validate_default=True):
         security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
-        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
+        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools; by
+            its gossip, processes and nodes find one another.
         uplink: plant to controller.
         downlink: controller to plant.
         playout_ms: a command comes into force no earlier than this after the stamp of the state it

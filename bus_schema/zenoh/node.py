@@ -64,6 +64,7 @@ class ZenohNode:
             connect,
             low_latency=role is not Role.RECORDER,
             patience_s=_PATIENCE_S if lossless else _REALTIME_PATIENCE_S,
+            gossip=link.router_endpoint is not None,
             security=secure_settings(role, link.domain, link.security.keys)
             if link.security.enabled
             else None,
