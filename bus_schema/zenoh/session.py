@@ -168,6 +168,11 @@ class ZenohSession:
         watch = self._session.liveliness().declare_subscriber(key, handler, history=True)
         self._kept.append(watch)
 
+    def connected(self) -> set[str]:
+        """Identifiers of the sessions at the other ends of our connections, without routers."""
+        transports = self._session.info.transports()
+        return {str(t.zid) for t in transports if t.whatami != zenoh.WhatAmI.ROUTER}
+
     def close(self) -> None:
         """Close the session. What is still queued for a slow peer is lost.
 

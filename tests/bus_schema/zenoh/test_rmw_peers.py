@@ -68,9 +68,7 @@ def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
     ]
     with controller_on(link):
         expected = {"funnel_hil_plant", "funnel_hil_controller"}
-        await_true(
-            lambda: {t.split("/")[8] for t in tokens if t.split("/")[5] == "NN"} >= expected
-        )
+        await_true(lambda: {t.split("/")[8] for t in tokens if t.split("/")[5] == "NN"} >= expected)
     await_true(plant._states.has_subscribers)
 
     def is_heard() -> bool:
