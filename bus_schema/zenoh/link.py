@@ -63,6 +63,8 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         self._states = self.advertise(topics.JOINT_STATES)
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
             self.advertise(topic)
+        if link.publish_reference:
+            self.advertise(topics.JOINT_REFERENCE)
         self.subscribe(topics.JOINT_COMMANDS, self._on_command)
         self.announce()
 

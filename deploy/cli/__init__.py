@@ -31,6 +31,7 @@ _COMMANDS = {
     "margin": "deploy.cli.studies:margin",
     "report": "deploy.cli.experiments:report",
     "replay": "deploy.cli.experiments:replay",
+    "reference": "deploy.cli.reference:reference",
     "bench": "deploy.cli.experiments:bench",
     "drives": "deploy.cli.drives:drives",
     "doctor": "deploy.cli.doctor:doctor",
