@@ -131,7 +131,7 @@ class Recorder:
         self._gaps = GapCounter()
         self._commands_received = 0
         self._last_stamp_ns = 0
-        lossless = setup.scenario.clock == "lockstep"
+        lossless = self._is_virtual = setup.scenario.clock == "lockstep"
         self._node = ZenohNode(
             setup.scenario.link,
             Role.RECORDER,
@@ -213,10 +213,9 @@ class Recorder:
         attachment = self._count_gap(topic, delivery)
         stamp_ns = stamp_of(delivery.payload)
         self._last_stamp_ns = self._last_stamp_ns if stamp_ns is None else stamp_ns
-        self._log.write(
-            topic, attachment.sequence, self._last_stamp_ns, attachment.source_time_ns,
-            delivery.payload,
-        )  # fmt: skip
+        # In virtual time, when a message was sent by the wall says nothing of the run.
+        sent_ns = self._last_stamp_ns if self._is_virtual else attachment.source_time_ns
+        self._log.write(topic, attachment.sequence, self._last_stamp_ns, sent_ns, delivery.payload)
         if topic is topics.RUN_EVENTS and attachment.gid:
             self._read_event(delivery.payload, attachment.gid)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from mcap.reader import make_reader
 
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
@@ -134,6 +135,22 @@ def test_commands_that_the_plant_received_and_that_never_came_are_losses(
     log = bench.leave()
     assert bench.recorder.lost == {"joint_commands": 3000}
     assert log.metadata["lost"] == {"joint_commands": "3000"}
+
+
+@pytest.mark.parametrize(("clock", "published_ns"), [("realtime", 123), ("lockstep", 7)])
+def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
+    tmp_path: Path, clock: str, published_ns: int
+) -> None:
+    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
+    setup = load_setup("paper_arm", [f"clock={clock}", *endpoints])
+    bench = Bench(setup, tmp_path / "run.mcap")
+    bench.send(JOINT_STATES, state(7), number(1, source_time_ns=123))
+    bench.await_messages(1)
+    bench.leave()
+    bench.give_up()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        ((_, _, message),) = make_reader(file).iter_messages()
+    assert (message.log_time, message.publish_time) == (7, published_ns)
 
 
 def test_payloads_are_written_as_they_came_whatever_they_are(bench: Bench) -> None:
