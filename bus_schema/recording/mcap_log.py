@@ -92,8 +92,8 @@ class McapLog:
             topic: its topic.
             sequence: number its sender gave it.
             stamp_ns: its stamp on the run's clock, which becomes the log time.
-            source_time_ns: when it was sent, Unix time, or in virtual time on the run's clock; becomes
-                the publish time.
+            source_time_ns: when it was sent, Unix time, or in virtual time on the run's clock;
+                becomes the publish time.
             payload: its CDR bytes.
         """
         if topic.name not in self._channels and self.failure is None:
