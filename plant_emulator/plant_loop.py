@@ -217,9 +217,14 @@ class PlantLoop:
                 self._controller_is_lost = True
                 self._fail(str(PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")))
                 return
-            elif self._gate.lacks_commander():
-                # Whoever comes next was not heard when it answered this state: it is asked again.
+            elif self._may_not_have_been_asked():
                 self._link.send_state(measurement.state, measurement.status)
+
+    def _may_not_have_been_asked(self) -> bool:
+        """Whoever comes first may hear nothing yet; whoever comes next was not heard."""
+        if self._gate.commander is None:
+            return self._link.may_miss_states()
+        return self._gate.lacks_commander()
 
     def _collect_commands(self) -> None:
         arrivals = self._link.take_commands()

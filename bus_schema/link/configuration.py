@@ -61,7 +61,10 @@ class LinkConfiguration(StrictModel, validate_default=True):
         security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
-        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools.
+        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools; by
+            its gossip, processes and nodes find one another.
+        publish_reference: have the plant send `joint_reference` with every state, for controllers
+            on the bus that do not know the scenario.
         uplink: plant to controller.
         downlink: controller to plant.
         playout_ms: a command comes into force no earlier than this after the stamp of the state it
@@ -79,6 +82,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     plant_endpoint: Endpoint = "tcp/127.0.0.1:7451"
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
     router_endpoint: Endpoint | None = None
+    publish_reference: bool = False
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
     playout_ms: NonNegative = 0.0

@@ -70,7 +70,7 @@ class Telemetry(Link, Protocol):
 
 
 class PlantLink(Link, Protocol):
-    """The plant's side. `overflow`, `fault` and `report` have defaults, for links without them."""
+    """The plant's side. Some of it has defaults, for links without them."""
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -99,6 +99,10 @@ class PlantLink(Link, Protocol):
 
     def sender_has_left(self, sender: bytes) -> bool:
         """Whether the session that sends commands as `sender` was on the bus and is gone."""
+
+    def may_miss_states(self) -> bool:
+        """Whether the controller may not hear the first states, never having said it is ready."""
+        return False
 
     def fault(self) -> str | None:
         """Why the arm must stop now, as the bus or a drive on it reports; None if all is well."""

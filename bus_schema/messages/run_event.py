@@ -11,6 +11,9 @@ from bus_schema.messages.header import join_stamp, split_stamp
 from bus_schema.messages.layout import parse
 from bus_schema.messages.types import RUN_EVENT, TYPESTORE
 
+COMMANDS_RECEIVED = "commands_received"
+"""In `COUNTS` of the plant: how many commands it took off the bus, whatever became of them."""
+
 
 class EventKind(StrEnum):
     """Kinds of run events. `COUNTS` and `ENDED` carry JSON, the others a sentence.

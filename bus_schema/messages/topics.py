@@ -59,6 +59,9 @@ JOINT_STATES = Topic("joint_states", message_types.JOINT_STATE, Role.PLANT, Rate
 JOINT_COMMANDS = Topic(
     "joint_commands", message_types.JOINT_STATE, Role.CONTROLLER, Rate.TICK, urgent=True
 )
+JOINT_REFERENCE = Topic(
+    "joint_reference", message_types.JOINT_STATE, Role.PLANT, Rate.TICK, urgent=True
+)
 PLANT_STATUS = Topic("plant_status", message_types.PLANT_STATUS, Role.PLANT, Rate.TICK, urgent=True)
 PLANT_TRUTH = Topic("plant_truth", message_types.PLANT_TRUTH, Role.PLANT, Rate.TICK)
 CONTROL_STATUS = Topic("control_status", message_types.CONTROL_STATUS, Role.CONTROLLER, Rate.TICK)
@@ -67,6 +70,7 @@ RUN_EVENTS = Topic("run_events", message_types.RUN_EVENT, None, Rate.EVENT)
 TOPICS = (
     JOINT_STATES,
     JOINT_COMMANDS,
+    JOINT_REFERENCE,
     PLANT_STATUS,
     PLANT_TRUTH,
     CONTROL_STATUS,
@@ -87,15 +91,22 @@ def layout(
     """Wire layout of a fixed-size topic for a robot with these joints.
 
     A command carries torques alone, its positions and velocities are empty, unless it `has_targets`
-    for drives that close a loop of their own (see `bus_schema.drive_feedback`).
+    for drives that close a loop of their own (see `bus_schema.drive_feedback`). A reference has
+    no torques.
     """
     if topic.type_name == message_types.RUN_EVENT:
         raise ValueError(f"{topic.name} has no fixed layout")
     return MessageLayout(
         topic.type_name,
         len(joint_names),
-        lengths={"position": 0, "velocity": 0}
-        if topic is JOINT_COMMANDS and not has_targets
-        else None,
+        lengths=_empty_fields(topic, has_targets=has_targets),
         strings={"name": joint_names} if topic.type_name == message_types.JOINT_STATE else None,
     )
+
+
+def _empty_fields(topic: Topic, *, has_targets: bool) -> dict[str, int] | None:
+    if topic is JOINT_REFERENCE:
+        return {"effort": 0}
+    if topic is JOINT_COMMANDS and not has_targets:
+        return {"position": 0, "velocity": 0}
+    return None

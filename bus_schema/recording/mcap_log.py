@@ -29,6 +29,17 @@ logger = logging.getLogger(__name__)
 _LARGEST_CHUNK_BYTES = 256 * 1024
 _RESERVE_BYTES = 64 * 1024
 _SHOWN_DAMAGE = 10
+_OFFERED_QOS = """- history: keep_last
+  depth: 10
+  reliability: reliable
+  durability: volatile
+  deadline: {sec: 2147483647, nsec: 4294967295}
+  lifespan: {sec: 2147483647, nsec: 4294967295}
+  liveliness: automatic
+  liveliness_lease_duration: {sec: 2147483647, nsec: 4294967295}
+  avoid_ros_namespace_conventions: false
+"""
+"""As rosbag2 writes the ROS 2 default profile, which all topics have (`Topic.qos`)."""
 
 
 class McapLog:
@@ -81,7 +92,8 @@ class McapLog:
             topic: its topic.
             sequence: number its sender gave it.
             stamp_ns: its stamp on the run's clock, which becomes the log time.
-            source_time_ns: when it was sent, Unix time; becomes the publish time.
+            source_time_ns: when it was sent, Unix time, or in virtual time on the run's clock;
+                becomes the publish time.
             payload: its CDR bytes.
         """
         if topic.name not in self._channels and self.failure is None:
@@ -144,7 +156,9 @@ class McapLog:
         schema = self._writer.register_schema(
             topic.type_name, "ros2msg", schema_text(topic.type_name).encode()
         )
-        self._channels[topic.name] = self._writer.register_channel(f"/{topic.name}", "cdr", schema)
+        self._channels[topic.name] = self._writer.register_channel(
+            f"/{topic.name}", "cdr", schema, {"offered_qos_profiles": _OFFERED_QOS}
+        )
 
 
 @dataclass

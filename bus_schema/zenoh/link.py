@@ -6,10 +6,12 @@ both. So every pair has a connection of its own, and no message takes a detour.
 
 from __future__ import annotations
 
+import logging
 import queue
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.agreement import Agreement
@@ -17,14 +19,19 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import MAX_PAYLOAD_BYTES
+from bus_schema.messages.run_event import COMMANDS_RECEIVED
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock
 from bus_schema.zenoh.node import POLL_S, ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
 
+logger = logging.getLogger(__name__)
+
 _LARGEST_BACKLOG = 10_000
 _GRACE_S = 1.0
+_GRACE_BESIDE_RECORDER_S = 3.0
+"""A stranger beside a recorder may only be looking on, while our own controller still starts."""
 _NO_ATTACHMENT = Attachment(sequence=0, source_time_ns=0, gid=b"")
 
 
@@ -51,36 +58,55 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         self._arrivals: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._pending: list[CommandArrival] = []
         self._overflow = 0
+        self._received = 0
         self._commander_was_seen = False
         self._states = self.advertise(topics.JOINT_STATES)
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
             self.advertise(topic)
+        if link.publish_reference:
+            self.advertise(topics.JOINT_REFERENCE)
         self.subscribe(topics.JOINT_COMMANDS, self._on_command)
         self.announce()
 
     def await_controller(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
-        """Wait for a publisher of commands, or at least for a foreign subscriber to states."""
+        """Wait for a publisher of commands, or for somebody who may be one without saying so.
+
+        A client without rmw_zenoh's tokens is known by a command of any contents. Without one, it
+        is taken for the controller once it has been there for a while, subscribing to states. Our
+        own controller subscribes long before it is ready, and is waited for.
+        """
         give_up_s = time.monotonic() + timeout_s
-        subscribed_since_s = None
+        stranger_since_s = None
         silence = self.watch_silence(Role.CONTROLLER)
         while not self.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
             silence.look()
             self.require_same_scenario(Role.CONTROLLER)  # which saw it first, and left
             now_s = time.monotonic()
-            # A client without rmw_zenoh's tokens can be known by its subscription only. Our own
-            # controller subscribes long before it is ready, and is waited for.
-            ours = self.sees(Role.RECORDER) or self.sees(Role.CONTROLLER)
-            if self._states.has_subscribers() and not ours:
-                subscribed_since_s = now_s if subscribed_since_s is None else subscribed_since_s
-                if now_s - subscribed_since_s > _GRACE_S:
-                    return
+            if not self._arrivals.empty():
+                return
+            if not self._may_have_unannounced_controller():
+                stranger_since_s = None
+            elif stranger_since_s is None:
+                stranger_since_s = now_s
+            elif now_s - stranger_since_s > self._grace_s():
+                logger.info("a client that has announced nothing is taken for the controller")
+                return
             if now_s > give_up_s:
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
             time.sleep(POLL_S)
         self.require_same_scenario(Role.CONTROLLER)
-        self._commander_was_seen = True
+        self._commander_was_seen = self.has_publisher(topics.JOINT_COMMANDS)
+
+    def _may_have_unannounced_controller(self) -> bool:
+        """A recorder subscribes to states too: beside one, a stranger has to be connected."""
+        if self.sees(Role.CONTROLLER) or not self._states.has_subscribers():
+            return False
+        return not self.sees(Role.RECORDER) or self.hears_a_stranger()
+
+    def _grace_s(self) -> float:
+        return _GRACE_BESIDE_RECORDER_S if self.sees(Role.RECORDER) else _GRACE_S
 
     def send_state(self, state: bytes, status: bytes) -> None:
         self.publish(topics.PLANT_STATUS, status)
@@ -102,15 +128,25 @@ class ZenohPlantLink(ZenohNode, PlantLink):
     def overflow(self) -> int:
         return self._overflow
 
+    def may_miss_states(self) -> bool:
+        """Our own controller announces itself when it is ready; of others nobody knows."""
+        return not self.sees(Role.CONTROLLER)
+
+    def report(self) -> dict[str, Any]:
+        """How many commands came, whatever became of them: recorders compare it with their own."""
+        return {COMMANDS_RECEIVED: self._received}
+
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self.has_publisher(topics.JOINT_COMMANDS)
 
     def _on_command(self, delivery: Delivery) -> None:
+        self._received += 1
         if self._arrivals.qsize() >= _LARGEST_BACKLOG:
             self._overflow += 1  # a flood: what comes after is no use, and memory is bounded
             return
-        now_ns = self._clock.now_ns()
-        self._arrivals.put(arrival_of(delivery.payload, delivery.attachment, now_ns))
+        arrival = arrival_of(delivery.payload, delivery.attachment, self._clock.now_ns())
+        self._senders.note(arrival.sender)
+        self._arrivals.put(arrival)
 
 
 class ZenohControllerLink(ZenohNode, ControllerLink):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Callable
 
 from bus_schema.errors import PeerSilentError, ScenarioMismatchError
@@ -29,11 +29,11 @@ from bus_schema.zenoh.ros_graph import (
     node_name,
     node_token,
 )
+from bus_schema.zenoh.senders import Senders
 from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
 _BATCH = 32
-_REMEMBERED_DEPARTED = 1000
 _PATIENCE_S = 60.0
 _REALTIME_PATIENCE_S = 0.02
 """A loop in real time is held up at most once and for so long by a recorder that stops reading."""
@@ -64,6 +64,7 @@ class ZenohNode:
             connect,
             low_latency=role is not Role.RECORDER,
             patience_s=_PATIENCE_S if lossless else _REALTIME_PATIENCE_S,
+            gossip=link.router_endpoint is not None,
             security=secure_settings(role, link.domain, link.security.keys)
             if link.security.enabled
             else None,
@@ -73,7 +74,7 @@ class ZenohNode:
         self._role = role
         self._node = node_name(role)
         self._entities: dict[str, Entity] = {}
-        self._departed: deque[bytes] = deque(maxlen=_REMEMBERED_DEPARTED)
+        self._senders = Senders()
         self._acknowledged = threading.Event()
         self._waiting: list[tuple[ZenohPublisher, bytes, bytes]] = []
         self._waiting_lock = threading.Lock()
@@ -149,7 +150,7 @@ class ZenohNode:
 
     def sender_has_left(self, sender: bytes) -> bool:
         """Whether a publisher had announced itself and is gone."""
-        return sender in self._departed
+        return self._senders.has_left(sender)
 
     def watch_silence(self, role: Role) -> SilenceWatch:
         """A watch that reports why one of our own processes may be missing."""
@@ -159,6 +160,11 @@ class ZenohNode:
         """Whether one of our own processes is on the bus."""
         name = node_name(role)
         return any(entity.node == name for entity in self._others(EntityKind.NODE))
+
+    def hears_a_stranger(self) -> bool:
+        """Whether a session is connected that has announced nothing; routers do not count."""
+        known = {entity.session for entity in list(self._entities.values())}
+        return not known.issuperset(self._session.connected())
 
     def require_same_scenario(self, role: Role) -> None:
         """Check what the last process of a role announced; others announce nothing.
@@ -214,8 +220,9 @@ class ZenohNode:
         entity = Entity.from_token(token)
         if entity is not None and alive:
             self._entities[token] = entity
+            self._senders.come(token, entity)
         elif self._entities.pop(token, None) is not None:
-            self._departed.append(endpoint_gid(token))
+            self._senders.leave(token)
 
 
 def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:

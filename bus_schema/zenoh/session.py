@@ -1,7 +1,7 @@
 """The Zenoh session: the only file that imports zenoh.
 
-Settings are chosen for latency: one runtime thread, no discovery, no batching of what must leave at
-once, callbacks on the network thread.
+Settings are chosen for latency: one runtime thread, no discovery but through a router, no batching
+of what must leave at once, callbacks on the network thread.
 """
 
 from __future__ import annotations
@@ -96,6 +96,8 @@ class ZenohSession:
             to that peer is closed (it may come back).
         low_latency: use the transport without queues: least delay, but a peer that stops reading
             holds up the sender. Both ends must want it.
+        gossip: tell a router where this session listens, and connect to whom it tells of: that is
+            how nodes with rmw_zenoh, which are peers by default, find one another.
         security: settings that restrict who is spoken to (`access.py`); by default, anybody.
 
     Raises:
@@ -109,9 +111,11 @@ class ZenohSession:
         *,
         low_latency: bool,
         patience_s: float = 10.0,
+        gossip: bool = False,
         security: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = _settings(listen, connect, low_latency, patience_s) | dict(security or {})
+        settings = _settings(listen, connect, low_latency, patience_s)
+        settings |= {"scouting/gossip/enabled": gossip} | dict(security or {})
         configuration = zenoh.Config()
         try:
             for path, value in settings.items():
@@ -164,6 +168,11 @@ class ZenohSession:
         watch = self._session.liveliness().declare_subscriber(key, handler, history=True)
         self._kept.append(watch)
 
+    def connected(self) -> set[str]:
+        """Identifiers of the sessions at the other ends of our connections, without routers."""
+        transports = self._session.info.transports()
+        return {str(t.zid) for t in transports if t.whatami != zenoh.WhatAmI.ROUTER}
+
     def close(self) -> None:
         """Close the session. What is still queued for a slow peer is lost.
 
@@ -196,7 +205,6 @@ def _settings(
             "period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5
         },
         "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
         "scouting/delay": 0,
         "transport/unicast/lowlatency": low_latency,
         "transport/unicast/qos/enabled": False,

@@ -57,6 +57,10 @@ COMMANDS = {
         "deploy.cli.experiments:replay",
         "Feed a recorded run to the law again and compare the torques bit for bit.",
     ),
+    "reference": (
+        "deploy.cli.reference:reference",
+        "Write where the joints are to be at each tick: position, velocity and acceleration.",
+    ),
     "bench": (
         "deploy.cli.experiments:bench",
         "Measure what things cost on this machine, as ratios of medians side by side.",

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from bus_schema.errors import BusError, ScenarioMismatchError
-from bus_schema.link.interface import ControllerLink
+from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
 from bus_schema.runtime.own_cpu import claim_cpu, none_is_free
@@ -33,6 +33,7 @@ from deploy.link_kinds.kind import LinkRun
 from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.lacking import lacking
 from deploy.processes.recorder import Recorder
+from deploy.processes.reference_link import ReferenceLink
 from deploy.processes.status import StatusReporter
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup
@@ -71,6 +72,9 @@ def run_plant(
     try:
         run = _between_processes(setup, can_log)
         link = setup.link_kind.open_plant(run, arm, clock)
+        if setup.scenario.link.publish_reference:
+            joint_names = setup.robot.joint_names
+            link = cast("PlantLink", ReferenceLink(link, setup.reference, joint_names))
         request = partial(reporter.request, await_execution=lockstep)
         actions = process_actions(setup.scenario.faults, request)
         task = setup.plant_task(lockstep=lockstep, process_actions=actions)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from pathlib import Path
 from bus_schema.errors import InvalidMessageError, PeerSilentError
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
-from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.recording.mcap_log import McapLog
 from bus_schema.zenoh.node import ZenohNode
@@ -22,6 +23,8 @@ from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import delay_files
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import portable_scenario
+
+logger = logging.getLogger(__name__)
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
@@ -33,6 +36,7 @@ _LARGEST_BACKLOG = 200_000
 _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
+_MOST_COMMANDS = 1 << 40
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
@@ -81,17 +85,31 @@ class GapCounter:
 
     Attributes:
         missed: messages that are missing, by topic.
+        came: messages that came, by topic.
     """
 
     def __init__(self) -> None:
+        self.came: Counter[str] = Counter()
         self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
         self.missed: Counter[str] = Counter()
 
     def note(self, topic: str, sender: bytes, sequence: int) -> None:
-        """A message came; what is missing since the last one of its sender is missed."""
+        """A message came; what is missing since the last one of its sender is missed.
+
+        Those that give their messages no numbers can be counted only.
+        """
+        self.came[topic] += 1
+        if not sequence:
+            return
         last = self._last_sequence[topic, sender]
         self.missed[topic] += max(0, sequence - last - 1)
         self._last_sequence[topic, sender] = max(sequence, last)
+
+    def expect(self, topic: str, count: int) -> int:
+        """Somebody else got `count` messages; how many of them nobody had missed so far."""
+        unknown = max(0, count - self.came[topic] - self.missed[topic])
+        self.missed[topic] += unknown
+        return unknown
 
 
 class Recorder:
@@ -111,8 +129,9 @@ class Recorder:
         domain = setup.scenario.link.domain
         self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
         self._gaps = GapCounter()
+        self._commands_received = 0
         self._last_stamp_ns = 0
-        lossless = setup.scenario.clock == "lockstep"
+        lossless = self._is_virtual = setup.scenario.clock == "lockstep"
         self._node = ZenohNode(
             setup.scenario.link,
             Role.RECORDER,
@@ -176,6 +195,7 @@ class Recorder:
             if topic is not None:
                 self._count_gap(topic, delivery)
                 self._gaps.missed[topic.name] += 1
+        self._compare_with_the_plant()
         close_log(self._log, self._gaps.missed)
         self._node.close()
 
@@ -193,22 +213,36 @@ class Recorder:
         attachment = self._count_gap(topic, delivery)
         stamp_ns = stamp_of(delivery.payload)
         self._last_stamp_ns = self._last_stamp_ns if stamp_ns is None else stamp_ns
-        self._log.write(
-            topic, attachment.sequence, self._last_stamp_ns, attachment.source_time_ns,
-            delivery.payload,
-        )  # fmt: skip
+        # In virtual time, when a message was sent by the wall says nothing of the run.
+        sent_ns = self._last_stamp_ns if self._is_virtual else attachment.source_time_ns
+        self._log.write(topic, attachment.sequence, self._last_stamp_ns, sent_ns, delivery.payload)
         if topic is topics.RUN_EVENTS and attachment.gid:
-            self._acknowledge(delivery.payload, attachment.gid)
+            self._read_event(delivery.payload, attachment.gid)
 
     def _count_gap(self, topic: Topic, delivery: Delivery) -> Attachment:
         """Count what is missing since the last message of this sender on this topic."""
         attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
-        if attachment.sequence:
-            self._gaps.note(topic.name, attachment.gid, attachment.sequence)
+        self._gaps.note(topic.name, attachment.gid, attachment.sequence)
         return attachment
 
-    def _acknowledge(self, payload: bytes, gid: bytes) -> None:
+    def _read_event(self, payload: bytes, gid: bytes) -> None:
         """Tell a process whose last message this is that all of its messages are recorded."""
         with contextlib.suppress(InvalidMessageError):
-            if RunEvent.decode(payload).kind == EventKind.ENDED:
+            event = RunEvent.decode(payload)
+            if event.kind == EventKind.ENDED:
                 self._node.acknowledge(gid)
+            if event.kind == EventKind.COUNTS and event.source == Role.PLANT:
+                count = event.values().get(COMMANDS_RECEIVED)
+                if isinstance(count, int) and 0 <= count < _MOST_COMMANDS:
+                    self._commands_received = count
+
+    def _compare_with_the_plant(self) -> None:
+        """Count the commands that the plant received and that never came here."""
+        missing = self._gaps.expect(topics.JOINT_COMMANDS.name, self._commands_received)
+        if missing:
+            logger.warning(
+                "the plant received %d commands that never came here: a controller that connects"
+                " to the plant alone has to listen at link.controller_endpoint (%s), where"
+                " recorders connect to, or be a Zenoh client of the plant",
+                missing, self._setup.scenario.link.controller_endpoint,
+            )  # fmt: skip

@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from types import MappingProxyType
 from typing import Any
 
@@ -114,10 +115,16 @@ def stamps_s(table: Table) -> Vector:
 
 
 def digest(states: Sequence[bytes], commands: Sequence[bytes]) -> str:
-    """SHA-256 over delivered joint states, then commands, each in order, as wire bytes."""
+    """SHA-256 over delivered joint states, then commands, each in order, as wire bytes.
+
+    The first state may have been sent again until somebody answered, who may have answered each:
+    how often says nothing of the run, and does not count.
+    """
     hasher = hashlib.sha256()
-    for payload in (*states, *commands):
-        hasher.update(payload)
+    for payloads in (states, commands):
+        repetitions = sum(1 for _ in takewhile(payloads[0].__eq__, payloads[1:])) if payloads else 0
+        for payload in payloads[repetitions:]:
+            hasher.update(payload)
     return hasher.hexdigest()
 
 

@@ -114,6 +114,9 @@ class FaultyLink:
     def sender_has_left(self, sender: bytes) -> bool:
         return self._link.sender_has_left(sender)
 
+    def may_miss_states(self) -> bool:
+        return self._link.may_miss_states()
+
     def overflow(self) -> int:
         return self._link.overflow()
 

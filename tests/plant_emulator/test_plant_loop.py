@@ -58,6 +58,9 @@ class Station:
     def overflow(self):
         return 0
 
+    def may_miss_states(self):
+        return False
+
     def take_commands(self):
         now_ns = self._clock.now_ns()
         here = [arrival for arrival in self.to_come if arrival.arrival_ns <= now_ns]
@@ -173,6 +176,36 @@ def test_answer_that_came_just_before_the_controller_left_is_taken():
     arm.close()
     assert len(taken) == 1
     assert outcome.faults == ["the controller has left the bus"]
+
+
+class DeafController(Station):
+    """A stranger that hears nothing before the third state, and answers from there on."""
+
+    def may_miss_states(self):
+        return True
+
+    def await_command(self, timeout_s):
+        return bool(self.to_come)
+
+    def controller_has_left(self):
+        return False
+
+    def send_state(self, state, status):
+        super().send_state(state, status)
+        if len(self.delivered) >= 3:
+            now_ns, stamp_ns = self.delivered[-1]
+            self.expect(stamp_ns, now_ns)
+            self.to_come[-1] = self.to_come[-1]._replace(sequence=len(self.delivered))
+
+
+def test_first_state_in_lockstep_is_sent_again_until_it_is_answered():
+    setup = load_setup("paper_arm", ["duration_s=0.005"])
+    clock, arm = VirtualClock(), setup.arm()
+    station = DeafController(setup.robot.joint_names, clock)
+    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, station, clock).run()
+    arm.close()
+    assert outcome.faults == []
+    assert [stamp_ns // MS for _, stamp_ns in station.delivered] == [0, 0, 0, 1, 2, 3, 4]
 
 
 def test_no_target_is_chased_once_the_watchdog_has_stopped_the_arm():

@@ -4,6 +4,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -76,6 +77,12 @@ def test_foreign_ros2_tools_decode_every_topic(tmp_path):
         for schema, channel, message, values in reader.iter_decoded_messages():
             assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
             assert (message.log_time, message.publish_time, message.sequence) == (7, 8, 1)
+            (qos,) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+            assert (qos["history"], qos["depth"], qos["reliability"]) == (
+                "keep_last",
+                10,
+                "reliable",
+            )
             decoded[channel.topic] = values
     assert set(decoded) == {f"/{topic.name}" for topic in TOPICS}
     assert decoded["/run_events"].detail == "für 3 s"

@@ -114,3 +114,9 @@ def test_ids_of_endpoints_are_16_bytes_and_differ() -> None:
     assert len(endpoint_gid(PUBLISHER)) == 16
     assert endpoint_gid(PUBLISHER) == endpoint_gid(PUBLISHER)
     assert endpoint_gid(PUBLISHER) != endpoint_gid(SUBSCRIBER)
+
+
+def test_id_of_an_endpoint_is_the_one_that_rmw_zenoh_gives_it() -> None:
+    """Literals from rmw_zenoh_cpp's own `simplified_XXH3_128bits`, compiled and run."""
+    assert endpoint_gid(CHATTER).hex() == "ac170f31eadcd9ff0cd86d7a17907d1c"
+    assert endpoint_gid(PUBLISHER).hex() == "2fa2e7891bb65e16ab3f39f8aa0852a4"

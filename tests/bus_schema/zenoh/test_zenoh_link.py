@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
 from bus_schema.errors import PeerSilentError
+from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import (
     CONTROL_STATUS,
@@ -18,6 +21,8 @@ from bus_schema.messages.topics import (
 )
 from bus_schema.zenoh import link as zenoh_link
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+from bus_schema.zenoh.node import ZenohNode
+from bus_schema.zenoh.session import ZenohSession
 from plant_emulator.command_gate import CommandGate
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
@@ -163,3 +168,46 @@ def test_error_of_the_handler_ends_the_service_and_reaches_the_main_thread() -> 
         plant.send_state(state(0), status())
         with pytest.raises(ZeroDivisionError):
             controller.spin()
+
+
+@contextmanager
+def tokenless_client(link: LinkConfiguration) -> Iterator[ZenohSession]:
+    """A client that subscribes to states, and announces nothing."""
+    client = ZenohSession([], [link.plant_endpoint], low_latency=False)
+    client.subscribe(JOINT_STATES.key_expression(0), lambda _: None)
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+@contextmanager
+def recorder_on(link: LinkConfiguration, plant: ZenohPlantLink) -> Iterator[ZenohNode]:
+    recorder = ZenohNode(link, Role.RECORDER, lossless=True)
+    mailbox = recorder.listen_to_all(100, lossless=True)
+    recorder.announce()
+    try:
+        plant.await_recorder(HANG_S)
+        yield recorder
+    finally:
+        recorder.close()
+        del mailbox
+
+
+def test_client_without_tokens_is_the_controller_though_a_recorder_listens() -> None:
+    link = fresh_link()
+    with plant_on(link) as plant, recorder_on(link, plant):
+        with pytest.raises(PeerSilentError):
+            plant.await_controller(zenoh_link._GRACE_BESIDE_RECORDER_S + 0.5)  # nobody is there
+        with tokenless_client(link):
+            plant.await_controller(HANG_S)
+        assert not plant.controller_has_left()  # it cannot be known
+
+
+def test_command_before_the_start_is_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = fresh_link()
+    monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 2 * HANG_S)
+    with plant_on(link) as plant, recorder_on(link, plant), tokenless_client(link) as client:
+        publisher = client.publisher(JOINT_COMMANDS.key_expression(0))
+        await_true(lambda: publisher.put(b"hello", b"") or not plant._arrivals.empty())
+        plant.await_controller(HANG_S)

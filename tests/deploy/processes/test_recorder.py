@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
+from mcap.reader import make_reader
 
 from bus_schema.messages.header import stamp_of
+from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.recording.atomic_files import RecordFile
 from bus_schema.recording.mcap_log import LogContents, read_log
@@ -116,6 +119,38 @@ def test_message_without_a_number_is_recorded_and_counts_as_no_loss(bench: Bench
     log = bench.leave()
     assert bench.recorder.lost == {}
     assert log.sequences["joint_states"] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("gid", [b"", FOREIGN], ids=["without numbers", "numbered"])
+def test_commands_that_the_plant_received_and_that_never_came_are_losses(
+    bench: Bench, gid: bytes
+) -> None:
+    for sequence in (1, 2, 5):
+        attachment = number(sequence, gid) if gid else b""
+        bench.send(JOINT_COMMANDS, state(sequence), attachment)
+    said = json.dumps({COMMANDS_RECEIVED: 3003})
+    counts = RunEvent(0, Role.PLANT, EventKind.COUNTS, said).encode()
+    bench.send(RUN_EVENTS, counts, number(1))
+    bench.await_messages(4)
+    log = bench.leave()
+    assert bench.recorder.lost == {"joint_commands": 3000}
+    assert log.metadata["lost"] == {"joint_commands": "3000"}
+
+
+@pytest.mark.parametrize(("clock", "published_ns"), [("realtime", 123), ("lockstep", 7)])
+def test_publish_time_is_on_the_runs_own_clock_in_virtual_time(
+    tmp_path: Path, clock: str, published_ns: int
+) -> None:
+    endpoints = [f"link.{role}_endpoint={free_endpoint()}" for role in ("plant", "controller")]
+    setup = load_setup("paper_arm", [f"clock={clock}", *endpoints])
+    bench = Bench(setup, tmp_path / "run.mcap")
+    bench.send(JOINT_STATES, state(7), number(1, source_time_ns=123))
+    bench.await_messages(1)
+    bench.leave()
+    bench.give_up()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        ((_, _, message),) = make_reader(file).iter_messages()
+    assert (message.log_time, message.publish_time) == (7, published_ns)
 
 
 def test_payloads_are_written_as_they_came_whatever_they_are(bench: Bench) -> None:

@@ -7,6 +7,7 @@ below; it closes to 0.01 rad at 1000 per second, so after 10 ms it is there to 1
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -25,7 +26,7 @@ from bus_schema.messages.topics import (
     layout,
 )
 from deploy.runs.metrics import settling_times_s, summarise
-from deploy.runs.run_data import RunData, build_run_data
+from deploy.runs.run_data import RunData, build_run_data, digest
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 
@@ -280,3 +281,10 @@ def test_controller_that_takes_over_is_no_stall(setup: Setup) -> None:
 def test_virtual_time_knows_no_stall(setup: Setup) -> None:
     late = at(0.0, **{"timing.lateness_ns": 31_000_000})
     assert judged(setup, [late])["timing"]["longest_stall_ms"] is None
+
+
+def test_digest_does_not_count_how_often_the_first_state_was_sent() -> None:
+    once = digest([b"s0", b"s1"], [b"c0", b"c1"])
+    assert digest([b"s0", b"s0", b"s0", b"s1"], [b"c0", b"c0", b"c1"]) == once
+    assert digest([b"s0", b"s1", b"s1"], [b"c0", b"c1"]) != once
+    assert digest([], []) == hashlib.sha256().hexdigest()

@@ -1,0 +1,81 @@
+"""Sessions as rmw_zenoh opens them by default: its router, and its nodes, which are peers.
+
+The settings are those of its ``DEFAULT_RMW_ZENOH_{ROUTER,SESSION}_CONFIG.json5`` that differ from
+Zenoh's own. Another file can be tried: ``RMW_ZENOH_CONFIG`` names a folder that has both.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+_PATIENT = {
+    "transport/unicast/open_timeout": 60_000,
+    "transport/unicast/accept_timeout": 60_000,
+    "transport/unicast/accept_pending": 10_000,
+    "transport/unicast/max_sessions": 10_000,
+    "transport/link/tx/lease": 60_000,
+    "transport/link/tx/keep_alive": 2,
+}
+_COMMON = {
+    **_PATIENT,
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": True,
+    "scouting/gossip/target": {"router": ["router", "peer"], "peer": ["router"]},
+    "scouting/gossip/autoconnect": {"router": [], "peer": ["router", "peer"]},
+    "timestamping/enabled": True,
+    "queries_default_timeout": 600_000,
+}
+_ROUTER = {
+    **_COMMON,
+    "mode": "router",
+    "routing/router/peers_failover_brokering": False,
+    "scouting/gossip/autoconnect_strategy": {
+        "router": {"to_router": "always", "to_peer": "always"}
+    },
+}
+_NODE = {
+    **_COMMON,
+    "mode": "peer",
+    "scouting/gossip/autoconnect_strategy": {
+        "peer": {"to_router": "always", "to_peer": "greater-zid"}
+    },
+}
+
+
+@contextmanager
+def rmw_router(endpoint: str) -> Iterator[zenoh.Session]:
+    """What ``ros2 run rmw_zenoh_cpp rmw_zenohd`` starts, at an endpoint of its own."""
+    with zenoh.open(_configuration("ROUTER", _ROUTER, {"listen/endpoints": [endpoint]})) as session:
+        yield session
+
+
+@contextmanager
+def rmw_node(router_endpoint: str) -> Iterator[zenoh.Session]:
+    """A ROS 2 node's session."""
+    endpoints = {"connect/endpoints": [router_endpoint], "listen/endpoints": ["tcp/localhost:0"]}
+    with zenoh.open(_configuration("SESSION", _NODE, endpoints)) as session:
+        yield session
+
+
+def _configuration(
+    kind: str, settings: dict[str, Any], endpoints: dict[str, list[str]]
+) -> zenoh.Config:
+    folder = os.environ.get("RMW_ZENOH_CONFIG")
+    if folder is not None:
+        configuration = zenoh.Config.from_file(
+            str(Path(folder) / f"DEFAULT_RMW_ZENOH_{kind}_CONFIG.json5")
+        )
+    else:
+        configuration = zenoh.Config()
+        for path, value in settings.items():
+            configuration.insert_json5(path, json.dumps(value))
+    for path, value in endpoints.items():
+        configuration.insert_json5(path, json.dumps(value))
+    return configuration

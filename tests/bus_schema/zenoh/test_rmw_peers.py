@@ -1,0 +1,115 @@
+"""Nodes with rmw_zenoh's default configuration, which are peers and know a router alone."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, layout
+from bus_schema.zenoh.link import ZenohPlantLink
+from bus_schema.zenoh.ros_graph import Attachment
+from tests.bus_schema.zenoh.rmw_sessions import rmw_node, rmw_router
+from tests.bus_schema.zenoh.zenoh_pair import (
+    HANG_S,
+    JOINTS,
+    await_true,
+    controller_on,
+    free_endpoint,
+    fresh_link,
+    plant_on,
+    state,
+    status,
+)
+
+
+@pytest.fixture(scope="module")
+def link() -> Iterator[LinkConfiguration]:
+    router = free_endpoint()
+    with rmw_router(router):
+        yield fresh_link().model_copy(update={"router_endpoint": router})
+
+
+@pytest.fixture(scope="module")
+def plant(link: LinkConfiguration) -> Iterator[ZenohPlantLink]:
+    with plant_on(link) as plant:
+        yield plant
+
+
+@pytest.fixture(scope="module")
+def node(link: LinkConfiguration, plant: ZenohPlantLink) -> Iterator[zenoh.Session]:
+    assert link.router_endpoint is not None
+    with rmw_node(link.router_endpoint) as session:
+        yield session
+
+
+def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
+    link: LinkConfiguration, plant: ZenohPlantLink, node: zenoh.Session
+) -> None:
+    tokens: set[str] = set()
+    numbers: dict[str, list[int]] = {JOINT_STATES.name: [], PLANT_TRUTH.name: []}
+
+    def hear(sample: zenoh.Sample) -> None:
+        assert sample.attachment is not None
+        attachment = Attachment.decode(sample.attachment.to_bytes())
+        assert attachment is not None
+        numbers[str(sample.key_expr).split("/")[1]].append(attachment.sequence)
+
+    watch = node.liveliness().declare_subscriber(
+        "@ros2_lv/0/**", lambda sample: tokens.add(str(sample.key_expr)), history=True
+    )
+    hears = [
+        node.declare_subscriber(topic.key_expression(0), hear)
+        for topic in (JOINT_STATES, PLANT_TRUTH)
+    ]
+    with controller_on(link):
+        expected = {"funnel_hil_plant", "funnel_hil_controller"}
+        await_true(lambda: {t.split("/")[8] for t in tokens if t.split("/")[5] == "NN"} >= expected)
+    await_true(plant._states.has_subscribers)
+
+    def is_heard() -> bool:
+        plant.send_state(state(0), status())
+        return bool(numbers[JOINT_STATES.name])
+
+    await_true(is_heard)  # routes follow what is declared
+    for _ in range(640):
+        plant.send_state(state(0), status())
+        plant.publish(PLANT_TRUTH, layout(PLANT_TRUTH, JOINTS).template)
+    await_true(lambda: len(numbers[PLANT_TRUTH.name]) == 640)
+    heard = numbers[JOINT_STATES.name]
+    await_true(lambda: heard[-1] - heard[0] >= 640)
+    assert heard == list(range(heard[0], heard[-1] + 1))
+    for declared in (*hears, watch):
+        declared.undeclare()
+
+
+def test_node_commands_the_plant(plant: ZenohPlantLink, node: zenoh.Session) -> None:
+    states: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    command = Record(layout(JOINT_COMMANDS, JOINTS))
+    publisher = node.declare_publisher(JOINT_COMMANDS.key_expression(0))
+    subscriber = node.declare_subscriber(
+        JOINT_STATES.key_expression(0), lambda sample: states.put(sample.payload.to_bytes())
+    )
+
+    def reaches() -> bool:
+        publisher.put(command.payload())
+        return plant.await_command(0.01)
+
+    await_true(reaches)
+    plant.take_commands()
+    while not states.empty():
+        states.get()
+
+    for tick in range(1, 51):
+        command.stamp_ns = tick
+        plant.send_state(state(tick), status())
+        assert states.get(timeout=HANG_S) == state(tick)
+        publisher.put(command.payload())
+        await_true(lambda: plant.await_command(HANG_S))
+        assert plant.take_commands()[-1].payload == command.payload()
+    subscriber.undeclare()
+    publisher.undeclare()

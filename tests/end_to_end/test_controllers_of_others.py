@@ -1,0 +1,89 @@
+"""The clients of `bus_schema/WRITE_A_CONTROLLER.md`, as they stand there, in command of a plant.
+
+zenoh-pico is built from sources: from the archive that ``ZENOH_PICO_ARCHIVE`` names.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tarfile
+from pathlib import Path
+
+import pytest
+from running import Finished, free_endpoint, settings
+
+from tests.warm_process import WarmProcess
+
+CLIENTS = Path(__file__).resolve().parents[2] / "bus_schema" / "clients"
+TICKS = 500
+SHORT = settings(
+    clock="lockstep", duration_s=TICKS / 1000, link__publish_reference=True,
+    link__connect_timeout_s=20,
+)  # fmt: skip
+
+
+def run_with(command: list[str], folder: Path, plant: str, controller: str) -> Finished:
+    """A plant and a recorder with a controller that is started first."""
+    at = settings(link__plant_endpoint=plant, link__controller_endpoint=controller)
+    client = subprocess.Popen(command)
+    processes = [
+        WarmProcess("plant", "paper_arm", *SHORT, *at, "--await-recorder"),
+        WarmProcess("record", "paper_arm", *SHORT, *at, "--out", str(folder)),
+    ]
+    try:
+        outputs = [process.communicate()[0] for process in processes]
+        assert [process.returncode for process in processes] == [0, 0], outputs
+        assert client.wait(60) == 0
+    finally:
+        client.kill()
+        client.wait()
+        for process in processes:
+            process.kill()
+    return Finished(folder, 0, outputs[1])
+
+
+def assert_it_commanded(run: Finished) -> None:
+    assert run.summary["ticks"] == TICKS
+    assert run.summary["faults"] == []
+    assert run.summary["recorder"]["lost"] == 0
+    commands = run.data.tables["joint_commands"]
+    assert len(commands) >= TICKS
+    final_rad = abs(run.data.true_errors_rad[-1]).max()  # 0.15 rad at first
+    assert final_rad < 0.06
+    assert len(run.data.tables["joint_reference"]) >= TICKS
+
+
+def test_python_client(tmp_path: Path) -> None:
+    plant, controller = free_endpoint(), free_endpoint()
+    command = [sys.executable, str(CLIENTS / "controller.py"), plant, controller]
+    assert_it_commanded(run_with(command, tmp_path / "run", plant, controller))
+
+
+@pytest.fixture(scope="session")
+def c_client(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    archive = os.environ.get("ZENOH_PICO_ARCHIVE", "")
+    if not Path(archive).is_file():
+        pytest.skip("zenoh-pico's sources are not at hand: ZENOH_PICO_ARCHIVE names no archive")
+    folder = tmp_path_factory.mktemp("pico")
+    with tarfile.open(archive) as sources:
+        sources.extractall(folder, filter="data")
+    (pico,) = folder.iterdir()
+    build = pico / "build"
+    for command in (
+        ["cmake", "-S", pico, "-B", build, "-DCMAKE_BUILD_TYPE=Release",
+         "-DBUILD_EXAMPLES=OFF", "-DBUILD_TESTING=OFF", "-DBUILD_SHARED_LIBS=OFF"],
+        ["cmake", "--build", build, "-j2"],
+        ["cc", "-O2", "-Wall", "-Werror", "-DZENOH_LINUX", f"-I{build}/include",
+         f"-I{pico}/include", "-o", folder / "controller", CLIENTS / "controller.c",
+         build / "lib" / "libzenohpico.a", "-lpthread"],
+    ):  # fmt: skip
+        subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    return folder / "controller"
+
+
+def test_c_client(c_client: Path, tmp_path: Path) -> None:
+    plant, controller = free_endpoint(), free_endpoint()
+    command = [str(c_client), plant]
+    assert_it_commanded(run_with(command, tmp_path / "run", plant, controller))
