@@ -11,9 +11,9 @@ import typer
 
 from bus_schema.arrays import Vector
 from deploy.cli.common import Overrides, ScenarioArgument
+from deploy.input_error import InputError
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import InputError
 
 
 def reference(
