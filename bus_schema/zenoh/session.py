@@ -116,6 +116,7 @@ class ZenohSession:
     ) -> None:
         settings = _settings(listen, connect, low_latency, patience_s)
         settings |= {"scouting/gossip/enabled": gossip} | dict(security or {})
+        self._low_latency = low_latency
         configuration = zenoh.Config()
         try:
             for path, value in settings.items():
@@ -169,7 +170,13 @@ class ZenohSession:
         self._kept.append(watch)
 
     def connected(self) -> set[str]:
-        """Identifiers of the sessions at the other ends of our connections, without routers."""
+        """Identifiers of the sessions at the other ends of our connections, without routers.
+
+        Nor with clients, in the mode of least delay: zenoh 1.10 panics ("no reactor running") when
+        it is asked for such transports.
+        """
+        if self._low_latency:
+            return {str(identifier) for identifier in self._session.info.peers_zid()}
         transports = self._session.info.transports()
         return {str(t.zid) for t in transports if t.whatami != zenoh.WhatAmI.ROUTER}
 
