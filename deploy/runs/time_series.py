@@ -16,7 +16,9 @@ Columns = dict[str, NDArray[np.generic]]
 TRACKING = "tracking"
 """The series that is no topic: what the judge goes by, on the plant's ticks."""
 _TOPICS: dict[str, Topic] = {
-    topic.name: topic for topic in topics.TOPICS if topic is not topics.RUN_EVENTS
+    topic.name: topic
+    for topic in topics.TOPICS
+    if topic not in (topics.RUN_EVENTS, topics.JOINT_REFERENCE)  # `tracking` has the reference
 }
 SERIES = (TRACKING, *_TOPICS)
 """All there are, by name."""

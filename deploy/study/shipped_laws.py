@@ -11,7 +11,7 @@ from types import ModuleType
 
 import cloudpickle
 
-from controller.laws.custom import Maker, find_law, is_custom, laws_given
+from controller.laws.custom import EXTERNAL, Maker, find_law, is_custom, laws_given
 from deploy.runs.run_rows import Row
 from deploy.study.study import Run, execute, failed
 
@@ -24,7 +24,7 @@ def packed(laws: Iterable[str]) -> Packed:
 
     One that cannot be packed is left out: workers import it, where they have its file.
     """
-    found = {name: _packed(find_law(name)) for name in laws if is_custom(name)}
+    found = {name: _packed(find_law(name)) for name in laws if is_custom(name) and name != EXTERNAL}
     return {name: code for name, code in found.items() if code is not None}
 
 
