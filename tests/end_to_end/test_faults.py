@@ -147,7 +147,7 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
     assert disrupted.causes == ["the recorder was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
     assert not disrupted.run.data.complete
-    # Whole chunks of a quarter second are on the disk; how far behind the recorder was when it died,
+    # Whole chunks of a quarter second are on the disk; how far behind the recorder was then,
     # a busy machine decides.
     assert disrupted.run.data.times_s(PLANT_TRUTH)[-1] >= 0.2
     assert not (disrupted.run.folder / "run.mcap").exists()  # there is no whole recording
