@@ -25,16 +25,55 @@ class JointReading(NamedTuple):
     torque_nm: float = 0.0
 
 
+class JointLoop(NamedTuple):
+    """A loop that a drive closes around a target.
+
+    Attributes:
+        target_rad: where the joint is to be.
+        target_velocity_rad_s: how fast.
+        stiffness_nm_rad: torque per rad off the target.
+        damping_nm_s: torque per rad/s off it.
+        feedforward_nm: torque beside that.
+        step_rad: resolution of the drive's encoder.
+        most_nm: the most torque there is.
+    """
+
+    target_rad: float
+    target_velocity_rad_s: float
+    stiffness_nm_rad: float
+    damping_nm_s: float
+    feedforward_nm: float
+    step_rad: float
+    most_nm: float
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the torque depends on the joint's motion."""
+        return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
+
+    def torque_nm(self, position_rad: float, velocity_rad_s: float) -> float:
+        """Torque of the motor where the joint is and as it moves."""
+        seen_rad = round(position_rad / self.step_rad) * self.step_rad
+        wanted = (
+            self.feedforward_nm
+            + self.stiffness_nm_rad * (self.target_rad - seen_rad)
+            + self.damping_nm_s * (self.target_velocity_rad_s - velocity_rad_s)
+        )
+        return min(max(wanted, -self.most_nm), self.most_nm)
+
+
 class JointDemand(NamedTuple):
     """What a drive does to its joint.
 
     Attributes:
         torque_nm: torque of the motor, at the joint; 0 while the brake is engaged.
         is_released: power stage on and holding brake released.
+        loop: where the torque comes from, if it follows the joint's motion; None if it does not.
     """
 
     torque_nm: float
     is_released: bool
+    loop: JointLoop | None = None
 
 
 AT_REST = JointDemand(0.0, is_released=False)
@@ -72,6 +111,7 @@ class DriveSettings:
         watchdog_ms: CANSimple: time without a frame after which the axis is disarmed; 0 for never.
             CiA 402 has timeouts that the master sets instead.
         estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
+        own: what the drive's protocol alone has, see `DriveProtocol.own_settings`.
     """
 
     node_id: int
@@ -83,6 +123,7 @@ class DriveSettings:
     stop_damping_nm_s: float = 20.0
     watchdog_ms: float = 0.0
     estimates_ms: int = 10
+    own: object = None
 
 
 class Cycle:
