@@ -42,19 +42,21 @@ class MitProtocol(DriveProtocol):
     def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> MitMaster:
         return MitMaster(bus, can, self.node_ids(can, robot.joints), self.codec(can, robot))
 
+    def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
+        node_ids = super().node_ids(can, joints)
+        if can.mit.reply_identifier in node_ids:
+            raise ConfigurationError(
+                "link.can.mit.reply_identifier", can.mit.reply_identifier,
+                "must be none of the drives' addresses, to which commands go",
+            )  # fmt: skip
+        return node_ids
+
     def own_settings(self, can: CanConfiguration, joints: int) -> tuple[MitSettings, ...]:
         mit = can.mit
         return tuple(
             MitSettings(ranges, mit.reply_identifier, mit.reply_bytes)
             for ranges in ranges_of(can, joints)
         )
-
-    def check(self, can: CanConfiguration) -> None:
-        if can.mit.reply_identifier in (can.node_ids or ()):
-            raise ConfigurationError(
-                "link.can.mit.reply_identifier", can.mit.reply_identifier,
-                "must be none of the node ids, to which commands go",
-            )  # fmt: skip
 
     def check_gains(self, can: CanConfiguration, gains: DriveGains) -> None:
         joints = gains.stiffness_nm_rad.size
