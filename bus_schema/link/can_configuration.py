@@ -88,7 +88,7 @@ class CanConfiguration(StrictModel):
         hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
             machine alone; 1 its network, where anybody can then command the drives; more routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
-        fd: the bus carries CAN FD frames too. Neither protocol sends any.
+        fd: the bus carries CAN FD frames too. No protocol sends any.
         data_bitrate: bit rate of the data phase of FD frames.
         protocol: what the drives speak: ``cia402`` on CANopen, ODrive's ``cansimple``, the
             mini-cheetah's ``mit``, or another one of the table of drive protocols.
