@@ -23,6 +23,7 @@ from plant_emulator.drives.drive import (
     DriveSettings,
     JointLoop,
     JointReading,
+    LoopDrive,
     Send,
 )
 
@@ -38,6 +39,7 @@ class _Axis:
     def __init__(self, protocol: type[Drive], settings: DriveSettings, send: Send) -> None:
         self._send = send
         self.drive = protocol(settings, self._send_if_connected)
+        self._loop = self.drive if isinstance(self.drive, LoopDrive) else None
         self.node_id = settings.node_id
         self.targets_taken = 0
         self._faults: set[DriveFault] = set()
@@ -51,6 +53,9 @@ class _Axis:
         position_rad, velocity_rad_s = self.seen(position_rad, velocity_rad_s)
         self._position_rad = position_rad
         self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
+
+    def loop(self) -> JointLoop | None:
+        return None if self._loop is None else self._loop.loop()
 
     def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
         """What its encoder shows of a motion."""
@@ -211,7 +216,8 @@ class DriveBank:
             self._note_demand(joint, axis)
 
     def _note_demand(self, joint: int, axis: _Axis) -> None:
-        torque_nm, is_released, self._loops[joint] = axis.drive.demand()
+        torque_nm, is_released = axis.drive.demand()
+        self._loops[joint] = axis.loop()
         self.torque_nm[joint] = torque_nm
         self.braked[joint] = not is_released
 

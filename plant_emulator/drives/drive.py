@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from bus_schema.can.frame import CanFrame
 
@@ -68,12 +68,10 @@ class JointDemand(NamedTuple):
     Attributes:
         torque_nm: torque of the motor, at the joint; 0 while the brake is engaged.
         is_released: power stage on and holding brake released.
-        loop: where the torque comes from, if it follows the joint's motion; None if it does not.
     """
 
     torque_nm: float
     is_released: bool
-    loop: JointLoop | None = None
 
 
 AT_REST = JointDemand(0.0, is_released=False)
@@ -196,3 +194,11 @@ class Drive(Protocol):
 
     def describe(self, frame: CanFrame) -> str | None:
         """A frame in words, None if it is not between a master and this drive."""
+
+
+@runtime_checkable
+class LoopDrive(Protocol):
+    """A drive whose torque can follow its joint's motion between the frames it gets."""
+
+    def loop(self) -> JointLoop | None:
+        """Where the torque of `Drive.demand` comes from; None if it is the same all the time."""

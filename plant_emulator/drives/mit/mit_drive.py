@@ -101,16 +101,14 @@ class MitDrive:
             self._rest()
 
     def demand(self) -> JointDemand:
-        command = self._command
-        if command is None:
+        if self._command is None:
             return AT_REST
-        loop = JointLoop(
-            command.position_rad + self._zero_rad, command.velocity_rad_s,
-            command.stiffness_nm_rad, command.damping_nm_s, command.torque_nm,
-            self._step_rad, self._most_nm,
-        )  # fmt: skip
-        torque_nm = loop.torque_nm(self._reading.position_rad, self._reading.velocity_rad_s)
-        return JointDemand(torque_nm, is_released=True, loop=loop if loop.is_closed else None)
+        torque_nm = self._loop_of(self._command).torque_nm(*self._reading[:2])
+        return JointDemand(torque_nm, is_released=True)
+
+    def loop(self) -> JointLoop | None:
+        loop = None if self._command is None else self._loop_of(self._command)
+        return loop if loop is not None and loop.is_closed else None
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         self._is_hot = self._is_hot or fault is DriveFault.OVER_TEMPERATURE
@@ -157,6 +155,13 @@ class MitDrive:
             self._error = DriveError.OVER_TEMPERATURE if self._is_hot else DriveError.NONE
         elif self._error is DriveError.NONE:
             self._is_in_motor_mode = True
+
+    def _loop_of(self, command: Command) -> JointLoop:
+        return JointLoop(
+            command.position_rad + self._zero_rad, command.velocity_rad_s,
+            command.stiffness_nm_rad, command.damping_nm_s, command.torque_nm,
+            self._step_rad, self._most_nm,
+        )  # fmt: skip
 
     def _rest(self) -> None:
         self._is_in_motor_mode = False

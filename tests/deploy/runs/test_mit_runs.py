@@ -73,7 +73,7 @@ def test_same_run_gives_the_same_bits_on_another_interface(plain: RunData) -> No
 
 
 def test_targets_travel_in_the_frames_and_bounds_are_kept(tmp_path: Path) -> None:
-    """At 100 Hz without a loop at the drives this law cannot hold its bounds; with one it can."""
+    """The drives of one run get the gains that the arm's inertia asks for, and moving targets."""
     data = run("duration_s=0.6", FEEDBACK, log=tmp_path / "can.log")
     assert summarise(data)["bounds"]["kept"]
     commands = [
@@ -84,9 +84,7 @@ def test_targets_travel_in_the_frames_and_bounds_are_kept(tmp_path: Path) -> Non
     gains = data.setup.drive
     step = RANGES.stiffness_nm_rad / 0xFFF
     assert commands[100].stiffness_nm_rad == pytest.approx(gains.stiffness_nm_rad[1], abs=step)
-    reference = data.tables["control_status"]
     assert commands[100].velocity_rad_s != commands[200].velocity_rad_s
-    assert len(reference) > 0
 
 
 @pytest.mark.parametrize(
