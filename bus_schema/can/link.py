@@ -17,6 +17,7 @@ import numpy as np
 
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import ControllerLink, StateHandler, Telemetry, never
 from bus_schema.messages import topics
@@ -42,6 +43,7 @@ class CanRun:
         grid: its ticks.
         ticks: how many there are.
         lockstep: virtual time, made by the cycles themselves.
+        gains: of the loops that drives close around targets; None where they take torques alone.
     """
 
     joint_names: tuple[str, ...]
@@ -49,6 +51,7 @@ class CanRun:
     grid: TickGrid
     ticks: int
     lockstep: bool
+    gains: DriveGains | None = None
 
 
 class CanControllerLink(ControllerLink):
@@ -68,7 +71,9 @@ class CanControllerLink(ControllerLink):
         self._run, self._master, self._bus = run, master, bus
         self._clock, self._telemetry = clock, telemetry
         self._state = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
-        self._command_layout = topics.layout(topics.JOINT_COMMANDS, run.joint_names)
+        self._command_layout = topics.layout(
+            topics.JOINT_COMMANDS, run.joint_names, has_targets=run.gains is not None
+        )
         self._command = Record(self._command_layout)
         self._torque = np.zeros(len(run.joint_names))
         self._commands = 0
@@ -80,7 +85,11 @@ class CanControllerLink(ControllerLink):
         if topic is not topics.JOINT_COMMANDS:
             return self._telemetry.publish(topic, payload)
         self._command_layout.decode(payload, self._command)
-        self._torque[:] = self._command.fields["effort"]
+        fields = self._command.fields
+        self._torque[:] = fields["effort"]
+        if self._run.gains is not None:
+            target = np.array([fields["position"], fields["velocity"]])
+            self._master.aim(target, self._run.gains)
         self._is_answered = True
         self._commands += 1
         return self._commands

@@ -6,9 +6,10 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 
@@ -98,6 +99,14 @@ class CanMaster(ABC):
     def command(self, torque_nm: Vector) -> None:
         """Send torques, shape (joints,)."""
         self._send(self._codec.torque_frames(torque_nm))
+
+    def aim(self, target: Matrix, gains: DriveGains) -> None:  # noqa: B027 (most take torques alone)
+        """What drives that take targets are to add to the next torques.
+
+        Args:
+            target: positions, rad, and velocities, rad/s, as rows, shape (2, joints); NaN for none.
+            gains: of the loop they close around it.
+        """
 
     def begin_stop(self) -> None:
         """From now on drives are to come to rest, whatever torques say; faults are expected."""

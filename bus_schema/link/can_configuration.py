@@ -6,6 +6,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import (
@@ -52,6 +53,29 @@ class CanFaults(StrictModel):
     drives: tuple[str, ...] = ()
 
 
+class MitConfiguration(StrictModel):
+    """Drives with the MIT mini-cheetah's protocol; the defaults are those of CubeMars' AK80-9.
+
+    Attributes:
+        position_rad: largest position that frames can say, either way, one for all or one per
+            joint; so the next two.
+        velocity_rad_s: largest velocity.
+        torque_nm: largest torque.
+        stiffness_nm_rad: largest stiffness (KP_MAX).
+        damping_nm_s: largest damping (KD_MAX).
+        reply_identifier: CAN identifier of all replies (the master's).
+        reply_bytes: 8 with temperature and error, as newer firmware sends; 6 without.
+    """
+
+    position_rad: PerJointPositive = Field(default_factory=lambda: np.array([12.5]))
+    velocity_rad_s: PerJointPositive = Field(default_factory=lambda: np.array([50.0]))
+    torque_nm: PerJointPositive = Field(default_factory=lambda: np.array([18.0]))
+    stiffness_nm_rad: PerJointPositive = Field(default_factory=lambda: np.array([500.0]))
+    damping_nm_s: PerJointPositive = Field(default_factory=lambda: np.array([5.0]))
+    reply_identifier: Annotated[Whole, Field(ge=0, le=0x7FF)] = 0
+    reply_bytes: Literal[6, 8] = 8
+
+
 class CanConfiguration(StrictModel):
     """The CAN bus between controller and drives.
 
@@ -64,10 +88,10 @@ class CanConfiguration(StrictModel):
         hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
             machine alone; 1 its network, where anybody can then command the drives; more routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
-        fd: the bus carries CAN FD frames too. Neither protocol sends any.
+        fd: the bus carries CAN FD frames too. No protocol sends any.
         data_bitrate: bit rate of the data phase of FD frames.
-        protocol: what the drives speak: ``cia402`` on CANopen, ODrive's ``cansimple``, or another
-            one of the table of drive protocols.
+        protocol: what the drives speak: ``cia402`` on CANopen, ODrive's ``cansimple``, the
+            mini-cheetah's ``mit``, or another one of the table of drive protocols.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
@@ -76,6 +100,7 @@ class CanConfiguration(StrictModel):
         heartbeat_ms: period of the heartbeats of master and drives, on the run's clock.
         heartbeat_timeout_ms: silence after which a node counts as lost.
         command_timeout_ms: time without a torque after which a drive stops by itself.
+        mit: the drives of protocol ``mit``.
         answer_timeout_s: how long the master waits for the answer to a request, wall time.
         faults: what goes wrong on an emulated bus, and with the drives on it.
     """
@@ -96,6 +121,7 @@ class CanConfiguration(StrictModel):
     heartbeat_timeout_ms: Annotated[Whole, Field(ge=2, le=65_000)] = 70
     command_timeout_ms: Annotated[Whole, Field(ge=2, le=65_000)] = 50
     answer_timeout_s: Positive = 2.0
+    mit: MitConfiguration = MitConfiguration()
     faults: CanFaults = CanFaults()
 
     @property

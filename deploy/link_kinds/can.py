@@ -50,12 +50,14 @@ class CanKind(LinkKind[DrivenArm]):
         codec = protocol.codec(can, robot)
         check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_unimpaired(run.link)
-        if run.takes_targets:
+        if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
             raise ConfigurationError(
                 f"{side}.drive_feedback.enabled", True,
                 "false over CAN: these drives take torques alone",
             )  # fmt: skip
+        if run.drive is not None:
+            protocol.check_gains(can, run.drive)
         commission(can, robot, run.plant)
         for text in can.faults.drives:
             try:
@@ -101,7 +103,7 @@ class CanKind(LinkKind[DrivenArm]):
 
 
 def _can_run(run: LinkRun) -> CanRun:
-    return CanRun(run.robot.joint_names, run.link, run.grid, run.ticks, run.lockstep)
+    return CanRun(run.robot.joint_names, run.link, run.grid, run.ticks, run.lockstep, run.drive)
 
 
 def _open_bus(run: LinkRun) -> CanBus:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from bus_schema.arrays import Vector
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
@@ -27,11 +28,13 @@ class LinkRun(PlantTask):
     Attributes:
         bus: what both sides share inside one process; None between processes.
         can_log: file for the frames of a CAN bus; None for no log.
+        drive: gains of the loops that the drives close; None where they take torques alone.
         agreement: what the processes of the run must agree on; None inside one process.
     """
 
     bus: InProcessBus | None = None
     can_log: Path | None = None
+    drive: DriveGains | None = None
     agreement: Agreement | None = None
 
 

@@ -113,7 +113,8 @@ class Setup:
     ) -> LinkRun:
         """What the link has to know of the run; the arguments are those of `LinkRun`."""
         task = self.plant_task(lockstep=lockstep)
-        return LinkRun(**vars(task), bus=bus, can_log=can_log)
+        drive = self.drive if self.drive.is_active else None
+        return LinkRun(**vars(task), bus=bus, can_log=can_log, drive=drive)
 
     def arm(self) -> ArmPlant:
         """A fresh arm at its start, of the type that the link needs."""

@@ -17,7 +17,15 @@ from bus_schema.arrays import Vector
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.rejections import Rejections
-from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Send
+from plant_emulator.drives.drive import (
+    Drive,
+    DriveFault,
+    DriveSettings,
+    JointLoop,
+    JointReading,
+    LoopDrive,
+    Send,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +39,7 @@ class _Axis:
     def __init__(self, protocol: type[Drive], settings: DriveSettings, send: Send) -> None:
         self._send = send
         self.drive = protocol(settings, self._send_if_connected)
+        self._loop = self.drive if isinstance(self.drive, LoopDrive) else None
         self.node_id = settings.node_id
         self.targets_taken = 0
         self._faults: set[DriveFault] = set()
@@ -41,10 +50,18 @@ class _Axis:
         return DriveFault.SILENT in self._faults
 
     def measure(self, position_rad: float, velocity_rad_s: float, torque_nm: float) -> None:
-        if DriveFault.ENCODER_FROZEN in self._faults:
-            position_rad, velocity_rad_s = self._position_rad, 0.0
+        position_rad, velocity_rad_s = self.seen(position_rad, velocity_rad_s)
         self._position_rad = position_rad
         self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
+
+    def loop(self) -> JointLoop | None:
+        return None if self._loop is None else self._loop.loop()
+
+    def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
+        """What its encoder shows of a motion."""
+        if DriveFault.ENCODER_FROZEN in self._faults:
+            return self._position_rad, 0.0
+        return position_rad, velocity_rad_s
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         if fault in _OUTSIDE:
@@ -82,6 +99,7 @@ class DriveBank:
     ) -> None:
         self._axes = [_Axis(protocol, each, send) for each in settings]
         self.torque_nm: Vector = np.zeros(len(self._axes))
+        self._loops: list[JointLoop | None] = [None] * len(self._axes)
         self.braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
         self.rejections = Rejections("frame", logger)
 
@@ -126,6 +144,18 @@ class DriveBank:
         for axis, row in zip(self._axes, rows, strict=True):
             axis.measure(*row)
         self._note_demands()
+
+    @property
+    def closes_loops(self) -> bool:
+        """Whether the torque of any drive follows its joint's motion, see `close_loops`."""
+        return any(loop is not None for loop in self._loops)
+
+    def close_loops(self, position_rad: Vector, velocity_rad_s: Vector) -> None:
+        """Bring the torques up to date that follow the joints' motion, shape (joints,) each."""
+        for joint, (axis, loop) in enumerate(zip(self._axes, self._loops, strict=True)):
+            if loop is not None:
+                motion = float(position_rad[joint]), float(velocity_rad_s[joint])
+                self.torque_nm[joint] = loop.torque_nm(*axis.seen(*motion))
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
@@ -187,6 +217,7 @@ class DriveBank:
 
     def _note_demand(self, joint: int, axis: _Axis) -> None:
         torque_nm, is_released = axis.drive.demand()
+        self._loops[joint] = axis.loop()
         self.torque_nm[joint] = torque_nm
         self.braked[joint] = not is_released
 

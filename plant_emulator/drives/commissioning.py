@@ -30,7 +30,9 @@ def commission(
     rated = rated_torque_nm(can, robot)
     # The joint's limit, or what a 16-bit torque can say if that is less.
     largest = np.minimum(robot.effort_limits_nm, rated * _LARGEST_PER_MILLE / 1000.0)
-    node_ids = PROTOCOLS.build(can.protocol).node_ids(can, robot.joints)
+    protocol = PROTOCOLS.build(can.protocol)
+    node_ids = protocol.node_ids(can, robot.joints)
+    own = protocol.own_settings(can, robot.joints)
     return tuple(
         DriveSettings(
             node_id=node_id,
@@ -41,6 +43,7 @@ def commission(
             upper_rad=float(robot.upper_rad[joint]),
             stop_damping_nm_s=float(damping[joint]),
             watchdog_ms=can.command_timeout_ms,
+            own=own[joint],
         )
         for joint, node_id in enumerate(node_ids)
     )

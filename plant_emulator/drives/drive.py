@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from bus_schema.can.frame import CanFrame
 
@@ -23,6 +23,43 @@ class JointReading(NamedTuple):
     position_rad: float = 0.0
     velocity_rad_s: float = 0.0
     torque_nm: float = 0.0
+
+
+class JointLoop(NamedTuple):
+    """A loop that a drive closes around a target.
+
+    Attributes:
+        target_rad: where the joint is to be.
+        target_velocity_rad_s: how fast.
+        stiffness_nm_rad: torque per rad off the target.
+        damping_nm_s: torque per rad/s off it.
+        feedforward_nm: torque beside that.
+        step_rad: resolution of the drive's encoder.
+        most_nm: the most torque there is.
+    """
+
+    target_rad: float
+    target_velocity_rad_s: float
+    stiffness_nm_rad: float
+    damping_nm_s: float
+    feedforward_nm: float
+    step_rad: float
+    most_nm: float
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the torque depends on the joint's motion."""
+        return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
+
+    def torque_nm(self, position_rad: float, velocity_rad_s: float) -> float:
+        """Torque of the motor where the joint is and as it moves."""
+        seen_rad = round(position_rad / self.step_rad) * self.step_rad
+        wanted = (
+            self.feedforward_nm
+            + self.stiffness_nm_rad * (self.target_rad - seen_rad)
+            + self.damping_nm_s * (self.target_velocity_rad_s - velocity_rad_s)
+        )
+        return min(max(wanted, -self.most_nm), self.most_nm)
 
 
 class JointDemand(NamedTuple):
@@ -72,6 +109,7 @@ class DriveSettings:
         watchdog_ms: CANSimple: time without a frame after which the axis is disarmed; 0 for never.
             CiA 402 has timeouts that the master sets instead.
         estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
+        own: what the drive's protocol alone has, see `DriveProtocol.own_settings`.
     """
 
     node_id: int
@@ -83,6 +121,7 @@ class DriveSettings:
     stop_damping_nm_s: float = 20.0
     watchdog_ms: float = 0.0
     estimates_ms: int = 10
+    own: object = None
 
 
 class Cycle:
@@ -155,3 +194,11 @@ class Drive(Protocol):
 
     def describe(self, frame: CanFrame) -> str | None:
         """A frame in words, None if it is not between a master and this drive."""
+
+
+@runtime_checkable
+class LoopDrive(Protocol):
+    """A drive whose torque can follow its joint's motion between the frames it gets."""
+
+    def loop(self) -> JointLoop | None:
+        """Where the torque of `Drive.demand` comes from; None if it is the same all the time."""

@@ -18,7 +18,14 @@ class DrivenArm(ArmPlant):
         self._bank, self._safe_stop = bank, "zero_torque"
 
     def advance(self, first: int, end: int) -> None:
-        if self._bank is not None:
-            self.hold(self._bank.braked)
-            np.copyto(self._commanded, self._bank.torque_nm)
-        super().advance(first, end)
+        bank = self._bank
+        if bank is None:
+            super().advance(first, end)
+            return
+        self.hold(bank.braked)
+        steps = range(first, end) if bank.closes_loops else (first,)
+        for number in steps:
+            if bank.closes_loops:
+                bank.close_loops(self.position, self.velocity)
+            np.copyto(self._commanded, bank.torque_nm)
+            super().advance(number, number + 1 if bank.closes_loops else end)

@@ -8,6 +8,7 @@ from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import CanMaster
 from bus_schema.configuration import ConfigurationError
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
@@ -20,12 +21,14 @@ class DriveProtocol(ABC):
     Attributes:
         title: its name in sentences.
         largest_node_id: largest address that a drive can have.
+        takes_targets: its drives close loops around targets that come with the torques.
         drive: emulated drives that speak it.
         drive_master: master of drives that speak it, unless `master` makes another one.
     """
 
     title: str
     largest_node_id = 127
+    takes_targets = False
     drive: type[Drive]
     drive_master: type[CanMaster]
 
@@ -53,6 +56,21 @@ class DriveProtocol(ABC):
             ConfigurationError: one cannot be used.
         """
 
+    def check_gains(self, can: CanConfiguration, gains: DriveGains) -> None:  # noqa: B027
+        """Check the gains of drives that take targets.
+
+        Raises:
+            ConfigurationError: a frame cannot say them.
+        """
+
+    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[object, ...]:  # noqa: ARG002
+        """What drives of this protocol alone are set to, one for each joint.
+
+        Raises:
+            ConfigurationError: there are not as many values as joints.
+        """
+        return (None,) * joints
+
     def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
         """One address per joint.
 
@@ -73,5 +91,6 @@ PROTOCOLS: Registry[DriveProtocol] = Registry(
     {
         "cia402": "plant_emulator.drives.cia402.protocol:Cia402Protocol",
         "cansimple": "plant_emulator.drives.cansimple.protocol:CanSimpleProtocol",
+        "mit": "plant_emulator.drives.mit.protocol:MitProtocol",
     },
 )

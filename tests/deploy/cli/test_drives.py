@@ -119,7 +119,7 @@ def test_faults_that_cannot_be_are_refused(capsys, monkeypatch, fault, words):
     ("setting", "words"),
     [
         ("link.can.interface=carrier_pigeon", "python-can knows"),
-        ("link.can.protocol=canasta", "'cia402' or 'cansimple'"),
+        ("link.can.protocol=canasta", "'cia402', 'cansimple' or 'mit'"),
         ("link.can.node_ids=[1, 1, 2]", "all different"),
         ("link.can.node_ids=[1, 2]", "one for each of the 3 joints"),
         ("link.can.rated_torque_nm=[1, 2]", "one for each of the 3 joints"),

@@ -24,7 +24,7 @@ def test_shipped_scenario_loads_under_its_own_name(name: str) -> None:
     setup = load_setup(name)
     assert setup.scenario.name == name
     # 5 s at 500 Hz fit three drives on a bus of 1 Mbit/s; the others run 20 s at 1 kHz.
-    assert setup.ticks == (2_500 if name == "paper_arm_can" else 20_000)
+    assert setup.ticks == (2_500 if name in ("paper_arm_can", "paper_arm_mit") else 20_000)
     assert setup.start_position_rad.shape == (setup.robot.joints,)
     assert np.all(setup.start_position_rad > setup.robot.lower_rad)
     assert np.all(setup.start_position_rad < setup.robot.upper_rad)

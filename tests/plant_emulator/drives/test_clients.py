@@ -39,9 +39,11 @@ _CHANNELS = itertools.count()
 class Rig:
     """Drives and physics on a thread, as `funnel-hil drives` runs them."""
 
-    def __init__(self, protocol):
+    def __init__(self, protocol, **more):
         self.channel = f"drives{next(_CHANNELS)}"
-        options = {"interface": "virtual", "channel": self.channel, "protocol": protocol}
+        options = {
+            "interface": "virtual", "channel": self.channel, "protocol": protocol, **more
+        }  # fmt: skip
         configuration = CanConfiguration.model_validate(options)
         self._bus = open_can_bus(configuration)
         self.arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)

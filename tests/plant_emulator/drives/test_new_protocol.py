@@ -175,7 +175,10 @@ def test_loop_closes_over_it() -> None:
     [
         ("link.can.node_ids=[1, 2, 10]", r"node_ids = \[1, 2, 10\]: must be at most 9 with Toy"),
         ("rate_hz=2000", r"takes sample \+ 3 × \(state 8 bytes \+ torque 4 bytes\) = up to"),
-        ("link.can.protocol=semaphore", r"'semaphore': must be 'cia402', 'cansimple' or 'toy'"),
+        (
+            "link.can.protocol=semaphore",
+            r"'semaphore': must be 'cia402', 'cansimple', 'mit' or 'toy'",
+        ),
     ],
 )
 def test_scenario_that_does_not_fit_it_is_refused(override: str, told: str) -> None:

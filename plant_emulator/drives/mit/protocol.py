@@ -1,0 +1,70 @@
+"""The MIT mini-cheetah's protocol, as one of the protocols of motor drives."""
+
+from __future__ import annotations
+
+from bus_schema.can.frame import CanBus
+from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.drive_feedback import DriveGains
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import RobotDescription
+from plant_emulator.drives.mit.codec import MitCodec
+from plant_emulator.drives.mit.master import MitMaster
+from plant_emulator.drives.mit.mit_drive import MitDrive, MitSettings
+from plant_emulator.drives.mit.wire import MitRanges
+from plant_emulator.drives.protocol import DriveProtocol
+
+
+def ranges_of(can: CanConfiguration, joints: int) -> tuple[MitRanges, ...]:
+    """The ranges of each joint's drive.
+
+    Raises:
+        ConfigurationError: there are not as many as joints.
+    """
+    columns = [
+        expand(getattr(can.mit, name), joints, f"link.can.mit.{name}").tolist()
+        for name in MitRanges._fields
+    ]
+    return tuple(MitRanges(*row) for row in zip(*columns, strict=True))
+
+
+class MitProtocol(DriveProtocol):
+    """Position, velocity, stiffness, damping and torque in one frame."""
+
+    title = "MIT"
+    takes_targets = True
+    drive = MitDrive
+    drive_master = MitMaster
+
+    def codec(self, can: CanConfiguration, robot: RobotDescription) -> MitCodec:
+        node_ids, ranges = self.node_ids(can, robot.joints), ranges_of(can, robot.joints)
+        return MitCodec(node_ids, ranges, can.mit.reply_identifier, can.mit.reply_bytes)
+
+    def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> MitMaster:
+        return MitMaster(bus, can, self.node_ids(can, robot.joints), self.codec(can, robot))
+
+    def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
+        node_ids = super().node_ids(can, joints)
+        if can.mit.reply_identifier in node_ids:
+            raise ConfigurationError(
+                "link.can.mit.reply_identifier", can.mit.reply_identifier,
+                "must be none of the drives' addresses, to which commands go",
+            )  # fmt: skip
+        return node_ids
+
+    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[MitSettings, ...]:
+        mit = can.mit
+        return tuple(
+            MitSettings(ranges, mit.reply_identifier, mit.reply_bytes)
+            for ranges in ranges_of(can, joints)
+        )
+
+    def check_gains(self, can: CanConfiguration, gains: DriveGains) -> None:
+        joints = gains.stiffness_nm_rad.size
+        for name in ("stiffness_nm_rad", "damping_nm_s"):
+            wanted = getattr(gains, name)
+            most = [getattr(each, name) for each in ranges_of(can, joints)]
+            if (wanted > most).any():
+                raise ConfigurationError(
+                    f"plant.drive_feedback.{name}", wanted.tolist(),
+                    f"must be within what a frame can say, link.can.mit.{name} = {most}",
+                )  # fmt: skip
