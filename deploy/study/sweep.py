@@ -56,9 +56,12 @@ def _steps(given: dict[str, Any]) -> list[float] | None:
     first, last, step = given["from"], given["to"], given["step"]
     if any(type(number) not in (int, float) for number in (first, last, step)):
         return None
-    if not step > 0 or not 0 <= (last - first) / step < _MOST_VALUES:
+    if not step > 0 or not first <= last:
         return None
-    count = math.floor((last - first) / step + 1e-9) + 1
+    steps = (last - first) / step + 1e-9
+    if not steps < _MOST_VALUES:
+        raise ValueError(f"at most {_MOST_VALUES} values; these are {steps + 1:.10g}")
+    count = math.floor(steps) + 1
     return [round(first + index * step, 12) for index in range(count)]
 
 
