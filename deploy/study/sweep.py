@@ -16,7 +16,14 @@ from pydantic import BeforeValidator
 from bus_schema.configuration import ConfigurationError
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
+from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import (
+    LAW,
+    SEED,
+    UNCERTAINTY,
+    require_effect,
+    require_link_effect,
+)  # fmt: skip
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -168,13 +175,19 @@ class Sweep(Study):
 
     def _check(self) -> None:
         """Load every point of the grid with the first plant, and every plant at the first point."""
+        by_kind: dict[str, Setup] = {}
         for index, run in enumerate(self.points()):
             plant = self.plants[index % len(self.plants)]
             if index < len(self.plants) or plant is self.plants[0]:
                 try:
-                    load_setup(run.scenario, run.overrides, "grid")
+                    setup = load_setup(run.scenario, run.overrides, "grid")
                 except ScenarioError as error:
                     raise refused(plant, error) from error
+                by_kind.setdefault(setup.scenario.link.kind, setup)
+        require_link_effect(self.definition.fixed, by_kind.values())
+        for keys, values in self.axes.items():
+            for key, value in itertools.product(keys, values):
+                require_link_effect({key: value}, by_kind.values())
 
     def _point_summary(self, run: Run, rows: list[Row]) -> dict[str, Any]:
         """What came of a point of the grid; of uncertain plants also how many were kept."""
