@@ -262,6 +262,10 @@ def test_errors_are_summed_up_over_some_time(tmp_path):
             load_setup("paper_arm", words)
     with pytest.raises(ScenarioError, match=r"metrics\.from_s"):
         margin(["metrics.from_s=6"], duration=5.0)
+    late = ["metrics.from_s=30", "duration_s=2"]
+    for words in (late, ["metrics={from_s: 2}", "duration_s=2"]):
+        with pytest.raises(ScenarioError, match=r"^--set metrics.*from_s.*: metrics\.from_s = "):
+            load_setup("paper_arm", words)
     short = tmp_path / "short.yaml"  # what is in force is written out, and can be run again
     short.write_text(effective_scenario(load_setup("paper_arm", ["duration_s=1"])))
     assert load_setup(str(short)).scenario.metrics.from_s == 0.5
