@@ -239,3 +239,10 @@ def test_what_is_merged_into_a_section_may_be_said_anew(tmp_path):
     )
     link = load_setup(str(file)).scenario.link
     assert (link.downlink.delay_ms, link.downlink.loss) == (3.0, 0.1)
+
+
+def test_what_is_there_but_no_file_is_said_to_be_so(tmp_path, funnel_hil):
+    for place in ("/dev/null", tmp_path):
+        code, said = funnel_hil("simulate", place)
+        assert code == 2
+        assert f"{place}: is no regular file, nor one of the shipped" in said
