@@ -72,8 +72,8 @@ def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(endpoints: l
 
 def test_a_plant_alone_says_so_and_never_runs(endpoints: list[str]) -> None:
     """It waits for longer than it would give a foreign client that has announced nothing."""
-    patience = settings(link__connect_timeout_s=2)
-    plant = WarmProcess("plant", "paper_arm", *SHORT, *endpoints, *patience)
+    patience = [word.replace("connect_timeout_s=60", "connect_timeout_s=2") for word in endpoints]
+    plant = WarmProcess("plant", "paper_arm", *SHORT, *patience)
     (output,) = outputs_of([plant])
     assert "the controller is silent: no sign of life within 2 s" in output
     assert "safe stop" not in output
