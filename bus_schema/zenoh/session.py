@@ -83,7 +83,7 @@ class ZenohPublisher:
         What is sent at once may still miss them: in a session of zenoh 1.10, routes follow a few
         milliseconds later. Whoever has announced a token *after* subscribing gets everything.
         """
-        return bool(self._publisher.matching_status)
+        return self._publisher.matching_status.matching
 
 
 class ZenohSession:

@@ -1,21 +1,35 @@
-"""Standard streams that nobody may read any longer, as after ``funnel-hil … | head -1``."""
+"""Standard streams that nobody may read any longer, as after ``funnel-hil … | head -1``.
+
+Or that nothing more can be written to, such as a file on a full disk.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import io
 import os
 import sys
 from typing import TextIO
 
+_GONE = (errno.EPIPE,)
+_LOST = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Of which somebody who looks for the output has to be told."""
+
 
 class _UntilClosed(io.FileIO):
-    """A file descriptor that leads nowhere from the moment at which its reader is gone."""
+    """A file descriptor that leads nowhere from the moment at which nothing more gets through."""
 
     def write(self, data: object) -> int:
         view = memoryview(data)  # type: ignore[arg-type]
         try:
             written = super().write(view)
-        except BrokenPipeError:
+        except OSError as error:
+            if error.errno not in _GONE and error.errno not in _LOST:
+                raise
+            if error.errno in _LOST and self.fileno() == 1:
+                with contextlib.suppress(OSError):
+                    os.write(2, f"standard output is lost: {error.strerror}\n".encode())
             _lead_nowhere(self.fileno())
             return view.nbytes
         return written or 0

@@ -27,16 +27,31 @@ from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.oddities import oddities
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import ScenarioError, parse_override
 from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
 from plant_emulator.plant_loop import PlantLoop
+
+
+def _once(overrides: list[str] | None) -> list[str] | None:
+    """What ``--set`` gives, of which a key that comes twice would lose a value."""
+    keys = [parse_override(text)[0] for text in overrides or []]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise ScenarioError(f"--set {key}: must be given once")
+    return overrides
+
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
 ]
 Overrides = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a scenario value; repeatable."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Override a scenario value; repeatable.",
+        callback=_once,
+    ),
 ]
 Out = Annotated[
     Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)

@@ -12,7 +12,13 @@ from deploy.comparison.settling import SettlingTest
 from deploy.runs.run_data import RunData
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import LAW, UNCERTAINTY, laws_beside, require_effect
+from deploy.scenario.study_keys import (
+    LAW,
+    UNCERTAINTY,
+    laws_beside,
+    require_effect,
+    require_link_effect,
+)
 from deploy.scenario.yaml_files import naming, parse_override
 
 
@@ -32,7 +38,10 @@ def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str] | N
         require_effect(given, {LAW: "as --laws", UNCERTAINTY: "to sweep or margin"})
     if laws is None:
         laws = laws_beside(load_setup(scenario, overrides).scenario.controller.law)
-    return [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
+    setups = [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
+    with naming(Path("compare")):
+        require_link_effect(given, setups)
+    return setups
 
 
 @dataclass(frozen=True)

@@ -89,8 +89,8 @@ def build_setup(
     """
     origin = Origin(source, tuple(overrides), given_by)
     scenario = validated(given_values(values, source, overrides), Scenario, origin)
-    with naming(source):
-        scenario = _judged_over_some_time(scenario, overrides)
+    with naming(origin):
+        scenario = _judged_over_some_time(scenario, origin)
     return replace(check(scenario, origin), overrides=tuple(overrides))
 
 
@@ -110,7 +110,8 @@ def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType
 def effective_values(setup: Setup) -> dict[str, Any]:
     """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
 
-    But for endpoints that nobody chose: who runs it again may choose others.
+    But for endpoints and a time to judge from that nobody chose: who runs it again may choose other
+    endpoints, or another duration.
     """
     given = setup.scenario
     values: dict[str, Any] = plain(
@@ -125,6 +126,8 @@ def effective_values(setup: Setup) -> dict[str, Any]:
     values["robot"]["urdf"] = str(setup.robot.path)
     for key in {"plant_endpoint", "controller_endpoint"} - given.link.model_fields_set:
         del values["link"][key]
+    if "from_s" not in given.metrics.model_fields_set:
+        del values["metrics"]["from_s"]
     return values
 
 
@@ -156,21 +159,21 @@ def _with_drives(setup: Setup) -> PlantConfiguration:
     return plant.model_copy(update={"drive_feedback": plant.drive_feedback.model_copy(update=loop)})
 
 
-def _judged_over_some_time(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
+def _judged_over_some_time(scenario: Scenario, origin: Origin) -> Scenario:
     """The scenario with errors summed up over some time.
 
-    The default, which files of runs write out, may lie beyond the end of a short run, of which the
-    second half counts then.
+    The default may lie beyond the end of a short run, of which the second half counts then: that
+    follows from its duration, and is not written into files, as what is chosen is.
     """
     judge, end_s = scenario.metrics, scenario.duration_s
-    is_asked_for = any(text.startswith("metrics.from_s=") for text in overrides)
     is_chosen = judge.from_s != type(judge).model_fields["from_s"].default
     if judge.from_s < end_s:
         return scenario
-    if is_asked_for or is_chosen:
+    if is_chosen or origin.of("metrics.from_s") != str(origin.file):
         allowed = f"must be before the end of the run, {end_s:g} s"
         raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
-    second_half = judge.model_copy(update={"from_s": 0.5 * end_s})
+    chosen = judge.model_fields_set - {"from_s"}
+    second_half = judge.model_construct(chosen, **{**dict(judge), "from_s": 0.5 * end_s})
     return scenario.model_copy(update={"metrics": second_half})
 
 

@@ -6,15 +6,19 @@ which nothing connects and time is virtual.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from bus_schema.configuration import ConfigurationError
 from controller.laws import LAWS
+from deploy.scenario.scenario import given_values
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import read_yaml
 
 LAW = "controller.law"
 SEED = "seed"
 UNCERTAINTY = "uncertainty"
+_CAN = "can"
 
 _IDLE = (
     "clock", "link.domain", "link.security", "link.plant_endpoint", "link.controller_endpoint",
@@ -43,6 +47,37 @@ def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
             if any(_overlap(leaf, idle) for idle in _IDLE) and (leaf, said) not in _AS_IT_IS:
                 allowed = "must be left out: it changes nothing in a study, which simulates"
                 raise ConfigurationError(key, value, allowed)
+
+
+def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> None:
+    """Refuse what is set of a link that no run of a study goes over.
+
+    Args:
+        given: values by dotted key.
+        setups: scenarios of the runs, with every kind of link among them.
+
+    Raises:
+        ConfigurationError: one of the values would have no effect.
+    """
+    runs = list(setups)
+    if any(setup.scenario.link.kind == _CAN for setup in runs):
+        return
+    is_simulated = all(setup.scenario.controller.process is None for setup in runs)
+    for key, value in given.items():
+        for leaf, said in _leaves(key, value):
+            if leaf.startswith("link.can."):
+                allowed = "must be left out, as link.kind is not can: nothing else reads it"
+                raise ConfigurationError(key, value, allowed)
+            if (leaf, said) == ("link.kind", "zenoh") and is_simulated and not _changed(runs):
+                allowed = "must be left out: a study simulates, and nothing goes over Zenoh"
+                raise ConfigurationError(key, value, allowed)
+
+
+def _changed(setups: Iterable[Setup]) -> bool:
+    """Whether a file says CAN, which something else was set in place of."""
+    files = {setup.source for setup in setups}
+    links = [given_values(read_yaml(file), file, ()).get("link") for file in files]
+    return any(isinstance(link, dict) and link.get("kind") == _CAN for link in links)
 
 
 def laws_beside(own: str) -> list[str]:

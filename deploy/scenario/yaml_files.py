@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,8 +62,10 @@ def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
     if is_file(by_name):
         return by_name
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
+    is_there = any(map(os.path.exists, (name_or_path, beside / name_or_path)))  # never raises
+    what = "is no regular file" if is_there else "no such file"
     raise ScenarioError(
-        f"{shortened(name_or_path)}: no such file, nor one of the shipped {shipped.name} {names}"
+        f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name} {names}"
     )
 
 

@@ -64,14 +64,21 @@ def values_of(text: str) -> Any:
     """The values of a YAML text.
 
     Raises:
-        ConfigurationError: a value is not what its form or its tag says, or goes beyond the limits.
+        ConfigurationError: a value is not what its form or its tag says, or goes beyond the limits,
+            or a key is given twice.
         yaml.YAMLError: the text is no YAML.
     """
     if len(text) > MOST_CHARACTERS:
         allowed = f"must have at most {MOST_CHARACTERS} characters"
         raise ConfigurationError("the text", f"{len(text)} characters", allowed)
     _check_size(text)
-    values = yaml.load(text, Loader=_Loader)
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        _require_once(node, "", set())
+        values = None if node is None else loader.construct_document(node)
+    finally:
+        loader.dispose()
     for key, broken in _unreadable(values, ""):
         allowed = _WANTED.get(broken.tag, f"a valid {broken.tag}")
         raise ConfigurationError(key, broken.text, f"must be {allowed}, or a text in quotes")
@@ -109,6 +116,34 @@ def _check_size(text: str) -> None:
             raise ConfigurationError(key, _line(text, event), allowed)
 
 
+def _require_once(node: yaml.Node | None, key: str, seen: set[int]) -> None:
+    """Refuse a mapping that has a key twice: the parser would keep the last value."""
+    if node is None or id(node) in seen:
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.SequenceNode):
+        for index, inner in enumerate(node.value):
+            _require_once(inner, _dotted(key, index), seen)
+    elif isinstance(node, yaml.MappingNode):
+        lines: dict[str, int] = {}
+        for name, inner in node.value:
+            if isinstance(name, yaml.ScalarNode):
+                _require_once(inner, _dotted(key, name.value), seen)
+                again = name.start_mark.line + 1
+                if name.value in lines:
+                    allowed = f"must be given once; it is in lines {lines[name.value]} and {again}"
+                    raise ConfigurationError(_dotted(key, name.value), _said(inner), allowed)
+                lines[name.value] = again
+
+
+def _dotted(key: str, name: object) -> str:
+    return f"{key}.{name}" if key else str(name)
+
+
+def _said(node: yaml.Node) -> str:
+    return node.value if isinstance(node, yaml.ScalarNode) else "a section"
+
+
 def _line(text: str, event: yaml.Event) -> str:
     """The line that an event is in, with its number."""
     number = 0 if event.start_mark is None else event.start_mark.line
@@ -128,7 +163,7 @@ def _unreadable(values: Any, key: str) -> Iterator[tuple[str, Unreadable]]:
             for name, value in values.items():
                 if isinstance(name, Unreadable):
                     yield key or "key", name
-                yield from _unreadable(value, f"{key}.{name}" if key else str(name))
+                yield from _unreadable(value, _dotted(key, name))
         case list() | tuple() | set():
             for index, value in enumerate(values):
-                yield from _unreadable(value, f"{key}.{index}" if key else str(index))
+                yield from _unreadable(value, _dotted(key, index))

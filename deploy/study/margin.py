@@ -13,7 +13,7 @@ from bus_schema.configuration import Number, Positive
 from deploy.runs.run_rows import Row
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.study_keys import UNCERTAINTY
+from deploy.scenario.study_keys import UNCERTAINTY, require_link_effect
 from deploy.scenario.yaml_files import naming, override, validated
 from deploy.study.cases import (
     CASE_COLUMNS,
@@ -85,7 +85,8 @@ class Margin(Study):
             changes = {"scenarios": scenarios_of(given, source)}
             self.definition = given.model_copy(update=changes)
             self.cases = list(self._build_cases())
-        self.bases = bases_of([case.setting for case in self.cases])
+            self.bases = bases_of([case.setting for case in self.cases])
+            require_link_effect({**given.fixed, given.quantity: None}, self.bases)
 
     @property
     def laws(self) -> set[str]:

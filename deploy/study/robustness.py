@@ -15,7 +15,7 @@ from deploy.runs.run_rows import Row
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
+from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect, require_link_effect
 from deploy.scenario.uncertainty import Uncertainty
 from deploy.scenario.yaml_files import ScenarioError, naming, plain, validated
 from deploy.study.cases import (
@@ -97,7 +97,8 @@ class Robustness(Study):
             changes = {"scenarios": scenarios_of(given, source), "values": sorted(given.values)}
             self.definition = given.model_copy(update=changes)
             self.cases = list(self._build_cases())
-        self.bases = bases_of([case.setting for case in self.cases])
+            self.bases = bases_of([case.setting for case in self.cases])
+            require_link_effect({**given.fixed, given.quantity: None}, self.bases)
         self.columns = {**CASE_COLUMNS, **draw_columns(self.definition, self.bases)}
 
     @property

@@ -42,6 +42,11 @@ def commonest_error(rows: Sequence[Row]) -> str | None:
     return max(by_kind.values(), key=len)[0] if by_kind else None
 
 
+def seeds_of(rows: Sequence[Row]) -> list[int]:
+    """The seeds that runs had, in order: where nothing is random, one may stand for all asked."""
+    return sorted({row["seed"] for row in rows})
+
+
 def badness(row: Row) -> tuple[bool, float]:
     """What the worst of several runs has most of: failure, then ticks outside its bounds."""
     return row["error"] is not None, row["violation_fraction"] or 0.0

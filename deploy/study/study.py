@@ -26,7 +26,7 @@ from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import find_yaml, override
-from deploy.study.statistics import commonest_error
+from deploy.study.statistics import commonest_error, seeds_of
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
@@ -199,6 +199,6 @@ class Study(ABC):
             "runs": len(rows),
             "runs_failed": sum(row["error"] is not None for row in rows),
             "commonest_error": commonest_error(rows),
-            "seeds": self.definition.seeds,
+            "seeds": seeds_of(rows) or self.definition.seeds,
             **self.findings(rows),
         }

@@ -16,7 +16,14 @@ from pydantic import BeforeValidator
 from bus_schema.configuration import ConfigurationError
 from deploy.runs.run_rows import Row
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
+from deploy.scenario.setup import Setup
+from deploy.scenario.study_keys import (
+    LAW,
+    SEED,
+    UNCERTAINTY,
+    require_effect,
+    require_link_effect,
+)  # fmt: skip
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -56,9 +63,12 @@ def _steps(given: dict[str, Any]) -> list[float] | None:
     first, last, step = given["from"], given["to"], given["step"]
     if any(type(number) not in (int, float) for number in (first, last, step)):
         return None
-    if not step > 0 or not 0 <= (last - first) / step < _MOST_VALUES:
+    if not step > 0 or not first <= last:
         return None
-    count = math.floor((last - first) / step + 1e-9) + 1
+    steps = (last - first) / step + 1e-9
+    if not steps < _MOST_VALUES:
+        raise ValueError(f"at most {_MOST_VALUES} values; these are {steps + 1:.10g}")
+    count = math.floor(steps) + 1
     return [round(first + index * step, 12) for index in range(count)]
 
 
@@ -165,13 +175,19 @@ class Sweep(Study):
 
     def _check(self) -> None:
         """Load every point of the grid with the first plant, and every plant at the first point."""
+        by_kind: dict[str, Setup] = {}
         for index, run in enumerate(self.points()):
             plant = self.plants[index % len(self.plants)]
             if index < len(self.plants) or plant is self.plants[0]:
                 try:
-                    load_setup(run.scenario, run.overrides, "grid")
+                    setup = load_setup(run.scenario, run.overrides, "grid")
                 except ScenarioError as error:
                     raise refused(plant, error) from error
+                by_kind.setdefault(setup.scenario.link.kind, setup)
+        require_link_effect(self.definition.fixed, by_kind.values())
+        for keys, values in self.axes.items():
+            for key, value in itertools.product(keys, values):
+                require_link_effect({key: value}, by_kind.values())
 
     def _point_summary(self, run: Run, rows: list[Row]) -> dict[str, Any]:
         """What came of a point of the grid; of uncertain plants also how many were kept."""

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
-from running import free_endpoint, settings
+from running import await_true, free_endpoint, settings
 
 from tests.warm_process import WarmProcess
 
 SHORT = settings(clock="realtime", duration_s=0.3, plant__command_timeout_ms=200)
+
+_LONGER_THAN_GRACE_S = 2.0
+"""Than a plant gives a foreign client that subscribes to states before it commands."""
 
 
 def start_both(plant: list[str], controller: list[str], *, at: list[str]) -> list[WarmProcess]:
@@ -63,6 +68,30 @@ def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(endpoints: l
     outputs = outputs_of([plant, controller])
     assert "no valid command" not in outputs[0], outputs
     assert [plant.returncode, controller.returncode] == [0, 0], outputs
+
+
+def test_a_plant_alone_says_so_and_never_runs(endpoints: list[str]) -> None:
+    """It waits for longer than it would give a foreign client that has announced nothing."""
+    patience = [word.replace("connect_timeout_s=60", "connect_timeout_s=2") for word in endpoints]
+    plant = WarmProcess("plant", "paper_arm", *SHORT, *patience)
+    (output,) = outputs_of([plant])
+    assert "the controller is silent: no sign of life within 2 s" in output
+    assert "safe stop" not in output
+    assert "no valid command" not in output
+    assert plant.returncode == 1
+
+
+def test_a_controller_started_seconds_later_is_waited_for(endpoints: list[str]) -> None:
+    """And a plant that waits still compares scenarios with it."""
+    other = settings(controller__law="pid")
+    for differs, expected in ([], 0), (other, 2):
+        plant = WarmProcess("plant", "paper_arm", *SHORT, *endpoints)
+        await_true(lambda plant=plant: "listening" in plant.said(), "the plant is there")
+        time.sleep(_LONGER_THAN_GRACE_S)
+        controller = WarmProcess("controller", "paper_arm", *SHORT, *endpoints, *differs)
+        outputs = outputs_of([plant, controller])
+        assert [plant.returncode, controller.returncode] == [expected] * 2, outputs
+        assert all(("controller.law" in output) == bool(differs) for output in outputs), outputs
 
 
 def test_what_they_say_is_for_people(endpoints: list[str]) -> None:

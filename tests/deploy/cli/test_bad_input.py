@@ -35,7 +35,7 @@ VALUES = [
 @pytest.mark.parametrize(("value", "said"), VALUES, ids=[value[:12] for value, _ in VALUES])
 def test_value_that_yaml_cannot_hold_is_refused(value, said, tmp_path, funnel_hil):
     file = tmp_path / "mine.yaml"
-    file.write_text(f"{BASE}\nseed: {value}\n")
+    file.write_text(re.sub("(?m)^seed:.*\n", "", BASE) + f"\nseed: {value}\n")
     code, text = funnel_hil("simulate", file, "--out", tmp_path / "out")
     assert code == 2
     assert re.search(f"{re.escape(str(file))}: {said}", text), text[:500]
@@ -210,3 +210,39 @@ def test_urdf_that_no_simulator_should_see_is_refused(old, new, said, tmp_path):
     with pytest.raises(ScenarioError, match=f"robot.urdf={file}: robot.urdf = ") as refused:
         load_setup("paper_arm", [f"robot.urdf={file}"])
     assert said in str(refused.value)
+
+
+def test_a_key_that_is_given_twice_is_refused_by_name(tmp_path, funnel_hil):
+    file = tmp_path / "twice.yaml"
+    for text, key in (
+        ("duration_s: 1\nseed: 2\nduration_s: 3\n", "duration_s"),
+        ("plant: {payload_kg: 1, friction: {}, payload_kg: 1}\n", "plant.payload_kg"),
+    ):
+        file.write_text(f"extends: paper_arm\n{text}")
+        code, said = funnel_hil("simulate", file, "--out", tmp_path / "out")
+        assert code == 2
+        assert re.search(
+            rf"twice\.yaml: {re.escape(key)} = .*must be given once; .* lines \d and \d", said
+        )
+    twice = ("--set", "duration_s=2", "--set", "duration_s=1")
+    for words in (["simulate"], ["run"], ["compare"], ["margin", "paper_arm"]):
+        code, said = funnel_hil(*words, *twice, "--out", tmp_path / "out")
+        assert (code, said) == (2, "error: --set duration_s: must be given once\n")
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_merged_into_a_section_may_be_said_anew(tmp_path):
+    file = tmp_path / "merged.yaml"
+    file.write_text(
+        "extends: paper_arm\nlink:\n  uplink: &way {delay_ms: 2, loss: 0.1}\n"
+        "  downlink: {<<: *way, delay_ms: 3}\n"
+    )
+    link = load_setup(str(file)).scenario.link
+    assert (link.downlink.delay_ms, link.downlink.loss) == (3.0, 0.1)
+
+
+def test_what_is_there_but_no_file_is_said_to_be_so(tmp_path, funnel_hil):
+    for place in ("/dev/null", tmp_path):
+        code, said = funnel_hil("simulate", place)
+        assert code == 2
+        assert f"{place}: is no regular file, nor one of the shipped" in said

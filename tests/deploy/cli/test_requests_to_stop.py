@@ -110,6 +110,15 @@ def test_a_stream_outlives_its_reader(number):
     assert process.returncode == 7
 
 
+def test_output_that_finds_no_room_is_said_to_be_lost(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        words = ("simulate", "--no-report", "--set", "duration_s=0.1", "--out", tmp_path / "out")
+        process = funnel_hil(*words, stdout=full, stderr=subprocess.PIPE)
+        _, said = process.communicate()
+    assert process.returncode == 0
+    assert said == b"standard output is lost: No space left on device\n"
+
+
 def test_output_that_was_closed_from_the_beginning_is_none(tmp_path):
     shell = 'exec "$0" -m deploy.cli simulate --set duration_s=0.02 --out "$1" >&-'
     ended = subprocess.run(

@@ -73,3 +73,17 @@ def test_a_scenario_that_is_written_again_keeps_the_names_of_its_files(own_arm, 
     second = RunFolder.begin(load_setup(str(first.scenario)), tmp_path / "second")
     assert second.scenario.read_text() == first.scenario.read_text()
     assert {f.name for f in second.path.iterdir()} == {f.name for f in first.path.iterdir()}
+
+
+def test_a_time_to_judge_from_that_nobody_chose_follows_the_duration(tmp_path, funnel_hil):
+    first, second = tmp_path / "first", tmp_path / "second"
+    short = ("--set", "duration_s=0.4")
+    assert funnel_hil("simulate", *short, "--no-report", "--out", str(first))[0] == 0
+    again = ("simulate", str(first / "scenario.yaml"), "--no-report", "--out", str(second))
+    assert funnel_hil(*again)[0] == 0
+    assert read_summary(first)["tracking"] == read_summary(second)["tracking"]
+    code, said = funnel_hil(*again, "--overwrite", "--set", "duration_s=0.2")
+    assert code == 0, said
+    assert load_setup(str(second / "scenario.yaml")).scenario.metrics.from_s == 0.1
+    assert funnel_hil("report", str(first))[0] == 0
+    assert read_summary(first)["tracking"]["rms_rad"] != read_summary(second)["tracking"]["rms_rad"]

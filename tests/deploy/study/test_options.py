@@ -118,6 +118,32 @@ def test_what_means_nothing_in_a_simulation_is_refused_by_every_study(key, value
                 build()
 
 
+@pytest.mark.parametrize(("key", "value"), [
+    ("link.kind", "zenoh"), ("link.can.bitrate", 500_000), ("link.can.protocol", "cia402"),
+])  # fmt: skip
+def test_what_is_set_of_a_link_that_no_run_goes_over_is_refused(key, value):
+    for said_key, said in forms(key, value):
+        text = f"{said_key}={json.dumps(said)}"
+        for build in (
+            lambda text=text: margin([text]),
+            lambda text=text: margin([text], **PLANTS),
+            lambda text=text: compare(text),
+            lambda k=said_key, v=said: sweep({"plant.payload_kg": [0, 1]}, set={k: v}),
+            lambda k=said_key, v=said: sweep({k: [v]}),
+        ):
+            with pytest.raises(ScenarioError, match="must be left out"):
+                build()
+
+
+def test_a_kind_of_link_may_be_set_where_it_changes_the_run():
+    can = ["link.kind=can", "link.can.interface=virtual", "link.can.bitrate=1000000"]
+    assert compare(*can)
+    assert load_setups("paper_arm_can", ["link.can.encoder_bits=18"], ["smc"])
+    assert load_setups("paper_arm_can", ["link.kind=zenoh"], ["smc"])
+    assert sweep({"link.kind": ["zenoh", "can"]}, set={"link.can.encoder_bits": 18}).expected == 2
+    assert margin(["link.kind=in_process"])
+
+
 def test_virtual_time_may_be_asked_for_where_there_is_no_other():
     assert compare("clock=lockstep")
     assert margin(["clock=lockstep"])
@@ -236,6 +262,10 @@ def test_errors_are_summed_up_over_some_time(tmp_path):
             load_setup("paper_arm", words)
     with pytest.raises(ScenarioError, match=r"metrics\.from_s"):
         margin(["metrics.from_s=6"], duration=5.0)
+    late = ["metrics.from_s=30", "duration_s=2"]
+    for words in (late, ["metrics={from_s: 2}", "duration_s=2"]):
+        with pytest.raises(ScenarioError, match=r"^--set metrics.*from_s.*: metrics\.from_s = "):
+            load_setup("paper_arm", words)
     short = tmp_path / "short.yaml"  # what is in force is written out, and can be run again
     short.write_text(effective_scenario(load_setup("paper_arm", ["duration_s=1"])))
     assert load_setup(str(short)).scenario.metrics.from_s == 0.5

@@ -22,6 +22,8 @@ IMPOSSIBLE = [
     ({TIED: []}, {}, [TIED, "[]", "a list of values"]),
     ({TIED: [1, 1]}, {}, [TIED, "different values"]),
     ({TIED: {"from": 0, "to": 1, "step": 0}}, {}, [TIED, "a step above 0"]),
+    ({TIED: {"from": 0, "to": 2, "step": 1e-4}}, {}, [TIED, "at most 10000 values", "are 20001"]),
+    ({TIED: {"from": 0, "to": 1e300, "step": 1e-300}}, {}, ["at most 10000 values; these are inf"]),
     ({TIED: {"from": 0, "to": 1}}, {}, [TIED, "{from, to, step}"]),
     ({"seed": [1]}, {}, ["seed", "under seeds"]),
     ({TIED: [1]}, {"set": {"link.uplink.delay_ms": 1}}, ["link.uplink.delay_ms", "once"]),
