@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable
 from functools import partial
 
@@ -21,6 +22,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
 from bus_schema.zenoh.link import open_telemetry
 from deploy.link_kinds.kind import LinkKind, LinkRun
+from deploy.processes.free_ports import free_udp_port
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission
 from plant_emulator.drives.driven_arm import DrivenArm
@@ -73,6 +75,15 @@ class CanKind(LinkKind[DrivenArm]):
             )  # fmt: skip
         check_can_bus(link.can)
 
+    def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
+        can = link.can
+        if can.interface != "udp_multicast" or {"channel", "port"} & can.model_fields_set:
+            return link
+        # Linux tells groups on one port not apart in every set-up: the port has to be free too.
+        group = f"239.74.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+        place = {"channel": group, "port": free_udp_port()}
+        return link.model_copy(update={"can": can.model_copy(update=place)})
+
     def wire_rounding(self, run: LinkRun) -> Callable[[Vector], Vector]:
         can = run.link.can
         return partial(as_delivered, PROTOCOLS.build(can.protocol).codec(can, run.robot))
@@ -86,7 +97,7 @@ class CanKind(LinkKind[DrivenArm]):
             [parse_fault(text, node_ids) for text in can.faults.drives],
             lambda send: build_bank(can, robot, run.plant, send, polled=True),
             CanMedium(can, run.seed),
-            None if run.can_log is None else CandumpLog(run.can_log, can.resolved_channel),
+            None if run.can_log is None else CandumpLog(run.can_log, can.log_channel),
         )
         arm.attach(drives.bank)
         codec = PROTOCOLS.build(can.protocol).codec(can, robot)

@@ -110,7 +110,7 @@ def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType
 def effective_values(setup: Setup) -> dict[str, Any]:
     """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
 
-    But for endpoints that nobody chose: who runs it again may choose others.
+    But for endpoints and CAN buses that nobody chose: who runs it again may choose others.
     """
     given = setup.scenario
     values: dict[str, Any] = plain(
@@ -125,6 +125,8 @@ def effective_values(setup: Setup) -> dict[str, Any]:
     values["robot"]["urdf"] = str(setup.robot.path)
     for key in {"plant_endpoint", "controller_endpoint"} - given.link.model_fields_set:
         del values["link"][key]
+    for key in {"channel", "port"} - given.link.can.model_fields_set:
+        values["link"]["can"].pop(key, None)
     return values
 
 
