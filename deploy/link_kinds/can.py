@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import socket
 from collections.abc import Callable
 from functools import partial
 
@@ -22,7 +23,6 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
 from bus_schema.zenoh.link import open_telemetry
 from deploy.link_kinds.kind import LinkKind, LinkRun
-from deploy.processes.free_ports import free_udp_port
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission
 from plant_emulator.drives.driven_arm import DrivenArm
@@ -81,7 +81,7 @@ class CanKind(LinkKind[DrivenArm]):
             return link
         # Linux tells groups on one port not apart in every set-up: the port has to be free too.
         group = f"239.74.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
-        place = {"channel": group, "port": free_udp_port()}
+        place = {"channel": group, "port": _free_udp_port()}
         return link.model_copy(update={"can": can.model_copy(update=place)})
 
     def wire_rounding(self, run: LinkRun) -> Callable[[Vector], Vector]:
@@ -140,3 +140,11 @@ def _check_unimpaired(link: LinkConfiguration) -> None:
                 "must be left out with link.kind = can: what a CAN bus does to frames is up to"
                 " link.can.bitrate and link.can.faults",
             )  # fmt: skip
+
+
+def _free_udp_port() -> int:
+    """A UDP port of this machine that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port: int = probe.getsockname()[1]
+        return port

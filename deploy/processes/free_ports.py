@@ -1,4 +1,4 @@
-"""Ports to listen at."""
+"""TCP ports to listen at."""
 
 from __future__ import annotations
 
@@ -13,11 +13,3 @@ def free_ports(number: int) -> list[int]:
         for listener in listeners:
             listener.bind(("127.0.0.1", 0))
         return [listener.getsockname()[1] for listener in listeners]
-
-
-def free_udp_port() -> int:
-    """A UDP port of this machine that nobody uses."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        port: int = probe.getsockname()[1]
-        return port
