@@ -3,12 +3,19 @@ command, little endian, IEEE 754 floats."""
 
 import math
 import struct
+from pathlib import Path
 
 import pytest
 from drive_bench import MS, NODE, SETTINGS, Bench
 
+from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import load_robot
+from deploy.scenario.referenced_files import find_urdf
+from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings
 
 HEARTBEAT, ESTOP, GET_ERROR, SET_STATE, ESTIMATES, SET_MODE, SET_TORQUE, LIMITS = (
@@ -181,6 +188,22 @@ def test_watchdog():
     assert axis.drive.demand() == AT_REST
     assert axis.drive.fault == "WATCHDOG_TIMER_EXPIRED"
     assert axis.heartbeat[:2] == (WATCHDOG, IDLE)
+
+
+@pytest.mark.parametrize(
+    ("given", "polled", "watchdog_bites"),
+    [({}, False, False), ({"command_timeout_ms": 50}, False, True), ({}, True, True)],
+)
+def test_no_watchdog_as_delivered(given, polled, watchdog_bites):
+    """An axis that is alone with its client waits for ever; in the closed loop it does not."""
+    can = CanConfiguration(protocol="cansimple", **given)
+    robot = load_robot(find_urdf("paper_arm", Path()))
+    bank = build_bank(can, robot, PlantConfiguration(), lambda _: None, polled=polled)
+    for command, data in ((SET_MODE, struct.pack("<II", 1, 1)), (SET_STATE, b"\x08\0\0\0")):
+        bank.receive(CanFrame(1 << 5 | command, data), 0)
+    assert not bank.braked[0]
+    bank.advance(3600 * 1000 * MS)
+    assert bank.braked[0] == watchdog_bites
 
 
 def test_bus_off_is_noticed_by_the_watchdog():
