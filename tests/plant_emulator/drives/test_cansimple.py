@@ -14,7 +14,7 @@ from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import load_robot
 from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive, load_database
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings
 
@@ -104,6 +104,35 @@ def test_what_else_can_be_asked_for(axis):
     assert axis.ask(TEMPERATURE, "ff") == (25.0, 25.0)
     assert axis.ask(GET_ERROR, "II") == (0, 0)
     assert axis.ask(0x00, "8B")[0] == 2  # protocol version
+
+
+def test_an_axis_tells_its_address(axis):
+    assert axis.ask(0x06, "B6sB") == (NODE, bytes([NODE, 0, 0, 0, 0, 0]), 0)
+
+
+OTHERS = {
+    "RxSdo": (0x04, "BHBI", 1, 2, 0, 3), "Set_Input_Pos": (0x0C, "fhh", 0.5, 1000, -2000),
+    "Set_Input_Vel": (0x0D, "ff", 1.0, 2.0), "Set_Traj_Vel_Limit": (0x11, "f", 1.0),
+    "Set_Traj_Accel_Limits": (0x12, "ff", 1.0, 2.0), "Set_Traj_Inertia": (0x13, "f", 1.0),
+    "Set_Absolute_Position": (0x19, "f", 0.0), "Set_Pos_Gain": (0x1A, "f", 20.0),
+    "Set_Vel_Gains": (0x1B, "ff", 0.1, 0.2), "Enter_DFU_Mode": (0x1F, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_messages_of_what_is_not_there_are_refused_by_name(axis, name):
+    axis.tell(SET_TORQUE, "f", 2.0)
+    with pytest.raises(InvalidMessageError, match=name) as refusal:
+        axis.tell(*OTHERS[name])
+    assert refusal.value.reason == "not_there"
+    assert axis.drive.demand() == (2.0, True)
+
+
+def test_values_of_the_messages_are_as_odrive_packs_them(axis):
+    frame = CanFrame(NODE << 5 | 0x0C, struct.pack("<fhh", 0.5, 1000, -2000))
+    words = axis.drive.describe(frame)
+    assert "Set_Input_Pos, Input_Pos 0.5, Vel_FF 1.0, Torque_FF -2.0" in words
+    assert len(load_database().messages) == 28
 
 
 def test_an_empty_frame_asks_as_well(axis):
