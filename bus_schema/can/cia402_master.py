@@ -33,6 +33,10 @@ logging.getLogger("canopen").setLevel(logging.CRITICAL)
 MASTER_NODE = 127
 _EMCY, _TPDO_2, _HEARTBEAT = 0x080, 0x280, 0x700
 _FROM_DRIVES = (_EMCY, 0x180, _TPDO_2, 0x380, 0x480, 0x580, _HEARTBEAT)
+_OF_MASTER = {0x000: "NMT", 0x080: "SYNC", _HEARTBEAT + MASTER_NODE: "the master's heartbeat"}
+_TO_DRIVES = {
+    0x200: "RPDO 1", 0x300: "RPDO 2", 0x400: "RPDO 3", 0x500: "RPDO 4", 0x600: "SDO requests"
+}  # fmt: skip
 _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD, _EMERGENCY = struct.Struct("<H"), struct.Struct("<HB5s")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
@@ -145,6 +149,14 @@ class Cia402Master(CanMaster):
     def _send_heartbeat(self) -> None:
         self._bus.send(CanFrame(_HEARTBEAT + MASTER_NODE, bytes([_OPERATIONAL])))
 
+    def _only_master_sends(self, frame: CanFrame) -> str | None:
+        if frame.is_remote:
+            return None
+        if frame.identifier in _OF_MASTER:
+            return _OF_MASTER[frame.identifier]
+        function, node_id = frame.identifier & ~0x7F, frame.identifier & 0x7F
+        return _TO_DRIVES.get(function) if node_id in self._joint_of else None
+
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in emergencies, status words and heartbeats."""
         function, node_id = frame.identifier & ~0x7F, frame.identifier & 0x7F
@@ -210,6 +222,8 @@ class Cia402Master(CanMaster):
             try:
                 while not over.is_set():
                     frame = self._bus.receive(_POLL_S)
+                    if frame is not None:
+                        self._note_stranger(frame)
                     if frame is not None and is_classical_data(frame, len(frame.data)):
                         self._hand_over(frame)
             except BusError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -110,3 +111,37 @@ def test_answers_are_awaited_of_all_but_those_given_up() -> None:
     master.give_up()
     master.sample(0)
     assert master.read(0.0, position, velocity)
+
+
+@pytest.mark.parametrize(
+    ("build", "frames", "words"),
+    [
+        (
+            cia402,
+            [CanFrame(0x000, b"\x81\x01"), CanFrame(0x080), CanFrame(0x080), CanFrame(0x202, b"")],
+            "another master is on this bus: it sent NMT (1), SYNC (2), RPDO 1 (1)",
+        ),
+        (
+            cansimple,
+            [CanFrame(0x049, is_remote=True), CanFrame(0x04E, bytes(4))],
+            "another master is on this bus: it sent requests (1), Set_Input_Torque (1)",
+        ),
+        (
+            cia402,
+            [CanFrame(0x181, bytes(8)), CanFrame(0x181, bytes(8))],
+            "drive 1 sent 2 states and was asked for 1: another one has its address",
+        ),
+        (cia402, [CanFrame(0x181, bytes(8)), CanFrame(0x204, b"")], ""),  # node 4: not of ours
+        (cansimple, [CanFrame(0x049, bytes(8)), CanFrame(0x123)], ""),
+    ],
+)
+def test_who_else_acts_as_master_or_drive_is_named(
+    build: Callable[[FrameBus], CanMaster], frames: list[CanFrame], words: str
+) -> None:
+    master = build(FrameBus(*frames))
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(0)
+    assert not master.read(0.0, position, velocity)
+    told = master.strangers()
+    assert words in told
+    assert bool(words) == bool(told)
