@@ -62,10 +62,13 @@ class Cia402Master(CanMaster):
             node.TIMEOUT_SWITCH_STATE_SINGLE = can.answer_timeout_s
             self._network.add_node(node)
         self._last_heartbeat_ns = [0] * len(node_ids)
+        self._is_in_cycle = [False] * len(node_ids)
+        self._start_timeout_ms = float(can.heartbeat_timeout_ms)
         self._emergencies = [""] * len(node_ids)
         self._lost: BusError | None = None
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
+        self._start_timeout_ms = max(1000.0 * timeout_s, self._can.heartbeat_timeout_ms)
         with self._listening():
             if not self._await_boot(timeout_s, is_stop_requested):
                 return False
@@ -186,11 +189,17 @@ class Cia402Master(CanMaster):
             self._faults.append(f"drive {node_id}: {state.lower()}{self._emergencies[joint]}")
 
     def _missed_heartbeats(self) -> list[str]:
-        sentences, timeout_ms = [], self._can.heartbeat_timeout_ms
+        """As in `CanMaster`; a drive is watched from its first state on, which may come late."""
+        sentences = []
         for node_id, joint in self._joint_of.items():
+            if self._answers[joint] and not self._is_in_cycle[joint]:
+                self._is_in_cycle[joint] = True
+                self._last_heartbeat_ns[joint] = self._now_ns
+            is_watched = self._is_in_cycle[joint]
+            timeout_ms = self._can.heartbeat_timeout_ms if is_watched else self._start_timeout_ms
             age_ns = self._now_ns - self._last_heartbeat_ns[joint]
             if age_ns > timeout_ms * 1_000_000 and joint not in self._silent:
-                sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms} ms")
+                sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms:g} ms")
                 self._silent.add(joint)
         return sentences
 

@@ -44,7 +44,7 @@ class FrameBus:
         pass
 
 
-def cia402(bus: FrameBus) -> CanMaster:
+def cia402(bus: FrameBus) -> Cia402Master:
     codec = Cia402Codec(NODES, CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
     return Cia402Master(bus, CAN, NODES, codec)
 
@@ -145,3 +145,27 @@ def test_who_else_acts_as_master_or_drive_is_named(
     told = master.strangers()
     assert words in told
     assert bool(words) == bool(told)
+
+
+def test_drives_that_are_late_at_the_start_are_waited_for_and_watched_from_then_on() -> None:
+    bus = FrameBus()
+    master = cia402(bus)
+    master._start_timeout_ms = 5000.0  # as enabling with this time for the drives to come
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    late_ns = 4_000_000_000  # far beyond link.can.heartbeat_timeout_ms
+    master.sample(late_ns)
+    assert not master.read(0.0, position, velocity)
+    bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in NODES]
+    assert master.read(0.0, position, velocity)
+    master.sample(late_ns + 71_000_000)
+    with pytest.raises(DriveError, match="drive 1: no heartbeat for 70 ms"):
+        master.read(0.0, position, velocity)
+
+
+def test_drives_that_never_come_into_the_cycle_are_named() -> None:
+    master = cia402(FrameBus())
+    master._start_timeout_ms = 5000.0
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(5_001_000_000)
+    with pytest.raises(DriveError, match="drive 3: no heartbeat for 5000 ms"):
+        master.read(0.0, position, velocity)
