@@ -15,6 +15,7 @@ from bus_schema.can.cansimple_codec import (
     HEARTBEAT,
     SET_AXIS_STATE,
     SET_CONTROLLER_MODE,
+    SET_INPUT_TORQUE,
     CanSimpleCodec,
     identifier,
 )
@@ -26,6 +27,10 @@ _IDLE, _CLOSED_LOOP_CONTROL = 1, 8
 _TORQUE_CONTROL, _PASSTHROUGH = 1, 1
 _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _BEAT = struct.Struct("<IBB")
+_COMMANDS = {
+    SET_AXIS_STATE: "Set_Axis_State", SET_CONTROLLER_MODE: "Set_Controller_Mode",
+    SET_INPUT_TORQUE: "Set_Input_Torque", CLEAR_ERRORS: "Clear_Errors",
+}  # fmt: skip
 _POLL_S = 0.05
 _AGAIN_S = 0.3
 
@@ -94,6 +99,14 @@ class CanSimpleMaster(CanMaster):
     def _send_heartbeat(self) -> None:
         """Request the heartbeats of all axes; they need none of the master's."""
         self._send_to_all(HEARTBEAT, is_remote=True)
+
+    def _only_master_sends(self, frame: CanFrame) -> str | None:
+        node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
+        if node_id not in self._joint_of:
+            return None
+        if frame.is_remote:
+            return "requests"
+        return _COMMANDS.get(command)
 
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in heartbeats."""

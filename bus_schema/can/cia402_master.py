@@ -33,6 +33,10 @@ logging.getLogger("canopen").setLevel(logging.CRITICAL)
 MASTER_NODE = 127
 _EMCY, _TPDO_2, _HEARTBEAT = 0x080, 0x280, 0x700
 _FROM_DRIVES = (_EMCY, 0x180, _TPDO_2, 0x380, 0x480, 0x580, _HEARTBEAT)
+_OF_MASTER = {0x000: "NMT", 0x080: "SYNC", _HEARTBEAT + MASTER_NODE: "the master's heartbeat"}
+_TO_DRIVES = {
+    0x200: "RPDO 1", 0x300: "RPDO 2", 0x400: "RPDO 3", 0x500: "RPDO 4", 0x600: "SDO requests"
+}  # fmt: skip
 _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD, _EMERGENCY = struct.Struct("<H"), struct.Struct("<HB5s")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
@@ -58,10 +62,13 @@ class Cia402Master(CanMaster):
             node.TIMEOUT_SWITCH_STATE_SINGLE = can.answer_timeout_s
             self._network.add_node(node)
         self._last_heartbeat_ns = [0] * len(node_ids)
+        self._is_in_cycle = [False] * len(node_ids)
+        self._start_timeout_ms = float(can.heartbeat_timeout_ms)
         self._emergencies = [""] * len(node_ids)
         self._lost: BusError | None = None
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
+        self._start_timeout_ms = max(1000.0 * timeout_s, self._can.heartbeat_timeout_ms)
         with self._listening():
             if not self._await_boot(timeout_s, is_stop_requested):
                 return False
@@ -145,6 +152,14 @@ class Cia402Master(CanMaster):
     def _send_heartbeat(self) -> None:
         self._bus.send(CanFrame(_HEARTBEAT + MASTER_NODE, bytes([_OPERATIONAL])))
 
+    def _only_master_sends(self, frame: CanFrame) -> str | None:
+        if frame.is_remote:
+            return None
+        if frame.identifier in _OF_MASTER:
+            return _OF_MASTER[frame.identifier]
+        function, node_id = frame.identifier & ~0x7F, frame.identifier & 0x7F
+        return _TO_DRIVES.get(function) if node_id in self._joint_of else None
+
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in emergencies, status words and heartbeats."""
         function, node_id = frame.identifier & ~0x7F, frame.identifier & 0x7F
@@ -174,11 +189,17 @@ class Cia402Master(CanMaster):
             self._faults.append(f"drive {node_id}: {state.lower()}{self._emergencies[joint]}")
 
     def _missed_heartbeats(self) -> list[str]:
-        sentences, timeout_ms = [], self._can.heartbeat_timeout_ms
+        """As in `CanMaster`; a drive is watched from its first state on, which may come late."""
+        sentences = []
         for node_id, joint in self._joint_of.items():
+            if self._answers[joint] and not self._is_in_cycle[joint]:
+                self._is_in_cycle[joint] = True
+                self._last_heartbeat_ns[joint] = self._now_ns
+            is_watched = self._is_in_cycle[joint]
+            timeout_ms = self._can.heartbeat_timeout_ms if is_watched else self._start_timeout_ms
             age_ns = self._now_ns - self._last_heartbeat_ns[joint]
             if age_ns > timeout_ms * 1_000_000 and joint not in self._silent:
-                sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms} ms")
+                sentences.append(f"drive {node_id}: no heartbeat for {timeout_ms:g} ms")
                 self._silent.add(joint)
         return sentences
 
@@ -210,6 +231,8 @@ class Cia402Master(CanMaster):
             try:
                 while not over.is_set():
                     frame = self._bus.receive(_POLL_S)
+                    if frame is not None:
+                        self._note_stranger(frame)
                     if frame is not None and is_classical_data(frame, len(frame.data)):
                         self._hand_over(frame)
             except BusError as error:

@@ -47,5 +47,8 @@ class CanBus(Protocol):
     def receive(self, timeout_s: float) -> CanFrame | None:
         """The next frame that another node sent; None if none came within `timeout_s`."""
 
+    def dropped(self) -> int | None:
+        """Frames that came too fast to be received so far; None where nobody counts them."""
+
     def close(self) -> None:
         """Leave the bus."""

@@ -117,6 +117,11 @@ class CanControllerLink(ControllerLink):
             while tick < self._run.ticks and not is_stop_requested():
                 self._cycle(tick, is_stop_requested)
                 tick = self._next(tick)
+        except DriveError as error:
+            strangers = self._master.strangers()
+            if not strangers:
+                raise
+            raise DriveError(f"{error}; {strangers}") from error
         finally:
             self._bring_to_rest(tick, is_stop_requested)
 

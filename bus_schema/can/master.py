@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterable
 
 from bus_schema.arrays import Matrix, Vector
@@ -41,6 +42,8 @@ class CanMaster(ABC):
         self._is_powered = [False] * len(node_ids)
         self._faults: list[str] = []
         self._is_stopping = False
+        self._strangers: Counter[str] = Counter()
+        self._samplings, self._answers = 0, [0] * len(node_ids)
         self._now_ns = 0
         self._next_heartbeat_ns = 0
 
@@ -63,6 +66,7 @@ class CanMaster(ABC):
         if self._is_heartbeat_due():
             self._send_heartbeat()
             self._next_heartbeat_ns = now_ns + self._can.heartbeat_ms * 1_000_000
+        self._samplings += 1
         self._awaited = set(self._joint_of.values()) - self._silent
         self._send(self._codec.sampling_frames())
 
@@ -86,6 +90,7 @@ class CanMaster(ABC):
             if joint is None:
                 self._handle(frame)
             else:
+                self._answers[joint] += 1
                 self._awaited.discard(joint)
         faults, self._faults = self._faults + self._missed_heartbeats(), []
         if faults and not self._is_stopping:
@@ -95,6 +100,20 @@ class CanMaster(ABC):
     def missing(self) -> str:
         """Addresses of the drives that have not answered yet, in words."""
         return ", ".join(str(self._node_ids[joint]) for joint in sorted(self._awaited))
+
+    def strangers(self) -> str:
+        """Who else is on the bus and acts as master or as one of the drives; empty if nobody is."""
+        sentences = []
+        if self._strangers:
+            what = ", ".join(f"{name} ({count})" for name, count in self._strangers.items())
+            sentences.append(f"another master is on this bus: it sent {what}")
+        for node_id, joint in self._joint_of.items():
+            if self._answers[joint] > self._samplings:
+                sentences.append(
+                    f"drive {node_id} sent {self._answers[joint]} states and was asked for"
+                    f" {self._samplings}: another one has its address, or another master asks"
+                )
+        return "; ".join(sentences)
 
     def command(self, torque_nm: Vector) -> None:
         """Send torques, shape (joints,)."""
@@ -133,6 +152,10 @@ class CanMaster(ABC):
         """Do what keeps drives and master aware of each other, every `heartbeat_ms`."""
 
     @abstractmethod
+    def _only_master_sends(self, frame: CanFrame) -> str | None:
+        """What a frame is called that a master alone sends to these drives; None for others."""
+
+    @abstractmethod
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in a data frame that is no state, and note the faults it reports."""
 
@@ -145,11 +168,20 @@ class CanMaster(ABC):
 
     def _handle(self, frame: CanFrame) -> None:
         """Take in what is no state: error frames of the local controller, reports of drives."""
+        self._note_stranger(frame)
         if frame.is_error:
             if frame.identifier & BUS_OFF:
                 self._faults.append("the CAN controller is bus-off")
         elif not (frame.is_extended or frame.is_remote):
             self._handle_report(frame)
+
+    def _note_stranger(self, frame: CanFrame) -> None:
+        """Count what only the master sends: a bus gives nobody its own frames back."""
+        if frame.is_error or frame.is_extended or frame.is_fd:
+            return
+        name = self._only_master_sends(frame)
+        if name is not None:
+            self._strangers[name] += 1
 
     def _send(self, frames: Iterable[CanFrame]) -> None:
         for frame in frames:

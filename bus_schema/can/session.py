@@ -14,6 +14,7 @@ from typing import Any
 import can
 
 from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.socket_drops import dropped_by_socket
 from bus_schema.can.this_machine import hear_this_machine_only
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
@@ -80,6 +81,13 @@ class PythonCanBus:
         while frame is not None and self._is_own(frame):
             frame = self._receive(max(0.0, give_up_s - time.monotonic()))
         return frame
+
+    def dropped(self) -> int | None:
+        """Frames that came while the socket's queue was full; None where nobody counts them."""
+        try:
+            return dropped_by_socket(self._bus.fileno())
+        except (NotImplementedError, OSError):  # no socket, or another kernel than Linux
+            return None
 
     def close(self) -> None:
         """Leave the bus."""

@@ -84,7 +84,8 @@ class CanConfiguration(StrictModel):
             processes, ``virtual`` within one, or any hardware's.
         channel: what the interface calls the bus; by default ``vcan0``, a multicast address, or a
             name.
-        port: UDP port of ``udp_multicast``.
+        port: UDP port of ``udp_multicast``. A run takes a group and a port of its own unless
+            one of the two is given.
         hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
             machine alone; 1 its network, where anybody can then command the drives; more routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
@@ -128,6 +129,11 @@ class CanConfiguration(StrictModel):
     def resolved_channel(self) -> str:
         """What the interface calls the bus."""
         return self.channel or _CHANNELS.get(self.interface, "vcan0")
+
+    @property
+    def log_channel(self) -> str:
+        """What logs call the bus: the same in every run, whatever place the bus had."""
+        return _CHANNELS.get(self.interface) or self.resolved_channel
 
     @property
     def counts_per_turn(self) -> int:

@@ -40,6 +40,8 @@ Faults = Annotated[
     ),
 ]
 
+_MOST_NAMED = 20
+
 
 def drives(
     scenario: ScenarioArgument = "paper_arm",
@@ -91,8 +93,10 @@ def _serve(
         arm.close()
     skipped = f", {rig.counts.skipped} of {rig.counts.ticks} ticks late" * bool(rig.counts.skipped)
     rejected = dict(monitor.bank.rejections.counts) or "none"
+    dropped = f", {count} dropped unheard" if (count := bus.dropped()) else ""
     monitor.print(
-        f"{rig.counts.received} frames heard, {monitor.sent} sent, rejected: {rejected}{skipped}"
+        f"{rig.counts.received} frames heard{dropped}, {monitor.sent} sent, rejected:"
+        f" {rejected}{skipped}"
     )
     was_cut_short = ticks is not None and rig.counts.ticks < ticks
     return INTERRUPTED if was_cut_short else FINISHED
@@ -101,7 +105,8 @@ def _serve(
 class BusMonitor:
     """Stands between drives and bus, and tells what passes.
 
-    Without `verbose` it tells of the first frame of every identifier that is heard.
+    Without `verbose` it tells of the first frame of an identifier that is heard, up to a number: a
+    scan for nodes tries hundreds.
 
     Attributes:
         bank: the drives; they know what a frame means.
@@ -127,8 +132,10 @@ class BusMonitor:
         """Look at a frame that comes from the bus."""
         is_first = frame.identifier not in self._heard
         self._heard.add(frame.identifier)
-        if self._verbose or is_first:
+        if self._verbose or (is_first and len(self._heard) <= _MOST_NAMED):
             self._show("heard", frame)
+        elif is_first and len(self._heard) == _MOST_NAMED + 1:
+            self.print("heard more identifiers, which only --verbose shows")
 
     def print(self, sentence: str) -> None:
         """Tell something that happened."""

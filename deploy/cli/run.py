@@ -76,6 +76,7 @@ def run(
     check_link(setup, one_process=False)
     require_program(setup)
     require_keys(setup, *Role)
+    as_given = setup
     if await_controller:
         check_awaiting(setup)
     else:
@@ -97,6 +98,7 @@ def run(
             outcome = launcher.run(status_handler(progress))
         held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
         folder.write_manifest(setup, outcome.realtime, held_back)
+        folder.write_scenario(as_given)
         if held_back is not None:
             show_relay(console, held_back)
         finish(console, folder, outcome, require_bounds=require_bounds, draws_report=not no_report)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import secrets
+import socket
 from collections.abc import Callable
 from functools import partial
 
@@ -75,6 +77,15 @@ class CanKind(LinkKind[DrivenArm]):
             )  # fmt: skip
         check_can_bus(link.can)
 
+    def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
+        can = link.can
+        if can.interface != "udp_multicast" or {"channel", "port"} & can.model_fields_set:
+            return link
+        # Linux tells groups on one port not apart in every set-up: the port has to be free too.
+        group = f"239.74.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+        place = {"channel": group, "port": _free_udp_port()}
+        return link.model_copy(update={"can": can.model_copy(update=place)})
+
     def wire_rounding(self, run: LinkRun) -> Callable[[Vector], Vector]:
         can = run.link.can
         return partial(as_delivered, PROTOCOLS.build(can.protocol).codec(can, run.robot))
@@ -88,7 +99,7 @@ class CanKind(LinkKind[DrivenArm]):
             [parse_fault(text, node_ids) for text in can.faults.drives],
             lambda send: build_bank(can, robot, run.plant, send, polled=True),
             CanMedium(can, run.seed),
-            None if run.can_log is None else CandumpLog(run.can_log, can.resolved_channel),
+            None if run.can_log is None else CandumpLog(run.can_log, can.log_channel),
         )
         arm.attach(drives.bank)
         codec = PROTOCOLS.build(can.protocol).codec(can, robot)
@@ -131,3 +142,11 @@ def _check_unimpaired(link: LinkConfiguration) -> None:
                 "must be left out with link.kind = can: what a CAN bus does to frames is up to"
                 " link.can.bitrate and link.can.faults",
             )  # fmt: skip
+
+
+def _free_udp_port() -> int:
+    """A UDP port of this machine that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -80,6 +80,10 @@ class LinkKind(ABC, Generic[Arm]):
             ConfigurationError: it has not.
         """
 
+    def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
+        """The link where no other run meets it, as far as the scenario leaves open where it is."""
+        return link
+
     def wire_rounding(
         self,
         run: LinkRun,  # noqa: ARG002 (for links that round)

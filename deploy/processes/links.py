@@ -79,9 +79,9 @@ def check_awaiting(setup: Setup) -> None:
 
 
 def with_free_endpoints(setup: Setup) -> Setup:
-    """A scenario with free TCP ports in place of the default endpoints.
+    """A scenario with free TCP ports in place of the default endpoints, and a bus of its own.
 
-    Endpoints that the scenario or an override gives stay as they are.
+    Endpoints and buses that the scenario or an override gives stay as they are.
 
     Raises:
         ScenarioError: one that is given cannot be listened at.
@@ -95,7 +95,8 @@ def with_free_endpoints(setup: Setup) -> Setup:
                 stack.enter_context(_listening(getattr(link, key)))
         ports = zip(defaults, free_ports(len(defaults)), strict=True)
         free = {key: f"{getattr(link, key).rpartition(':')[0]}:{port}" for key, port in ports}
-    scenario = setup.scenario.model_copy(update={"link": link.model_copy(update=free)})
+    link = setup.link_kind.with_own_place(link.model_copy(update=free))
+    scenario = setup.scenario.model_copy(update={"link": link})
     return replace(setup, scenario=scenario)
 
 

@@ -93,9 +93,16 @@ class RunFolder(ResultFolder):
         """
         folder = RunFolder(new_folder(setup.scenario.name, out, overwrite=overwrite))
         folder.lock()
-        write_scenario(setup, folder.scenario)
+        folder.write_scenario(setup)
         folder.write_manifest(setup, {})
         return folder
+
+    def write_scenario(self, setup: Setup) -> None:
+        """Write the scenario in force; after a run, without the places that only this run had.
+
+        So it can be run again, also beside others.
+        """
+        write_scenario(setup, self.scenario)
 
     def write_manifest(
         self, setup: Setup, grants: Mapping[str, Any], real_delay: Mapping[str, Any] | None = None

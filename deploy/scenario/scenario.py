@@ -110,8 +110,8 @@ def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType
 def effective_values(setup: Setup) -> dict[str, Any]:
     """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
 
-    But for endpoints and a time to judge from that nobody chose: who runs it again may choose other
-    endpoints, or another duration.
+    But for endpoints, CAN buses and a time to judge from that nobody chose: who runs it again may
+    choose others, or another duration.
     """
     given = setup.scenario
     values: dict[str, Any] = plain(
@@ -128,6 +128,8 @@ def effective_values(setup: Setup) -> dict[str, Any]:
         del values["link"][key]
     if "from_s" not in given.metrics.model_fields_set:
         del values["metrics"]["from_s"]
+    for key in {"channel", "port"} - given.link.can.model_fields_set:
+        values["link"]["can"].pop(key, None)
     return values
 
 

@@ -144,7 +144,9 @@ class CanPlantLink(PlantLink):
         """Load, latency and counts of the bus."""
         now_ns = self._clock.now_ns()
         rejected = {"rejected": dict(self._drives.bank.rejections.counts)}
-        return {"can": self._drives.medium.summary(now_ns) | rejected}
+        dropped = self._drives.dropped()
+        counts = rejected if dropped is None else rejected | {"dropped": dropped}
+        return {"can": self._drives.medium.summary(now_ns) | counts}
 
     def require_same_scenario(self, role: Role) -> None:
         self._telemetry.require_same_scenario(role)

@@ -57,7 +57,16 @@ def build_bank(
     *,
     polled: bool = False,
 ) -> DriveBank:
-    """The drives of a robot; `polled`: estimates only when asked for, see `DriveSettings`.
+    """The drives of a robot.
+
+    Args:
+        can: section ``link.can`` of the scenario.
+        robot: the robot.
+        plant: section ``plant``.
+        send: takes the frames that the drives send.
+        polled: as the closed loop wants them: estimates only when asked for, watchdog on. Else
+            they are as real ones are delivered, with no watchdog unless ``command_timeout_ms`` is
+            given; see `DriveSettings`.
 
     Raises:
         ConfigurationError: a value does not fit the robot.
@@ -65,4 +74,6 @@ def build_bank(
     settings = commission(can, robot, plant)
     if polled:
         settings = tuple(replace(each, estimates_ms=0) for each in settings)
+    elif "command_timeout_ms" not in can.model_fields_set:
+        settings = tuple(replace(each, watchdog_ms=0.0) for each in settings)
     return DriveBank(PROTOCOLS.build(can.protocol).drive, settings, send)

@@ -50,6 +50,10 @@ class DrivesOnBus:
         """The next frame that another node sent; None if none came within `timeout_s`."""
         return self._bus.receive(timeout_s)
 
+    def dropped(self) -> int | None:
+        """Frames that came faster than they were received; None where nobody counts them."""
+        return self._bus.dropped()
+
     def begin_run(self, now_ns: int) -> None:
         """The run's time 0 is now. The drives' own time goes on: they have been on for a while."""
         self._began_ns, self._is_running = now_ns, True

@@ -10,6 +10,7 @@ import numpy as np
 from running import Watcher, funnel_hil, funnel_hil_here, processes_of, settings, started
 
 from bus_schema.messages.topics import PLANT_TRUTH
+from deploy.runs.run_folder import read_manifest
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
@@ -36,6 +37,27 @@ def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> 
     assert run.summary["transport"]["can"]["frames_by_identifier"]["080"] == 500
     assert (run.folder / "report.html").is_file()
     assert "identical" in funnel_hil_here("replay", str(run.folder), out=None).output
+
+
+def test_runs_at_once_do_not_meet(tmp_path: Path) -> None:
+    """Of a scenario as it is shipped, and of what such a run leaves to be run again."""
+    words = [*PATIENT, *settings(duration_s=0.5, link__can__answer_timeout_s=20)]
+    first, again = tmp_path / "first", tmp_path / "again"
+    with started("run", "paper_arm_can", *words, out=first) as one:
+        other = funnel_hil("run", "paper_arm_can", *words, out=tmp_path / "second")
+        ended = one.end()
+    with started("run", str(first / "scenario.yaml"), out=again) as one:
+        third = funnel_hil("run", str(first / "scenario.yaml"), out=tmp_path / "third")
+        ended_again = one.end()
+    virtual = load_setup("paper_arm_can", ["duration_s=0.5", "link.can.interface=virtual"])
+    digest = simulate(virtual).data().digest
+    for run in (ended, other, ended_again, third):
+        assert run.code == 0, run.output
+        assert run.digest == digest
+    logs = {run.folder.joinpath("can.log").read_text() for run in (ended, other)}
+    assert len(logs) == 1
+    places = [read_manifest(run.folder)["scenario"]["link"]["can"] for run in (ended, other)]
+    assert places[0]["port"] != places[1]["port"]
 
 
 def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None:

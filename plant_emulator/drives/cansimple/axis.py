@@ -82,6 +82,9 @@ class Axis:
             "Get_Error": lambda: {
                 "Active_Errors": self._errors, "Disarm_Reason": self._disarm_reason
             },
+            "Address": lambda: {
+                "Node_ID": settings.node_id, "Serial_Number": settings.node_id, "Connection_ID": 0
+            },
             "Get_Encoder_Estimates": self._estimates,
             "Get_Iq": lambda: {
                 "Iq_Setpoint": self._given_nm() / TORQUE_CONSTANT_NM_A,

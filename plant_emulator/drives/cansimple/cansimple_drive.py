@@ -68,6 +68,8 @@ class CanSimpleDrive(Axis):
         message = _messages().get(frame.identifier & _COMMANDS)
         if message is None:
             raise InvalidMessageError("unknown_command", f"CANSimple has no such command: {frame}")
+        if message.name not in self.reports and message.name not in self._takers:
+            raise InvalidMessageError("not_there", f"this axis has no use for {message.name}")
         if _AXIS in message.senders:
             self._answer(message, frame)
         else:

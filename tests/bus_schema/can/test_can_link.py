@@ -49,6 +49,8 @@ class Master:
         self.torques = 0
         self.has_left = False
 
+    is_disturbed = False
+
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         return True
 
@@ -61,6 +63,9 @@ class Master:
         if not self._has_given_up:
             self.waits_s.append(timeout_s)
         return self._has_given_up
+
+    def strangers(self) -> str:
+        return "another master is on this bus: it sent SYNC (1)" * self.is_disturbed
 
     def missing(self) -> str:
         return "1"
@@ -97,6 +102,13 @@ def test_silent_drive_is_waited_for_once() -> None:
         spin(master)
     assert master.waits_s == [POLL_S] * 40
     assert master.has_left
+
+
+def test_fault_names_who_else_is_on_the_bus() -> None:
+    master = Master(DriveError("drive 1: fault"))
+    master.is_disturbed = True
+    with pytest.raises(DriveError, match=r"^drive 1: fault; another master is on this bus"):
+        spin(master)
 
 
 def test_drive_that_is_silent_when_another_fails_is_waited_for_once() -> None:

@@ -53,6 +53,24 @@ def test_frames_reach_the_others_in_order_and_never_their_sender(configure: obje
         _close(ours, theirs)
 
 
+def test_frames_that_nobody_was_in_time_for_are_counted() -> None:
+    configuration = CanConfiguration(interface="udp_multicast", port=43_558)
+    sender, slow = open_can_bus(configuration), open_can_bus(configuration)
+    try:
+        assert slow.dropped() == 0
+        sent = 2000  # more than a queue of the usual 200 KiB holds
+        for _ in range(sent):
+            sender.send(FRAMES[0])
+        received = 0
+        while slow.receive(0.2) is not None:
+            received += 1
+        assert received < sent
+        assert slow.dropped() == sent - received
+    finally:
+        _close(sender, slow)
+    assert open_can_bus(virtual()).dropped() is None
+
+
 GROUP = "239.74.163.2"
 _ALL_PROTOCOLS = 3  # ETH_P_ALL: what goes out is shown to no other
 

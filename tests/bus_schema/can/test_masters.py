@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,7 @@ class FrameBus:
         pass
 
 
-def cia402(bus: FrameBus) -> CanMaster:
+def cia402(bus: FrameBus) -> Cia402Master:
     codec = Cia402Codec(NODES, CAN.counts_per_turn, rated_torque_nm(CAN, ROBOT))
     return Cia402Master(bus, CAN, NODES, codec)
 
@@ -110,3 +111,61 @@ def test_answers_are_awaited_of_all_but_those_given_up() -> None:
     master.give_up()
     master.sample(0)
     assert master.read(0.0, position, velocity)
+
+
+@pytest.mark.parametrize(
+    ("build", "frames", "words"),
+    [
+        (
+            cia402,
+            [CanFrame(0x000, b"\x81\x01"), CanFrame(0x080), CanFrame(0x080), CanFrame(0x202, b"")],
+            "another master is on this bus: it sent NMT (1), SYNC (2), RPDO 1 (1)",
+        ),
+        (
+            cansimple,
+            [CanFrame(0x049, is_remote=True), CanFrame(0x04E, bytes(4))],
+            "another master is on this bus: it sent requests (1), Set_Input_Torque (1)",
+        ),
+        (
+            cia402,
+            [CanFrame(0x181, bytes(8)), CanFrame(0x181, bytes(8))],
+            "drive 1 sent 2 states and was asked for 1: another one has its address",
+        ),
+        (cia402, [CanFrame(0x181, bytes(8)), CanFrame(0x204, b"")], ""),  # node 4: not of ours
+        (cansimple, [CanFrame(0x049, bytes(8)), CanFrame(0x123)], ""),
+    ],
+)
+def test_who_else_acts_as_master_or_drive_is_named(
+    build: Callable[[FrameBus], CanMaster], frames: list[CanFrame], words: str
+) -> None:
+    master = build(FrameBus(*frames))
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(0)
+    assert not master.read(0.0, position, velocity)
+    told = master.strangers()
+    assert words in told
+    assert bool(words) == bool(told)
+
+
+def test_drives_that_are_late_at_the_start_are_waited_for_and_watched_from_then_on() -> None:
+    bus = FrameBus()
+    master = cia402(bus)
+    master._start_timeout_ms = 5000.0  # as enabling with this time for the drives to come
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    late_ns = 4_000_000_000  # far beyond link.can.heartbeat_timeout_ms
+    master.sample(late_ns)
+    assert not master.read(0.0, position, velocity)
+    bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in NODES]
+    assert master.read(0.0, position, velocity)
+    master.sample(late_ns + 71_000_000)
+    with pytest.raises(DriveError, match="drive 1: no heartbeat for 70 ms"):
+        master.read(0.0, position, velocity)
+
+
+def test_drives_that_never_come_into_the_cycle_are_named() -> None:
+    master = cia402(FrameBus())
+    master._start_timeout_ms = 5000.0
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(5_001_000_000)
+    with pytest.raises(DriveError, match="drive 3: no heartbeat for 5000 ms"):
+        master.read(0.0, position, velocity)

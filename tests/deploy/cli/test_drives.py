@@ -11,8 +11,13 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
+from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CIA402_EDS
+from bus_schema.runtime.clock import MonotonicClock
 from deploy.cli import main
+from deploy.cli.drives import BusMonitor
+from deploy.scenario.scenario import load_setup
+from plant_emulator.drives.commissioning import build_bank
 from tests.warm_process import WarmProcess
 
 GROUP = "239.74.163.9"
@@ -129,3 +134,22 @@ def test_buses_and_drives_that_cannot_be_are_refused(capsys, monkeypatch, settin
     said = refused(capsys, monkeypatch, *on_bus(free_port()), "--set", setting)
     assert setting.split("=")[0] in said
     assert words in said
+
+
+class Nowhere:
+    """A bus that nobody is on: what the monitor says is looked at, not what it sends."""
+
+    def send(self, frame): ...
+
+
+def test_a_scan_for_nodes_does_not_flood_the_terminal(capsys):
+    setup = load_setup("paper_arm")
+    can, robot = setup.scenario.link.can, setup.robot
+    monitor = BusMonitor(Nowhere(), MonotonicClock(), verbose=False)
+    monitor.bank = build_bank(can, robot, setup.scenario.plant, monitor.send)
+    for node_id in range(1, 128):
+        monitor.on_heard(CanFrame(0x600 + node_id, b"\x40\x00\x10\x00\0\0\0\0"))
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 21
+    assert "SDO upload request 0x1000" in said[0]
+    assert "--verbose" in said[-1]

@@ -9,7 +9,7 @@ import pytest
 
 from deploy.processes.free_ports import free_ports
 from deploy.processes.links import with_free_endpoints
-from deploy.scenario.scenario import load_setup
+from deploy.scenario.scenario import effective_values, load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
 DEFAULTS = {"tcp/127.0.0.1:7451", "tcp/127.0.0.1:7452"}
@@ -45,6 +45,31 @@ def test_endpoint_of_the_scenario_file_is_used(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(f"extends: paper_arm\nlink: {{controller_endpoint: {given}}}\n")
     assert endpoints(scenario=str(file))[1] == given
+
+
+def can_place(*overrides: str) -> tuple[str, int]:
+    can = with_free_endpoints(load_setup("paper_arm_can", overrides)).scenario.link.can
+    return can.resolved_channel, can.port
+
+
+def test_each_run_has_a_multicast_bus_of_its_own() -> None:
+    (group, port), (other_group, other_port) = can_place(), can_place()
+    assert (group, port) != (other_group, other_port)
+    assert 43_113 not in {port, other_port}
+    assert group.startswith("239.74.")
+
+
+def test_multicast_bus_that_is_given_is_used() -> None:
+    assert can_place("link.can.port=43113") == ("239.74.163.2", 43_113)
+    assert can_place("link.can.channel=239.1.2.3") == ("239.1.2.3", 43_113)
+    assert can_place("link.can.interface=socketcan") == ("vcan0", 43_113)
+
+
+def test_processes_are_told_of_the_bus_and_who_runs_it_again_is_not() -> None:
+    setup = load_setup("paper_arm_can")
+    told = effective_values(with_free_endpoints(setup))["link"]["can"]
+    assert {"channel", "port"} <= told.keys()
+    assert not {"channel", "port"} & effective_values(setup)["link"]["can"].keys()
 
 
 def test_default_that_is_set_is_used() -> None:

@@ -40,6 +40,9 @@ class FailingBus:
             raise self._error
         return self._frames.pop()
 
+    def dropped(self) -> int | None:
+        return None
+
     def close(self) -> None:
         pass
 

@@ -3,12 +3,19 @@ command, little endian, IEEE 754 floats."""
 
 import math
 import struct
+from pathlib import Path
 
 import pytest
 from drive_bench import MS, NODE, SETTINGS, Bench
 
+from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
-from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import load_robot
+from deploy.scenario.referenced_files import find_urdf
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive, load_database
+from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings
 
 HEARTBEAT, ESTOP, GET_ERROR, SET_STATE, ESTIMATES, SET_MODE, SET_TORQUE, LIMITS = (
@@ -99,6 +106,35 @@ def test_what_else_can_be_asked_for(axis):
     assert axis.ask(0x00, "8B")[0] == 2  # protocol version
 
 
+def test_an_axis_tells_its_address(axis):
+    assert axis.ask(0x06, "B6sB") == (NODE, bytes([NODE, 0, 0, 0, 0, 0]), 0)
+
+
+OTHERS = {
+    "RxSdo": (0x04, "BHBI", 1, 2, 0, 3), "Set_Input_Pos": (0x0C, "fhh", 0.5, 1000, -2000),
+    "Set_Input_Vel": (0x0D, "ff", 1.0, 2.0), "Set_Traj_Vel_Limit": (0x11, "f", 1.0),
+    "Set_Traj_Accel_Limits": (0x12, "ff", 1.0, 2.0), "Set_Traj_Inertia": (0x13, "f", 1.0),
+    "Set_Absolute_Position": (0x19, "f", 0.0), "Set_Pos_Gain": (0x1A, "f", 20.0),
+    "Set_Vel_Gains": (0x1B, "ff", 0.1, 0.2), "Enter_DFU_Mode": (0x1F, ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_messages_of_what_is_not_there_are_refused_by_name(axis, name):
+    axis.tell(SET_TORQUE, "f", 2.0)
+    with pytest.raises(InvalidMessageError, match=name) as refusal:
+        axis.tell(*OTHERS[name])
+    assert refusal.value.reason == "not_there"
+    assert axis.drive.demand() == (2.0, True)
+
+
+def test_values_of_the_messages_are_as_odrive_packs_them(axis):
+    frame = CanFrame(NODE << 5 | 0x0C, struct.pack("<fhh", 0.5, 1000, -2000))
+    words = axis.drive.describe(frame)
+    assert "Set_Input_Pos, Input_Pos 0.5, Vel_FF 1.0, Torque_FF -2.0" in words
+    assert len(load_database().messages) == 28
+
+
 def test_an_empty_frame_asks_as_well(axis):
     axis.hear(NODE << 5 | ESTIMATES)
     assert len(axis.take(NODE << 5 | ESTIMATES)) == 1
@@ -181,6 +217,22 @@ def test_watchdog():
     assert axis.drive.demand() == AT_REST
     assert axis.drive.fault == "WATCHDOG_TIMER_EXPIRED"
     assert axis.heartbeat[:2] == (WATCHDOG, IDLE)
+
+
+@pytest.mark.parametrize(
+    ("given", "polled", "watchdog_bites"),
+    [({}, False, False), ({"command_timeout_ms": 50}, False, True), ({}, True, True)],
+)
+def test_no_watchdog_as_delivered(given, polled, watchdog_bites):
+    """An axis that is alone with its client waits for ever; in the closed loop it does not."""
+    can = CanConfiguration(protocol="cansimple", **given)
+    robot = load_robot(find_urdf("paper_arm", Path()))
+    bank = build_bank(can, robot, PlantConfiguration(), lambda _: None, polled=polled)
+    for command, data in ((SET_MODE, struct.pack("<II", 1, 1)), (SET_STATE, b"\x08\0\0\0")):
+        bank.receive(CanFrame(1 << 5 | command, data), 0)
+    assert not bank.braked[0]
+    bank.advance(3600 * 1000 * MS)
+    assert bank.braked[0] == watchdog_bites
 
 
 def test_bus_off_is_noticed_by_the_watchdog():

@@ -39,11 +39,9 @@ _CHANNELS = itertools.count()
 class Rig:
     """Drives and physics on a thread, as `funnel-hil drives` runs them."""
 
-    def __init__(self, protocol, **more):
+    def __init__(self, protocol, **given):
         self.channel = f"drives{next(_CHANNELS)}"
-        options = {
-            "interface": "virtual", "channel": self.channel, "protocol": protocol, **more
-        }  # fmt: skip
+        options = {"interface": "virtual", "channel": self.channel, "protocol": protocol, **given}
         configuration = CanConfiguration.model_validate(options)
         self._bus = open_can_bus(configuration)
         self.arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)
@@ -196,7 +194,7 @@ class OdriveClient:
 @pytest.mark.parametrize("node_id", NODES)
 def test_a_plain_odrive_client_does_the_same(node_id):
     joint, torque_nm = node_id - 1, PUSHES_NM[node_id]
-    with Rig("cansimple") as rig:
+    with Rig("cansimple", command_timeout_ms=50) as rig:
         client = OdriveClient(rig.channel, node_id)
         try:
             client.until(lambda: client.state == 1 and client.error == 0)

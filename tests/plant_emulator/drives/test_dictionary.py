@@ -75,10 +75,23 @@ def test_dbc_loads_strictly_and_has_what_an_axis_sends_and_takes():
     assert all(message.frame_id < 32 for message in database.messages)
 
 
+NOT_THERE = {
+    "RxSdo", "TxSdo", "Set_Input_Pos", "Set_Input_Vel", "Set_Traj_Vel_Limit",
+    "Set_Traj_Accel_Limits", "Set_Traj_Inertia", "Set_Absolute_Position", "Set_Pos_Gain",
+    "Set_Vel_Gains", "Enter_DFU_Mode",
+}  # fmt: skip
+"""What this axis refuses: see test_cansimple.py."""
+
+
 @pytest.mark.parametrize(
-    "message", cantools.database.load_file(CANSIMPLE_DBC).messages, ids=lambda m: m.name
-)
-def test_an_axis_knows_every_message_of_the_dbc(message):
+    "message",
+    [
+        each for each in cantools.database.load_file(CANSIMPLE_DBC).messages
+        if each.name not in NOT_THERE
+    ],
+    ids=lambda m: m.name,
+)  # fmt: skip
+def test_an_axis_knows_every_other_message_of_the_dbc(message):
     bench = Bench(CanSimpleDrive)
     identifier = NODE << 5 | message.frame_id
     if "Axis" in message.senders:
