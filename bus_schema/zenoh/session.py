@@ -83,7 +83,7 @@ class ZenohPublisher:
         What is sent at once may still miss them: in a session of zenoh 1.10, routes follow a few
         milliseconds later. Whoever has announced a token *after* subscribing gets everything.
         """
-        return self._publisher.matching_status.matching
+        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
 
 
 class ZenohSession:

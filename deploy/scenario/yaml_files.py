@@ -62,7 +62,7 @@ def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
     if is_file(by_name):
         return by_name
     names = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
-    is_there = any(map(os.path.exists, (name_or_path, beside / name_or_path)))  # never raises
+    is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
     what = "is no regular file" if is_there else "no such file"
     raise ScenarioError(
         f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name} {names}"

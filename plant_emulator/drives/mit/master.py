@@ -51,6 +51,9 @@ class Replies:
             pass
         self.owed = [0] * len(self.owed)
 
+    def dropped(self) -> int | None:
+        return self._bus.dropped()
+
     def close(self) -> None:
         self._bus.close()
 
@@ -98,6 +101,10 @@ class MitMaster(CanMaster):
             raise DriveError("; ".join(errors))
         self._is_powered = [True] * len(self._node_ids)
         return True
+
+    def _only_master_sends(self, frame: CanFrame) -> str | None:
+        is_command = frame.identifier in self._joint_of and not frame.is_remote
+        return "commands" if is_command and self._codec.reply(frame) is None else None
 
     def aim(self, target: Matrix, gains: DriveGains) -> None:
         self._target = None if np.isnan(target).any() else (target, gains)
