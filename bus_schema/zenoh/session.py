@@ -128,6 +128,8 @@ class ZenohSession:
             ) from error
         self.identifier = str(self._session.zid())
         self._kept: list[object] = []
+        self._connected: set[str] = set()
+        self._watch_transports()
 
     def publisher(self, key: str) -> ZenohPublisher:
         """Declare a publisher.
@@ -170,8 +172,26 @@ class ZenohSession:
 
     def connected(self) -> set[str]:
         """Identifiers of the sessions at the other ends of our connections, without routers."""
-        transports = self._session.info.transports()
-        return {str(t.zid) for t in transports if t.whatami != zenoh.WhatAmI.ROUTER}
+        return self._connected.copy()
+
+    def _watch_transports(self) -> None:
+        """Keep track of connections by their events.
+
+        To ask for them, by `info.transports()` or for a history of events, panics in zenoh 1.10
+        where one of low latency closes meanwhile.
+        """
+
+        def handle(event: zenoh.TransportEvent) -> None:
+            identifier = str(event.transport.zid)
+            if event.kind == zenoh.SampleKind.DELETE:
+                self._connected.discard(identifier)
+            elif event.transport.whatami != zenoh.WhatAmI.ROUTER:
+                self._connected.add(identifier)
+
+        handler = zenoh.handlers.Callback(handle, indirect=False)
+        watch = self._session.info.declare_transport_events_listener(handler)
+        self._kept.append(watch)
+        self._connected.update(map(str, self._session.info.peers_zid()))
 
     def close(self) -> None:
         """Close the session. What is still queued for a slow peer is lost.
