@@ -1,11 +1,12 @@
 /* A controller in C over zenoh-pico; it knows nothing of funnel-hil.
  *
- *     ./controller PLANT_ENDPOINT
+ *     ./controller [PLANT_ENDPOINT]
  *
- * It is a Zenoh client of the plant. Torques are PD around `joint_reference`, so the plant has to
+ * By default that of its environment, as `controller.process` gives it. It is a Zenoh client of the plant. Torques are PD around `joint_reference`, so the plant has to
  * run with `link.publish_reference: true`. All names are in the order of the states. */
 #include <stdint.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
@@ -124,9 +125,10 @@ static z_result_t open_session(z_owned_session_t *session, const char *plant_end
 }
 
 int main(int argc, char **argv) {
-    if (argc != 2) return fprintf(stderr, "usage: %s PLANT_ENDPOINT\n", argv[0]), 2;
+    const char *plant = argc == 2 ? argv[1] : getenv("FUNNEL_HIL_PLANT_ENDPOINT"); /* of `controller.process` */
+    if (plant == NULL) return fprintf(stderr, "usage: %s PLANT_ENDPOINT\n", argv[0]), 2;
     z_owned_session_t session;
-    while (open_session(&session, argv[1]) != Z_OK) usleep(100000); /* the plant is not there yet */
+    while (open_session(&session, plant) != Z_OK) usleep(100000); /* the plant is not there yet */
     zp_start_read_task(z_loan_mut(session), NULL);
     zp_start_lease_task(z_loan_mut(session), NULL);
     z_id_t id = z_info_zid(z_loan(session));

@@ -1,12 +1,14 @@
 """A controller in Python over plain Zenoh; it knows nothing of funnel-hil.
 
-    python controller.py PLANT_ENDPOINT LISTEN_ENDPOINT
+    python controller.py [PLANT_ENDPOINT LISTEN_ENDPOINT]
 
-Needs eclipse-zenoh and rosbags. Torques are PD around `joint_reference`, so the plant has to run
-with `link.publish_reference: true`.
+Without endpoints it takes those of its environment, as `controller.process` gives them. Needs
+eclipse-zenoh and rosbags. Torques are PD around `joint_reference`, so the plant has to run with
+`link.publish_reference: true`.
 """
 
 import json
+import os
 import struct
 import sys
 import threading
@@ -22,10 +24,13 @@ STIFFNESS_NM_RAD, DAMPING_NM_S = 4000.0, 300.0
 types = get_typestore(Stores.ROS2_JAZZY)
 type_and_hash = f"sensor_msgs::msg::dds_::JointState_/{types.hash_rihs01(TYPE)}"
 
+plant, listen = sys.argv[1:] or [
+    os.environ[f"FUNNEL_HIL_{role}_ENDPOINT"] for role in ("PLANT", "CONTROLLER")
+]
 config = zenoh.Config()
 for path, value in {
-    "connect/endpoints": [sys.argv[1]],
-    "listen/endpoints": [sys.argv[2]],  # link.controller_endpoint, where recorders connect to
+    "connect/endpoints": [plant],
+    "listen/endpoints": [listen],  # link.controller_endpoint, where recorders connect to
     "scouting/multicast/enabled": False,
     "transport/unicast/lowlatency": True,
     "transport/unicast/qos/enabled": False,

@@ -116,7 +116,6 @@ class ZenohSession:
     ) -> None:
         settings = _settings(listen, connect, low_latency, patience_s)
         settings |= {"scouting/gossip/enabled": gossip} | dict(security or {})
-        self._low_latency = low_latency
         configuration = zenoh.Config()
         try:
             for path, value in settings.items():
@@ -129,6 +128,8 @@ class ZenohSession:
             ) from error
         self.identifier = str(self._session.zid())
         self._kept: list[object] = []
+        self._connected: set[str] = set()
+        self._watch_transports()
 
     def publisher(self, key: str) -> ZenohPublisher:
         """Declare a publisher.
@@ -170,15 +171,27 @@ class ZenohSession:
         self._kept.append(watch)
 
     def connected(self) -> set[str]:
-        """Identifiers of the sessions at the other ends of our connections, without routers.
+        """Identifiers of the sessions at the other ends of our connections, without routers."""
+        return self._connected.copy()
 
-        Nor with clients, in the mode of least delay: zenoh 1.10 panics ("no reactor running") when
-        it is asked for such transports.
+    def _watch_transports(self) -> None:
+        """Keep track of connections by their events.
+
+        To ask for them, by `info.transports()` or for a history of events, panics in zenoh 1.10
+        where one of low latency closes meanwhile.
         """
-        if self._low_latency:
-            return {str(identifier) for identifier in self._session.info.peers_zid()}
-        transports = self._session.info.transports()
-        return {str(t.zid) for t in transports if t.whatami != zenoh.WhatAmI.ROUTER}
+
+        def handle(event: zenoh.TransportEvent) -> None:
+            identifier = str(event.transport.zid)
+            if event.kind == zenoh.SampleKind.DELETE:
+                self._connected.discard(identifier)
+            elif event.transport.whatami != zenoh.WhatAmI.ROUTER:
+                self._connected.add(identifier)
+
+        handler = zenoh.handlers.Callback(handle, indirect=False)
+        watch = self._session.info.declare_transport_events_listener(handler)
+        self._kept.append(watch)
+        self._connected.update(map(str, self._session.info.peers_zid()))
 
     def close(self) -> None:
         """Close the session. What is still queued for a slow peer is lost.

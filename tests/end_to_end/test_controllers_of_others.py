@@ -12,7 +12,7 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from running import Finished, free_endpoint, settings
+from running import Finished, free_endpoint, funnel_hil_here, settings
 
 from tests.warm_process import WarmProcess
 
@@ -55,10 +55,21 @@ def assert_it_commanded(run: Finished) -> None:
     assert len(run.data.tables["joint_reference"]) >= TICKS
 
 
+def assert_it_commands_as_a_process(command: list[str], folder: Path) -> None:
+    process = settings(controller__process=command)
+    ended = funnel_hil_here("run", "paper_arm", *SHORT, *process, out=folder / "run")
+    assert ended.code == 0, ended.output
+    assert_it_commanded(ended)
+
+
 def test_python_client(tmp_path: Path) -> None:
     plant, controller = free_endpoint(), free_endpoint()
     command = [sys.executable, str(CLIENTS / "controller.py"), plant, controller]
     assert_it_commanded(run_with(command, tmp_path / "run", plant, controller))
+
+
+def test_python_client_as_a_process(tmp_path: Path) -> None:
+    assert_it_commands_as_a_process([sys.executable, str(CLIENTS / "controller.py")], tmp_path)
 
 
 @pytest.fixture(scope="session")
@@ -87,3 +98,7 @@ def test_c_client(c_client: Path, tmp_path: Path) -> None:
     plant, controller = free_endpoint(), free_endpoint()
     command = [str(c_client), plant]
     assert_it_commanded(run_with(command, tmp_path / "run", plant, controller))
+
+
+def test_c_client_as_a_process(c_client: Path, tmp_path: Path) -> None:
+    assert_it_commands_as_a_process([str(c_client)], tmp_path)
