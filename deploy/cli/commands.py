@@ -89,6 +89,10 @@ COMMANDS = {
         "deploy.cli.shelf:app",
         "Folders of results: list, tag, prune.",
     ),
+    "ros-package": (
+        "deploy.cli.ros_package:ros_package",
+        "Write our message types as a ROS 2 package, for colcon to build.",
+    ),
     "includes": (
         "deploy.cli.includes:includes",
         "Print the C compiler's option for the header of controller.law: external.",
