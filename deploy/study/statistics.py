@@ -34,11 +34,12 @@ def held(row: Row) -> bool:
 
 
 def commonest_error(rows: Sequence[Row]) -> str | None:
-    """The error of most runs, in the words of one; those that differ in numbers only are one."""
+    """The first error of most runs, in the words of one; those that differ in numbers are one."""
     by_kind: dict[str, list[str]] = {}
     for row in rows:
         if row["error"] is not None:
-            by_kind.setdefault(re.sub(r"\d+", "0", row["error"]), []).append(row["error"])
+            cause = row["error"].partition("; ")[0]  # what follows from it may differ
+            by_kind.setdefault(re.sub(r"\d+", "0", cause), []).append(cause)
     return max(by_kind.values(), key=len)[0] if by_kind else None
 
 
