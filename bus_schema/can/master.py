@@ -151,9 +151,9 @@ class CanMaster(ABC):
     def _send_heartbeat(self) -> None:
         """Do what keeps drives and master aware of each other, every `heartbeat_ms`."""
 
-    @abstractmethod
-    def _only_master_sends(self, frame: CanFrame) -> str | None:
+    def _only_master_sends(self, _frame: CanFrame) -> str | None:
         """What a frame is called that a master alone sends to these drives; None for others."""
+        return None
 
     @abstractmethod
     def _handle_report(self, frame: CanFrame) -> None:

@@ -54,8 +54,6 @@ def test_runs_at_once_do_not_meet(tmp_path: Path) -> None:
     for run in (ended, other, ended_again, third):
         assert run.code == 0, run.output
         assert run.digest == digest
-    logs = {run.folder.joinpath("can.log").read_text() for run in (ended, other)}
-    assert len(logs) == 1
     places = [read_manifest(run.folder)["scenario"]["link"]["can"] for run in (ended, other)]
     assert places[0]["port"] != places[1]["port"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 from pathlib import Path
 
@@ -14,10 +15,13 @@ def test_run_listens_where_it_is_told(tmp_path: Path) -> None:
     given = settings(clock="lockstep", duration_s=0.1, link__plant_endpoint=plant)
     ended = funnel_hil("run", "paper_arm", *given, out=tmp_path / "run")
     assert ended.code == 0, ended.output
-    # This is the file that the processes read.
-    link = yaml.safe_load((ended.folder / "scenario.yaml").read_text())["link"]
+    link = json.loads((ended.folder / "manifest.json").read_text())["scenario"]["link"]
     assert link["plant_endpoint"] == plant
     assert link["controller_endpoint"] not in {plant, "tcp/127.0.0.1:7452"}
+    # What is left to be run again has what was given, and no place that was free once.
+    link = yaml.safe_load((ended.folder / "scenario.yaml").read_text())["link"]
+    assert link["plant_endpoint"] == plant
+    assert "controller_endpoint" not in link
 
 
 def test_run_does_not_begin_where_it_cannot_listen(tmp_path: Path) -> None:

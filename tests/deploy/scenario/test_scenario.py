@@ -86,7 +86,8 @@ def test_effective_scenario_says_all_that_was_in_force(name: str, tmp_path: Path
     file = tmp_path / "elsewhere.yaml"
     file.write_text(effective_scenario(setup))
     again = load_setup(str(file))
-    assert plain(again.scenario) == effective_values(setup) | {"link": plain(setup.scenario.link)}
+    unchosen = {"link": plain(setup.scenario.link), "metrics": plain(setup.scenario.metrics)}
+    assert plain(again.scenario) == effective_values(setup) | unchosen
     assert plain(again.gains) == plain(setup.gains)
     assert effective_scenario(again) == effective_scenario(setup)
     assert simulate(again).data().digest == simulate(setup).data().digest
