@@ -32,13 +32,15 @@ from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
 from plant_emulator.plant_loop import PlantLoop
 
 
-def _once(overrides: list[str] | None) -> list[str] | None:
-    """What ``--set`` gives, of which a key that comes twice would lose a value."""
-    keys = [parse_override(text)[0] for text in overrides or []]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise ScenarioError(f"--set {key}: must be given once")
-    return overrides
+def _newest(overrides: list[str] | None) -> list[str] | None:
+    """What ``--set`` gives, of each key the last, so that scripts can add theirs."""
+    if overrides is None:
+        return None
+    last = {parse_override(text)[0]: place for place, text in enumerate(overrides)}
+    for place, text in enumerate(overrides):
+        if place != last[parse_override(text)[0]]:
+            typer.echo(f"--set {text}: a later --set takes its place", err=True)
+    return [text for place, text in enumerate(overrides) if place in last.values()]
 
 
 ScenarioArgument = Annotated[
@@ -50,7 +52,7 @@ Overrides = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Override a scenario value; repeatable.",
-        callback=_once,
+        callback=_newest,
     ),
 ]
 Out = Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -224,11 +225,16 @@ def test_a_key_that_is_given_twice_is_refused_by_name(tmp_path, funnel_hil):
         assert re.search(
             rf"twice\.yaml: {re.escape(key)} = .*must be given once; .* lines \d and \d", said
         )
-    twice = ("--set", "duration_s=2", "--set", "duration_s=1")
-    for words in (["simulate"], ["run"], ["compare"], ["margin", "paper_arm"]):
-        code, said = funnel_hil(*words, *twice, "--out", tmp_path / "out")
-        assert (code, said) == (2, "error: --set duration_s: must be given once\n")
     assert not (tmp_path / "out").exists()
+
+
+def test_of_a_key_that_is_set_twice_the_last_holds_and_that_is_said(funnel_hil, tmp_path):
+    twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
+    code, said = funnel_hil("simulate", *twice, "--no-report", "--out", tmp_path / "out")
+    assert code == 0
+    assert "--set duration_s=2: a later --set takes its place" in said
+    assert "set: duration_s=0.1;" in " ".join(said.split())
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100
 
 
 def test_what_is_merged_into_a_section_may_be_said_anew(tmp_path):
