@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import shutil
 import subprocess
 import tempfile
 import time
@@ -61,14 +62,15 @@ class Program:
         Raises:
             ExternalLawError: the program has ended, or says nothing in time.
         """
+        give_up_s = time.monotonic() + timeout_s
         try:
-            os.write(self._to, self._question)  # whole: it is shorter than a pipe's atomic size
+            os.write(self._to, self._question)  # whole: the pipe is empty, and holds far more
         except OSError:
             raise self._gone() from None
         received, wanted = 0, self._answer.nbytes
-        until_s: float | None = None
         while received < wanted:
-            if not self._poll.poll(1e3 * timeout_s):
+            left_s = give_up_s - time.monotonic()  # a program that writes byte by byte gets no more
+            if not self._poll.poll(1e3 * max(0.0, left_s)):
                 self.end()
                 raise ExternalLawError(
                     f"external law {self._name} did not answer within {timeout_s:g} s"
@@ -77,10 +79,6 @@ class Program:
             if count == 0:
                 raise self._gone()
             received += count
-            if received < wanted:  # rare; a program that writes byte by byte is not waited for long
-                now_s = time.monotonic()
-                until_s = until_s or now_s + timeout_s
-                timeout_s = max(0.0, until_s - now_s)
 
     def _gone(self) -> ExternalLawError:
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -111,10 +109,7 @@ def _end(process: subprocess.Popen[bytes], words: IO[bytes]) -> None:
 def why_not_startable(command: Sequence[str]) -> str | None:
     """Why a command cannot be started; None if it looks as if it could."""
     name = command[0]
-    folders = [""] if os.sep in name else os.get_exec_path()
-    candidates = [Path(folder) / name for folder in folders]
-    if not any(path.is_file() for path in candidates):
-        return f"there is no program {name}"
-    if not any(os.access(path, os.X_OK) for path in candidates):
-        return f"{name} is not executable"
-    return None
+    if shutil.which(name) is not None:
+        return None
+    is_there = os.sep in name and Path(name).is_file()
+    return f"{name} is not executable" if is_there else f"there is no program {name}"

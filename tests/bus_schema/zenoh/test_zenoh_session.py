@@ -6,9 +6,9 @@ import threading
 import time
 
 import pytest
+from zenoh_pair import free_endpoint
 
 from bus_schema.zenoh.session import ZenohSession
-from tests.end_to_end.running import free_endpoint
 
 
 @pytest.mark.parametrize("low_latency", [True, False])
