@@ -29,6 +29,7 @@ def check_urdf(root: ET.Element) -> None:
     """
     _check_depth(root)
     _check_expanded(root)
+    _check_printable(root)
     _check_names("link", root.findall("link"))
     _check_names("joint", root.findall("joint"))
     for joint in root.findall("joint"):
@@ -82,6 +83,13 @@ def _check_expanded(root: ET.Element) -> None:
                     f"{name} of {where} holds {shortened(found.group())!r}, which xacro has not"
                     " expanded: name the .xacro file itself, or run xacro on it first"
                 )
+
+
+def _check_printable(root: ET.Element) -> None:
+    """Bullet prints names as if they were formats: ``%s`` in one ends the process."""
+    for element in root.iter():
+        if "%" in (name := element.get("name", "")):
+            raise RobotDescriptionError(f"name={shortened(name)!r} of <{element.tag}> must have no %")
 
 
 def _check_names(kind: str, elements: list[ET.Element]) -> None:

@@ -51,6 +51,7 @@ def load(tmp_path):
         (two_links(b=inertial("$(arg m)")), ("$(arg m)", "<mass>", "xacro")),
         (two_links(b=inertial("nan")), ("mass='nan'", "link b", "finite")),
         (two_links(joint("first", "a", "b", axis="0 nan 1")), ("axis", "joint first", "finite")),
+        (two_links(joint("%s%n", "a", "b")), ("'%s%n'", "<joint>", "must have no %")),
         (two_links(b=inertial("-2")), ("mass=-2", "link b", "negative")),
         (two_links(second=joint("second", "c", "c")), ("joint second", "itself", "two links")),
         (two_links(b=inertial(izz="0.09")), ("link b", "robot.repair")),
