@@ -89,7 +89,9 @@ def _check_printable(root: ET.Element) -> None:
     """Bullet prints names as if they were formats: ``%s`` in one ends the process."""
     for element in root.iter():
         if "%" in (name := element.get("name", "")):
-            raise RobotDescriptionError(f"name={shortened(name)!r} of <{element.tag}> must have no %")
+            raise RobotDescriptionError(
+                f"name={shortened(name)!r} of <{element.tag}> must have no %"
+            )
 
 
 def _check_names(kind: str, elements: list[ET.Element]) -> None:

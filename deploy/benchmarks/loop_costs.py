@@ -11,7 +11,7 @@ from bus_schema.messages.topics import Role
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
 from deploy.processes.launcher import Launcher
-from deploy.processes.links import with_free_endpoints
+from deploy.processes.network.links import with_free_endpoints
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate

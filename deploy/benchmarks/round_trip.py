@@ -11,8 +11,8 @@ from deploy.benchmarks import cyclictest
 from deploy.benchmarks.echo import EchoPair
 from deploy.benchmarks.loop_costs import recorded_run
 from deploy.benchmarks.measure import Section, interleave, ratio
-from deploy.processes.links import with_free_endpoints
-from deploy.runs.metrics import summarise
+from deploy.processes.network.links import with_free_endpoints
+from deploy.runs.judging.metrics import summarise
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 

@@ -22,8 +22,8 @@ from rich.table import Table
 
 from bus_schema.messages import topics
 from bus_schema.recording.atomic_files import partial_path
-from deploy.processes.free_ports import free_ports
-from deploy.runs.metrics import summarise
+from deploy.processes.network.free_ports import free_ports
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from deploy.cli.closed_output import outlive_readers
 from deploy.cli.commands import COMMANDS, LazyCommand
+from deploy.cli.terminal.closed_output import outlive_readers
 from deploy.exit_codes import BAD_INPUT, FAULT, INTERRUPTED
 from deploy.input_error import InputError
 from deploy.stop_signals import Stopped, stop_at_once

@@ -18,8 +18,8 @@ from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS
 from controller.laws.custom import EXTERNAL, is_custom
-from deploy.cli.progress import CommandProgress
-from deploy.cli.show_run import show_summary
+from deploy.cli.terminal.progress import CommandProgress
+from deploy.cli.terminal.show_run import show_summary
 from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
 from deploy.reports.conclude import conclude, conditions_in

@@ -25,18 +25,18 @@ from deploy.cli.common import (
     show_places,
     watching,
 )
-from deploy.cli.progress import CommandProgress
-from deploy.cli.show_run import show_summary
 from deploy.cli.studies import is_study, report_study
+from deploy.cli.terminal.progress import CommandProgress
+from deploy.cli.terminal.show_run import show_summary
 from deploy.comparison.comparison import Comparison, LawRun, load_setups
 from deploy.comparison.folder import KIND, ComparisonFolder
 from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.program import require_program
-from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import bounds_sentence, joint_table, verdict_table
 from deploy.reports.conclude import conclude, conditions_in
 from deploy.reports.quantities import RMS_ERROR
+from deploy.reports.studies.compare_report import write_comparison_report
+from deploy.reports.studies.compare_tables import bounds_sentence, joint_table, verdict_table
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL, damaged

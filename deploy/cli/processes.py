@@ -13,7 +13,8 @@ from bus_schema.recording.atomic_files import partial_path
 from deploy.cli.common import Out, Overrides, Overwrite, ScenarioArgument, finish
 from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
-from deploy.processes.links import check_link, require_keys, require_own_controller
+from deploy.processes.network.links import check_link, require_keys, require_own_controller
+from deploy.processes.network.real_delay import LONGEST_MS, RELAY
 from deploy.processes.parent import end_with_parent
 from deploy.processes.processes import (
     StopRequest,
@@ -22,7 +23,6 @@ from deploy.processes.processes import (
     run_recorder,
     run_relay,
 )
-from deploy.processes.real_delay import LONGEST_MS, RELAY
 from deploy.processes.status import StatusReporter
 from deploy.runs.run_folder import RunFolder
 from deploy.scenario.scenario import load_setup

@@ -20,17 +20,22 @@ from deploy.cli.common import (
     say_oddities,
     watching,
 )
-from deploy.cli.progress import CommandProgress
-from deploy.cli.show_run import show_relay, status_handler
+from deploy.cli.terminal.progress import CommandProgress
+from deploy.cli.terminal.show_run import show_relay, status_handler
 from deploy.processes.launcher import Launcher, RunOutcome
-from deploy.processes.links import (
+from deploy.processes.network.links import (
     check_awaiting,
     check_link,
     require_keys,
     with_free_endpoints,
 )
+from deploy.processes.network.real_delay import (
+    RealDelay,
+    check_real_delay,
+    knowing_real_delay,
+    real_delay,
+)
 from deploy.processes.program import require_program
-from deploy.processes.real_delay import RealDelay, check_real_delay, knowing_real_delay, real_delay
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup

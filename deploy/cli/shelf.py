@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.runs.export import Format, export_series
+from deploy.runs.judging.time_series import SERIES
 from deploy.runs.new_folder import remove_results
 from deploy.runs.run_folder import load_run
 from deploy.runs.shelf import Shelved, shelved, tag
-from deploy.runs.time_series import SERIES
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.study import SHIPPED as SHIPPED_STUDIES

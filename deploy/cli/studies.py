@@ -21,16 +21,16 @@ from deploy.cli.margin_options import (
     WorkerCount,
     definition_with,
 )
-from deploy.cli.progress import CommandProgress
+from deploy.cli.terminal.progress import CommandProgress
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.processes.program import require_program
 from deploy.reports.conclude import conclude_study
-from deploy.reports.robustness_tables import (
+from deploy.reports.studies.robustness_tables import (
     losses_table,
     robustness_table,
     write_robustness_table,
 )
-from deploy.reports.study_tables import (
+from deploy.reports.studies.study_tables import (
     held_again,
     margin_table,
     point_table,

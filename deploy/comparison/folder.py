@@ -14,7 +14,7 @@ from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
 from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.new_folder import new_folder
 from deploy.runs.process_run import lockstep_setup, run_process
 from deploy.runs.run_folder import (

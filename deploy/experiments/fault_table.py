@@ -19,7 +19,7 @@ import numpy as np
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 from deploy.runs.simulate import simulate

@@ -19,7 +19,7 @@ from bus_schema.recording.atomic_files import write_json
 from deploy.exit_codes import BAD_INPUT, FAULT
 from deploy.experiments.runge_kutta_arm import independent_physics
 from deploy.input_error import InputError
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import provenance
 from deploy.runs.simulate import attempt
 from deploy.scenario.scenario import load_setup

@@ -19,7 +19,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from controller.laws import LAWS
 from deploy.experiments.tuning import cost, tuning_setup, varied, with_gains
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

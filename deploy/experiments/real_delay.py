@@ -3,8 +3,8 @@
 ``python -m deploy.experiments.real_delay paper_arm --set controller.delay_compensation.enabled=true
 --round-trips 48,64 --repetitions 3 --out FOLDER`` simulates the scenario once with each round trip,
 constant and half of it each way, and runs it several times in real time, one run after another,
-over a relay that holds every byte back for as long (`deploy.processes.delay_relay`). A run that was
-held up for more than 20 ms is counted apart: it says something of the host.
+over a relay that holds every byte back for as long (`deploy.processes.network.delay_relay`). A run
+that was held up for more than 20 ms is counted apart: it says something of the host.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.exit_codes import BAD_INPUT
 from deploy.input_error import InputError
 from deploy.processes.launcher import Launcher
-from deploy.processes.links import check_link, require_keys, with_free_endpoints
-from deploy.processes.real_delay import check_real_delay, knowing_real_delay, real_delay
-from deploy.runs.metrics import summarise
+from deploy.processes.network.links import check_link, require_keys, with_free_endpoints
+from deploy.processes.network.real_delay import check_real_delay, knowing_real_delay, real_delay
+from deploy.runs.judging.metrics import summarise
+from deploy.runs.judging.stalls import STALL_MS
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, RunFolderError, load_run, provenance
 from deploy.runs.simulate import simulate
-from deploy.runs.stalls import STALL_MS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
@@ -49,7 +49,7 @@ class Outcome:
         round_trip_ms: percentiles from a state to the arrival of its answer at the plant.
         horizon_ms: median of the controller's estimate, from 0.5 s on; None without compensation.
         horizon_jitter_ms: between its 1st and 99th percentile.
-        longest_stall_ms: see `deploy.runs.stalls`; None in virtual time.
+        longest_stall_ms: see `deploy.runs.judging.stalls`; None in virtual time.
         faults: what went wrong.
     """
 

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.arrays import Vector
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

@@ -18,8 +18,8 @@ from typing import Any
 from bus_schema.messages.topics import Role
 from deploy.processes.child import Child, ChildProcess, Failure
 from deploy.processes.fault_injector import ProcessFaultInjector
+from deploy.processes.network.real_delay import RELAY, RealDelay
 from deploy.processes.program import Program
-from deploy.processes.real_delay import RELAY, RealDelay
 from deploy.processes.status import StatusMessage
 from deploy.scenario.setup import Setup
 

@@ -30,10 +30,10 @@ from controller.control_loop import ControlLoop, reason_of
 from controller.errors import ControllerError
 from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
-from deploy.processes.delay_relay import DelayRelay
 from deploy.processes.lacking import lacking
+from deploy.processes.network.delay_relay import DelayRelay
+from deploy.processes.network.reference_link import ReferenceLink
 from deploy.processes.recorder import Recorder
-from deploy.processes.reference_link import ReferenceLink
 from deploy.processes.status import StatusReporter
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup

@@ -9,7 +9,7 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_json
 from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, read_manifest
 from deploy.study.conditions import conditions_of_study
@@ -54,7 +54,7 @@ def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
 
 def conclude_study(study: Study, folder: StudyFolder) -> dict[str, Any]:
     """Judge the rows of a study and write table, summary and report; the summary."""
-    from deploy.reports.study_report import write_study_report  # as above
+    from deploy.reports.studies.study_report import write_study_report  # as above
 
     summary = study.summary(folder.rows)
     summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))

@@ -8,8 +8,8 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.percentiles import PERCENTILES
 from deploy.reports import quantities
 from deploy.reports.tables import ABSENT, Column, Table, Value, scaled
+from deploy.runs.judging.stalls import STALL_MS
 from deploy.runs.run_data import RunData
-from deploy.runs.stalls import STALL_MS
 
 _SHOWN_EVENTS = 200
 _PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}

@@ -1,4 +1,4 @@
-"""The verdict on a run, put into words; `deploy.runs.bounds` is what judges."""
+"""The verdict on a run, put into words; `deploy.runs.judging.bounds` is what judges."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from deploy.reports.tables import margin_text, number
+from deploy.runs.judging.stalls import STALL_MS
 from deploy.runs.run_data import RunData
-from deploy.runs.stalls import STALL_MS
 
 PARTIAL = "The recording is partial: it was not finished properly."
 UNCHECKED = "No checksum covers all of the recording: damage between its messages would not show."

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from deploy.runs.judging.time_series import SERIES, series
 from deploy.runs.run_data import RunData
-from deploy.runs.time_series import SERIES, series
 from deploy.scenario.yaml_files import ScenarioError
 
 Format = Literal["csv", "parquet"]

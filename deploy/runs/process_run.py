@@ -17,10 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deploy.processes.free_ports import free_ports
 from deploy.processes.launcher import Launcher
+from deploy.processes.network.free_ports import free_ports
 from deploy.processes.parent import end_with_parent
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, RunFolderError, load_run
 from deploy.runs.simulate import failed_simulation

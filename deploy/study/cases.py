@@ -16,7 +16,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW, SEED, laws_beside, require_effect
 from deploy.scenario.yaml_files import override
-from deploy.study.quantities import Direction, Quantity, build_quantity
+from deploy.study.margins.quantities import Direction, Quantity, build_quantity
 from deploy.study.study import Different, StudyDefinition, scenario_name
 
 CASE_COLUMNS = {

@@ -26,7 +26,7 @@ from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
-from deploy.study.margin import Margin
+from deploy.study.margins.margin import Margin
 from deploy.study.robustness import Robustness
 from deploy.study.study import Run, Study
 from deploy.study.sweep import Sweep

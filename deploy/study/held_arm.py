@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.reference import sample_positions
 from deploy.scenario.setup import Setup
-from deploy.study.quantities import Direction
+from deploy.study.margins.quantities import Direction
 
 _OTHER = {"uplink": "downlink", "downlink": "uplink"}
 _STEP_S = 1e-4

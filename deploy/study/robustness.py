@@ -28,7 +28,7 @@ from deploy.study.cases import (
 )
 from deploy.study.held_arm import ceiling_of_value
 from deploy.study.losses import rank_losses, share_kept
-from deploy.study.margin import Margin, MarginDefinition
+from deploy.study.margins.margin import Margin, MarginDefinition
 from deploy.study.plants import (
     Plant,
     UncertainDefinition,

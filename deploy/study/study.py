@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.process_run import run_process
 from deploy.runs.run_rows import Row, failed_row, row
 from deploy.runs.simulate import attempt

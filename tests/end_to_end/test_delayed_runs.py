@@ -13,7 +13,7 @@ from running import Watcher, funnel_hil_here, processes_of, settings, started
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import PLANT_TRUTH, Role
-from deploy.processes.keys import create_authority, issue
+from deploy.processes.network.keys import create_authority, issue
 from deploy.runs.run_data import RunData
 
 ROUND_TRIP_MS = 4

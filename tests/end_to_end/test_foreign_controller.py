@@ -15,7 +15,7 @@ from running import Finished, free_endpoint, funnel_hil_here, settings, started
 from deploy.processes.program import program_variables
 from deploy.runs.run_data import FOREIGN
 from deploy.scenario.scenario import load_setup
-from deploy.study.margin import Margin
+from deploy.study.margins.margin import Margin
 from tests.deploy.study.studies import Here, conduct, make_sweep
 
 CLIENT = [sys.executable, str(Path(__file__).with_name("foreign_controller.py"))]

@@ -13,7 +13,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
 from bus_schema.zenoh.access import secure_settings
 from bus_schema.zenoh.session import ZenohSession
-from deploy.processes.keys import create_authority, issue
+from deploy.processes.network.keys import create_authority, issue
 
 DURATION_S = 1.5
 WORDS = ["paper_arm", *settings(clock="lockstep", duration_s=DURATION_S)]

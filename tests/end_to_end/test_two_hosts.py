@@ -13,7 +13,7 @@ from running import Finished, funnel_hil_here, settings
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
-from deploy.processes.keys import create_authority, issue
+from deploy.processes.network.keys import create_authority, issue
 from tests.warm_process import WarmProcess
 
 PLANT_HOST, CONTROLLER_HOST = "192.0.2.10", "192.0.2.11"

@@ -6,7 +6,7 @@ import random
 from collections import Counter
 from pathlib import Path
 
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import RunFolderError, load_run
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

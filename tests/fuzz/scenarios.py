@@ -14,7 +14,7 @@ from mutation import Mutator
 from urdfs import try_urdf
 
 from controller.laws import LAWS
-from deploy.processes.links import check_link
+from deploy.processes.network.links import check_link
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError, plain, set_value

@@ -11,14 +11,14 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison as LawComparison
 from deploy.input_error import InputError
-from deploy.reports.compare_report import PANELS as COMPARISON_PANELS
 from deploy.reports.page import Panel
 from deploy.reports.run_report import PANELS as RUN_PANELS
-from deploy.reports.study_content import Study as StudyFigures
-from deploy.reports.study_report import content_of
+from deploy.reports.studies.compare_report import PANELS as COMPARISON_PANELS
+from deploy.reports.studies.study_content import Study as StudyFigures
+from deploy.reports.studies.study_report import content_of
+from deploy.runs.judging.time_series import SERIES, TRACKING, Columns, series
 from deploy.runs.run_data import RunData, Table
 from deploy.runs.run_rows import Row, row
-from deploy.runs.time_series import SERIES, TRACKING, Columns, series
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,10 +8,10 @@ from pathlib import Path
 from deploy.comparison.comparison import Comparison as LawComparison
 from deploy.comparison.comparison import LawRun
 from deploy.comparison.folder import ComparisonFolder
-from deploy.processes.links import check_link
-from deploy.reports.compare_report import write_comparison_report
+from deploy.processes.network.links import check_link
 from deploy.reports.conclude import conclude
-from deploy.runs.metrics import summarise
+from deploy.reports.studies.compare_report import write_comparison_report
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.run_folder import load_run as read_run
 from deploy.runs.simulate import attempt

@@ -11,7 +11,7 @@ from bus_schema.messages import topics
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy.benchmarks.echo import Messages, TryingNearEnd
-from deploy.processes.free_ports import free_ports
+from deploy.processes.network.free_ports import free_ports
 
 _ATTACHMENT = Attachment(1, 0, bytes(16)).encode()
 _DOMAIN = 0

@@ -11,7 +11,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.zenoh.access import secure_settings
 from deploy.benchmarks.echo import Messages
 from deploy.benchmarks.transports import zenoh
-from deploy.processes.keys import create_authority, issue
+from deploy.processes.network.keys import create_authority, issue
 
 _DOMAIN = 0
 _DAYS = 1.0

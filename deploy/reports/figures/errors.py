@@ -13,7 +13,7 @@ from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison
 from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_envelopes, add_law, with_law_legend
-from deploy.runs.bounds import bound_usage
+from deploy.runs.judging.bounds import bound_usage
 from deploy.runs.run_data import RunData
 from deploy.scenario.setup import Setup
 

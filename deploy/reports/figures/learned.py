@@ -12,7 +12,7 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from deploy.reports.figures import style
 from deploy.reports.tables import Column, Table
-from deploy.runs.identified import identified, series, truth_over_time
+from deploy.runs.judging.identified import identified, series, truth_over_time
 from deploy.runs.run_data import RunData
 
 _HEIGHT_PX = 230

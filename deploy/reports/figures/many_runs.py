@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
-from deploy.reports.study_tables import shown_value
+from deploy.reports.studies.study_tables import shown_value
 from deploy.reports.tables import scaled
 
 _DASHES = ("solid", "dot", "dash", "dashdot")

@@ -12,7 +12,7 @@ from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from deploy.reports.figures import style
 from deploy.reports.quantities import TIMES
-from deploy.runs.metrics import times_us
+from deploy.runs.judging.metrics import times_us
 from deploy.runs.run_data import RunData
 
 _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 99.9999)

@@ -15,7 +15,7 @@ from deploy.comparison.comparison import Comparison, LawRun
 from deploy.reports.figures import style
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.laws import add_law, law_colour, with_law_legend
-from deploy.runs.chattering import CHATTER_HZ, power_spectrum
+from deploy.runs.judging.chattering import CHATTER_HZ, power_spectrum
 from deploy.runs.run_data import RunData
 
 _TORQUE_POINTS = 1500

@@ -17,7 +17,7 @@ from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh import diagnosis as silence
 from bus_schema.zenoh.diagnosis import SilenceWatch, explain_silence
 from bus_schema.zenoh.link import ZenohPlantLink
-from deploy.processes.keys import create_authority, issue
+from deploy.processes.network.keys import create_authority, issue
 
 
 def make_link(port: int, folder: Path | None = None) -> LinkConfiguration:

@@ -21,7 +21,7 @@ from bus_schema.zenoh.link import ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import node_name, node_token
 from bus_schema.zenoh.session import ZenohSession
-from deploy.processes.keys import create_authority, issue
+from deploy.processes.network.keys import create_authority, issue
 
 HANG_S = 60.0
 MINUTE_DAYS = 1 / 1440

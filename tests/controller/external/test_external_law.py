@@ -19,7 +19,7 @@ from controller.external.program import ExternalLawError
 from controller.funnel import Funnel
 from controller.reference import JointSinusoids
 from deploy.cli import app
-from deploy.runs.bounds import judge_bounds
+from deploy.runs.judging.bounds import judge_bounds
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError

@@ -12,7 +12,7 @@ import yaml
 
 import funnel_hil
 from controller.control_law import Diagnostics
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, load_setup
 

@@ -6,10 +6,10 @@ import threading
 import pytest
 from rich.console import Console
 
-from deploy.cli import progress as progress_module
-from deploy.cli.progress import CommandProgress
-from deploy.cli.show_run import status_handler
 from deploy.cli.studies import RunCounter
+from deploy.cli.terminal import progress as progress_module
+from deploy.cli.terminal.progress import CommandProgress
+from deploy.cli.terminal.show_run import status_handler
 from deploy.processes.status import StatusMessage
 
 

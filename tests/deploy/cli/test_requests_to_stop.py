@@ -12,7 +12,7 @@ import pytest
 
 from deploy import cli
 from deploy.cli import experiments
-from deploy.cli.closed_output import outlive_readers
+from deploy.cli.terminal.closed_output import outlive_readers
 from deploy.stop_signals import STOPS
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -51,7 +51,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
 @pytest.mark.parametrize("number", STOPS)
 @pytest.mark.parametrize("command", ["simulate", "compare"])
 def test_a_run_is_ended_in_order(command, number, tmp_path, monkeypatch):
-    from deploy.cli.progress import CommandProgress  # what it shows is what it has got to
+    from deploy.cli.terminal.progress import CommandProgress  # what it shows is what it has got to
 
     follow = CommandProgress.follow
 
@@ -98,7 +98,7 @@ def test_a_run_whose_output_nobody_reads_goes_on_to_its_end(tmp_path):
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_stream_outlives_its_reader(number):
-    look = "from deploy.cli.closed_output import *; outlive_readers(); import os, sys\n"
+    look = "from deploy.cli.terminal.closed_output import *; outlive_readers(); import os, sys\n"
     stream = ["", "sys.stdout", "sys.stderr"][number]
     speak = f"print('x' * 100_000, file={stream}, flush=True)\n" * 3
     process = subprocess.Popen(

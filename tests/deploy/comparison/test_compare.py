@@ -13,7 +13,7 @@ from controller.laws.pid import Pid
 from controller.laws.sliding_mode import SlidingMode
 from deploy.cli.common import parse_laws
 from deploy.comparison.comparison import load_setups
-from deploy.reports import compare_report
+from deploy.reports.studies import compare_report
 from deploy.runs.run_folder import load_run
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import attempt, simulate
@@ -171,7 +171,7 @@ def test_bounds_are_required_of_every_law_compared(funnel_hil, tmp_path, monkeyp
 
 
 def test_rows_of_runs_with_and_without_bounds_share_their_columns(tmp_path):
-    from deploy.runs.metrics import summarise
+    from deploy.runs.judging.metrics import summarise
 
     setup = load_setup("paper_arm", ["duration_s=0.1", "controller.law=pid"])
     summary = summarise(simulate(setup).data())

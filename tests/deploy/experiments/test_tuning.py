@@ -23,7 +23,7 @@ from deploy.experiments.tuning import (
     varied,
     with_gains,
 )
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from deploy.processes.delay_relay import DelayedStream, DelayLine, DelayRelay
+from deploy.processes.network.delay_relay import DelayedStream, DelayLine, DelayRelay
 
 DELAY_NS = 24_000_000
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.processes.free_ports import free_ports
-from deploy.processes.links import with_free_endpoints
+from deploy.processes.network.free_ports import free_ports
+from deploy.processes.network.links import with_free_endpoints
 from deploy.scenario.scenario import effective_values, load_setup
 from deploy.scenario.yaml_files import ScenarioError
 

@@ -16,7 +16,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy import cli
-from deploy.processes.keys import check_keys, common_name, create_authority, hosts_of, issue
+from deploy.processes.network.keys import check_keys, common_name, create_authority, hosts_of, issue
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 

@@ -8,8 +8,8 @@ import subprocess
 from rich.console import Console
 
 from bus_schema.runtime import realtime
-from deploy.cli.progress import CommandProgress
-from deploy.cli.show_run import status_handler
+from deploy.cli.terminal.progress import CommandProgress
+from deploy.cli.terminal.show_run import status_handler
 from deploy.processes.lacking import lacking, remedy
 from deploy.processes.status import StatusMessage
 

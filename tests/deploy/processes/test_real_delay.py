@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.processes.real_delay import RealDelay, check_real_delay, knowing_real_delay, real_delay
+from deploy.processes.network.real_delay import (
+    RealDelay,
+    check_real_delay,
+    knowing_real_delay,
+    real_delay,
+)
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 

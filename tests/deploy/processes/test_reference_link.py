@@ -11,7 +11,7 @@ from bus_schema.messages.topics import JOINT_REFERENCE, JOINT_STATES
 from bus_schema.messages.types import JOINT_STATE
 from bus_schema.zenoh.session import ZenohSession
 from controller.reference import sample_positions
-from deploy.processes.reference_link import ReferenceLink
+from deploy.processes.network.reference_link import ReferenceLink
 from deploy.scenario.scenario import load_setup
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,

@@ -10,16 +10,16 @@ from plotly.offline import get_plotlyjs
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest, Start
-from deploy.reports import compare_report
-from deploy.reports.compare_report import write_comparison_report
-from deploy.reports.compare_tables import joint_table, verdict_on_laws, verdict_table
 from deploy.reports.figures.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
 from deploy.reports.figures.settling import settling, settling_from_afar
 from deploy.reports.figures.torque import torque_spectra
 from deploy.reports.quantities import BY_LAW, RMS_ERROR
-from deploy.runs.metrics import summarise
+from deploy.reports.studies import compare_report
+from deploy.reports.studies.compare_report import write_comparison_report
+from deploy.reports.studies.compare_tables import joint_table, verdict_on_laws, verdict_table
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

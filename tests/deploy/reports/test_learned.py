@@ -5,7 +5,7 @@ import pytest
 
 from deploy.reports.figures import learned
 from deploy.reports.run_report import write_report
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 

@@ -22,7 +22,7 @@ from deploy.reports.figures.timing import deadline_misses
 from deploy.reports.figures.torque import torques
 from deploy.reports.page import Panel
 from deploy.reports.run_report import write_report
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -19,7 +19,7 @@ from bus_schema.can.master import CanMaster
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

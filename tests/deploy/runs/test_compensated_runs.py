@@ -7,7 +7,7 @@ import pytest
 
 from bus_schema.recording.mcap_log import read_log
 from controller.laws import LAWS
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.replay import replay
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -9,7 +9,7 @@ import pytest
 
 from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH
 from bus_schema.recording.mcap_log import read_log
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.replay import replay
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deploy.runs.identified import identified, truth_over_time
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.identified import identified, truth_over_time
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 

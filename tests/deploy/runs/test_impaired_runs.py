@@ -8,8 +8,8 @@ import pytest
 from bus_schema.messages import topics
 from deploy.reports import run_report
 from deploy.reports.conclude import conclude
-from deploy.runs.bounds import bound_usage
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.bounds import bound_usage
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.new_folder import new_folder
 from deploy.runs.replay import replay
 from deploy.runs.run_folder import RunFolder, load_run

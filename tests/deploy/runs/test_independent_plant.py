@@ -7,7 +7,7 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.experiments.runge_kutta_arm import independent_physics
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 

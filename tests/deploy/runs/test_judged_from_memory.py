@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import load_run
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

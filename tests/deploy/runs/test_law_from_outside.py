@@ -16,7 +16,7 @@ from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.study_keys import laws_beside
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.margin import MarginDefinition
+from deploy.study.margins.margin import MarginDefinition
 
 
 class ImpedanceGains(NamedTuple):

@@ -25,7 +25,7 @@ from bus_schema.messages.topics import (
     Topic,
     layout,
 )
-from deploy.runs.metrics import settling_times_s, summarise
+from deploy.runs.judging.metrics import settling_times_s, summarise
 from deploy.runs.run_data import RunData, build_run_data, digest
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

@@ -10,7 +10,7 @@ import pytest
 from bus_schema.arrays import Vector
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.runtime.modes import Mode
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -11,7 +11,7 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, Role
 from bus_schema.runtime.modes import Mode, mode_in
 from deploy.reports.conclude import conclude
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.new_folder import new_folder
 from deploy.runs.replay import replay
 from deploy.runs.run_folder import RunFolder, load_run

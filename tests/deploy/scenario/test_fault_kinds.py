@@ -8,7 +8,7 @@ import pytest
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError

@@ -25,7 +25,7 @@ from deploy.experiments.fault_table import (
 from deploy.reports.figures.errors import error_in_funnel
 from deploy.reports.figures.faults import fault_spans_s, with_faults
 from deploy.reports.figures.style import ALARM
-from deploy.runs.metrics import summarise
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.replay import replay
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.processes.real_delay import knowing_real_delay
+from deploy.processes.network.real_delay import knowing_real_delay
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deploy.study.conduct import carry_out
 from deploy.study.folder import StudyFolder
-from deploy.study.margin import Margin
+from deploy.study.margins.margin import Margin
 from deploy.study.study import execute
 from deploy.study.sweep import Sweep
 

@@ -8,14 +8,14 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.cli.margin_options import MarginOptions, definition_with
-from deploy.reports.study_report import write_study_report
-from deploy.reports.study_tables import margins_by_law
+from deploy.reports.studies.study_report import write_study_report
+from deploy.reports.studies.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.conduct import retrace
 from deploy.study.folder import create_folder
-from deploy.study.margin import MarginDefinition
+from deploy.study.margins.margin import MarginDefinition
 from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 

@@ -14,7 +14,7 @@ from deploy.comparison.comparison import load_setups
 from deploy.scenario.randomness import is_random
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.margin import Margin
+from deploy.study.margins.margin import Margin
 from deploy.study.robustness import margin_study
 from deploy.study.sweep import Sweep
 

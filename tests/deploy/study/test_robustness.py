@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from deploy.reports.robustness_tables import robustness_table
-from deploy.reports.study_report import write_study_report
+from deploy.reports.studies.robustness_tables import robustness_table
+from deploy.reports.studies.study_report import write_study_report
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml

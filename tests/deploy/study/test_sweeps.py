@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from controller.laws import LAWS
-from deploy.reports.study_report import write_study_report
+from deploy.reports.studies.study_report import write_study_report
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.study.study import execute

@@ -11,8 +11,8 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import many_runs
 from deploy.reports.page import Fact, Panel
-from deploy.reports.study_content import Study, StudyContent, Summary
-from deploy.reports.study_tables import point_table, shown_value
+from deploy.reports.studies.study_content import Study, StudyContent, Summary
+from deploy.reports.studies.study_tables import point_table, shown_value
 from deploy.reports.verdict import Verdict
 
 _MOST_CURVES = 14

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus_schema.messages import topics
-from deploy.runs.longest_run import longest_run
+from deploy.runs.judging.longest_run import longest_run
 from deploy.runs.run_data import RunData, stamps_s
 
 STALL_MS = 20.0

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from deploy.reports.margin_report import margin_content
 from deploy.reports.page import Fact, write_page
-from deploy.reports.robustness_report import robustness_content
-from deploy.reports.study_content import Study, StudyContent
-from deploy.reports.sweep_report import sweep_content
+from deploy.reports.studies.margin_report import margin_content
+from deploy.reports.studies.robustness_report import robustness_content
+from deploy.reports.studies.study_content import Study, StudyContent
+from deploy.reports.studies.sweep_report import sweep_content
 from deploy.reports.verdict import Verdict
 from deploy.study.folder import StudyFolder
 

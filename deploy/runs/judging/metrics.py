@@ -12,13 +12,13 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
-from deploy.runs.bounds import judge_bounds
-from deploy.runs.chattering import chatter_shares
-from deploy.runs.identified import identified
-from deploy.runs.longest_run import longest_run
+from deploy.runs.judging.bounds import judge_bounds
+from deploy.runs.judging.chattering import chatter_shares
+from deploy.runs.judging.identified import identified
+from deploy.runs.judging.longest_run import longest_run
+from deploy.runs.judging.settling_bound import settling_bound_s
+from deploy.runs.judging.stalls import longest_stall_ms
 from deploy.runs.run_data import RunData, stamps_s
-from deploy.runs.settling_bound import settling_bound_s
-from deploy.runs.stalls import longest_stall_ms
 
 UNAUTHENTICATED = (
     "without link.security, one commander protects against mistakes, not against somebody who"

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from deploy.comparison.comparison import Comparison
 from deploy.reports import quantities
-from deploy.reports.compare_tables import joint_table, verdict_on_laws, verdict_table
 from deploy.reports.figures.end_effector import tip_error_envelopes, tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
@@ -16,6 +15,7 @@ from deploy.reports.figures.network import first_network_output
 from deploy.reports.figures.settling import settling, settling_from_afar
 from deploy.reports.figures.torque import torque_spectra, torques_by_law
 from deploy.reports.page import Fact, Panel, write_page
+from deploy.reports.studies.compare_tables import joint_table, verdict_on_laws, verdict_table
 from deploy.reports.tables import number
 
 PANELS: list[Panel[Comparison]] = [

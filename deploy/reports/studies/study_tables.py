@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deploy.reports.robustness_tables import interval_text, share_text
-from deploy.reports.study_text import (
+from deploy.reports.studies.robustness_tables import interval_text, share_text
+from deploy.reports.studies.study_text import (
     COMPENSATION,
     CaseText,
     case_name,

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages.topics import Role
-from deploy.processes.free_ports import free_ports
+from deploy.processes.network.free_ports import free_ports
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
 from plant_emulator.faults.process_faults import process_faults
@@ -54,7 +54,9 @@ def require_keys(setup: Setup, *roles: Role) -> None:
     """
     security = setup.scenario.link.security
     if security.enabled:
-        from deploy.processes.keys import check_keys  # needs libraries that no other run does
+        from deploy.processes.network.keys import (
+            check_keys,  # needs libraries that no other run does
+        )
 
         check_keys(security.keys, roles)
 

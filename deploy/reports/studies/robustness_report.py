@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from deploy.reports.figures import many_runs
 from deploy.reports.figures.effects import effects
 from deploy.reports.page import Fact, Panel
-from deploy.reports.robustness_tables import (
+from deploy.reports.studies.robustness_tables import (
     interval_table,
     interval_text,
     kept_text,
@@ -19,8 +19,8 @@ from deploy.reports.robustness_tables import (
     share_text,
     value_text,
 )
-from deploy.reports.study_content import Study, StudyContent, Summary
-from deploy.reports.study_text import case_name, setting_text
+from deploy.reports.studies.study_content import Study, StudyContent, Summary
+from deploy.reports.studies.study_text import case_name, setting_text
 from deploy.reports.verdict import Verdict
 
 _SHOWN_EFFECTS = 12

@@ -24,8 +24,8 @@ from deploy.study.cases import (
     settings,
 )
 from deploy.study.held_arm import ceiling_of_value
-from deploy.study.margin_search import MarginSearch
-from deploy.study.quantities import Steps
+from deploy.study.margins.margin_search import MarginSearch
+from deploy.study.margins.quantities import Steps
 from deploy.study.statistics import badness, held, spread_of_runs
 from deploy.study.study import Different, Run, Seeds, Study
 

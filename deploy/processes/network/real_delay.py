@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from bus_schema.link.configuration import LinkConfiguration
-from deploy.processes.free_ports import free_ports
+from deploy.processes.network.free_ports import free_ports
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.channel.channel import Channel

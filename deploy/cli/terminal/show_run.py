@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from deploy.cli.progress import CommandProgress
+from deploy.cli.terminal.progress import CommandProgress
 from deploy.processes.lacking import lacking
 from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table

@@ -8,8 +8,8 @@ import plotly.graph_objects as go
 
 from deploy.reports.figures import many_runs
 from deploy.reports.page import Fact, Panel
-from deploy.reports.study_content import Study, StudyContent, Summary
-from deploy.reports.study_tables import (
+from deploy.reports.studies.study_content import Study, StudyContent, Summary
+from deploy.reports.studies.study_tables import (
     furthest,
     held_again,
     margin_figure,
@@ -17,7 +17,7 @@ from deploy.reports.study_tables import (
     margin_text,
     probe_at,
 )
-from deploy.reports.study_text import case_name, ceiling_text, setting_text
+from deploy.reports.studies.study_text import case_name, ceiling_text, setting_text
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict import Verdict
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deploy.reports.study_text import COMPENSATION, case_name, optional_columns
+from deploy.reports.studies.study_text import COMPENSATION, case_name, optional_columns
 from deploy.reports.tables import ABSENT, Column, Table, Value, quotable
 
 _SHOWN_EFFECTS = 6

@@ -1,0 +1,1 @@
+"""What commands write to a terminal: results, progress, and a reader that left."""

@@ -1,0 +1,1 @@
+"""What lies between the processes of a run: endpoints, keys, relays that delay."""

@@ -1,0 +1,1 @@
+"""Reports and tables of studies: comparisons, margins, sweeps, uncertain plants."""
