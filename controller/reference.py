@@ -19,9 +19,18 @@ class Reference:
         kernel: compiled function of the parameters, of position, velocity and acceleration to be
             written, and of time.
         parameters: what it takes first.
+        warnings: what may not be meant about it, a sentence each.
+        known_s: first and last time for which it may be asked in a run.
     """
 
-    def __init__(self, kernel: Callable[..., None], *parameters: Matrix | Vector | float) -> None:
+    def __init__(
+        self,
+        kernel: Callable[..., None],
+        *parameters: Matrix | Vector | float,
+        warnings: tuple[str, ...] = (),
+        known_s: tuple[float, float] = (-math.inf, math.inf),
+    ) -> None:
+        self.warnings, self.known_s = warnings, known_s
         self._kernel = kernel
         self._parameters = [
             np.ascontiguousarray(given) if isinstance(given, np.ndarray) else given
@@ -144,6 +153,36 @@ def _minimum_jerk(
         acceleration[i] = distance * dd_shape
 
 
+@compiled
+def _through_rows(
+    times: Vector, rows: Matrix,
+    position: Vector, velocity: Vector, acceleration: Vector, time_s: float,
+) -> None:  # fmt: skip
+    last = times.size - 1
+    row = min(max(int(np.searchsorted(times, time_s, side="right")) - 1, 0), last)
+    if time_s < times[0] or time_s > times[last]:
+        for i in range(position.size):
+            position[i], velocity[i], acceleration[i] = rows[row, 0, i], 0.0, 0.0
+        return
+    dt = time_s - times[row]
+    for i in range(position.size):
+        p, v, a = rows[row, 0, i], rows[row, 1, i], rows[row, 2, i]
+        c3 = c4 = c5 = 0.0
+        if row < last:
+            # The quintic that has the position, velocity and acceleration of both rows; a row's
+            # own numbers, to the bit, at its time.
+            h = times[row + 1] - times[row]
+            off = rows[row + 1, 0, i] - (p + h * (v + 0.5 * h * a))
+            d_off = (rows[row + 1, 1, i] - (v + h * a)) * h
+            dd_off = (rows[row + 1, 2, i] - a) * h * h
+            c3 = (10.0 * off - 4.0 * d_off + 0.5 * dd_off) / (h * h * h)
+            c4 = (-15.0 * off + 7.0 * d_off - dd_off) / (h * h * h * h)
+            c5 = (6.0 * off - 3.0 * d_off + 0.5 * dd_off) / (h * h * h * h * h)
+        position[i] = p + dt * (v + dt * (0.5 * a + dt * (c3 + dt * (c4 + dt * c5))))
+        velocity[i] = v + dt * (a + dt * (3.0 * c3 + dt * (4.0 * c4 + dt * 5.0 * c5)))
+        acceleration[i] = a + dt * (6.0 * c3 + dt * (12.0 * c4 + dt * 20.0 * c5))
+
+
 CartesianPath = partial(Reference, _cartesian_path)
 """A path of the tool of a yaw-pitch-pitch arm, through analytic inverse kinematics, elbow up.
 
@@ -171,4 +210,12 @@ MinimumJerk = partial(Reference, _minimum_jerk)
 Args:
     times_s: increasing, shape (waypoints,).
     positions_rad: shape (waypoints, joints).
+"""
+
+ThroughRows = partial(Reference, _through_rows)
+"""Through rows of position, velocity and acceleration, a quintic between two; at rest beyond them.
+
+Args:
+    times_s: increasing, shape (rows,).
+    rows: shape (rows, 3, joints): rad, rad/s, rad/s².
 """

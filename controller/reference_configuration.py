@@ -18,7 +18,14 @@ from bus_schema.configuration import (
 )
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel
-from controller.reference import CartesianPath, JointSinusoids, MinimumJerk, Reference
+from controller.reference import (
+    CartesianPath,
+    JointSinusoids,
+    MinimumJerk,
+    Reference,
+    ThroughRows,
+)
+from controller.reference_file import read_rows
 
 
 class _Timed(StrictModel):
@@ -133,7 +140,40 @@ class MinimumJerkConfiguration(_Timed):
         return MinimumJerk(times, np.array(positions))
 
 
+class CsvConfiguration(_Timed):
+    """A trajectory from a file, as ``funnel-hil reference --csv`` writes them, or positions alone.
+
+    Attributes:
+        file: a path relative to the scenario file, or else to the current folder.
+        beyond: what is with a run that starts before the first row or goes on after the last:
+            ``refuse`` it, or ``hold`` that row's position at rest.
+    """
+
+    kind: Literal["csv"]
+    file: Annotated[str, Field(min_length=1, max_length=1000)]
+    beyond: Literal["refuse", "hold"] = "refuse"
+
+    def build(self, robot: RobotDescription) -> Reference:
+        """The trajectory for this arm.
+
+        Raises:
+            ConfigurationError: the file does not hold one.
+        """
+        found = read_rows(self.file, robot)
+        powers = self.speed ** np.arange(3.0)
+        times, rows = found.times_s / self.speed, found.motion * powers[:, np.newaxis]
+        warnings = found.warnings(robot, self.speed)
+        if self.beyond == "refuse":
+            return ThroughRows(times, rows, warnings=warnings, known_s=(times[0], times[-1]))
+        if found.moves_at_an_end():
+            warnings += (f"{self.file}: moves in its first or last row, and is held at rest there",)
+        return ThroughRows(times, rows, warnings=warnings)
+
+
 ReferenceConfiguration = Annotated[
-    CartesianPathConfiguration | JointSinusoidsConfiguration | MinimumJerkConfiguration,
+    CartesianPathConfiguration
+    | JointSinusoidsConfiguration
+    | MinimumJerkConfiguration
+    | CsvConfiguration,
     Field(discriminator="kind"),
 ]

@@ -19,8 +19,9 @@ from bus_schema.recording.mcap_log import McapLog
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
+from controller import reference_file
 from deploy.scenario.agreement import agreement_of
-from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.referenced_files import DELAY_KEYS, data_files
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import portable_scenario
 
@@ -28,7 +29,11 @@ logger = logging.getLogger(__name__)
 
 SCENARIO_ATTACHMENT = "scenario.yaml"
 ROBOT_ATTACHMENT = "robot.urdf"
-DELAYS_ATTACHMENT = "{direction}_delays.txt"
+DATA_ATTACHMENTS = {
+    **dict(zip(DELAY_KEYS, ("uplink_delays.txt", "downlink_delays.txt"), strict=True)),
+    reference_file.KEY: "reference.csv",
+}
+"""What files that a scenario refers to are called there, by dotted key."""
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
@@ -57,9 +62,8 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     scenario = setup.scenario
     log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
     log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
-    for direction, file in delay_files(scenario.link).items():
-        name = DELAYS_ATTACHMENT.format(direction=direction)
-        log.attach(name, "text/plain", file.read_bytes())
+    for key, file in data_files(scenario).items():
+        log.attach(DATA_ATTACHMENTS[key], "text/plain", file.read_bytes())
     log.add_metadata(
         RUN_METADATA,
         {"scenario": scenario.name, "law": scenario.controller.name, "clock": clock, "link": link},

@@ -22,7 +22,7 @@ from bus_schema.recording.mcap_log import LogContents, read_log
 from controller.laws.custom import custom_laws_left_out
 from deploy.input_error import InputError
 from deploy.processes.recorder import (
-    DELAYS_ATTACHMENT,
+    DATA_ATTACHMENTS,
     LOST_METADATA,
     ROBOT_ATTACHMENT,
     RUN_METADATA,
@@ -30,7 +30,6 @@ from deploy.processes.recorder import (
 )
 from deploy.runs.new_folder import FolderLock, new_folder
 from deploy.runs.run_data import RunData, build_run_data
-from deploy.scenario.referenced_files import DIRECTIONS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import write_scenario
@@ -161,11 +160,10 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
         robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
         overrides = [f"robot.urdf={robot}"]
-        for direction in DIRECTIONS:
-            name = DELAYS_ATTACHMENT.format(direction=direction)
+        for key, name in DATA_ATTACHMENTS.items():
             if name in contents.attachments:
                 (Path(folder) / name).write_bytes(contents.attachments[name])
-                overrides.append(f"link.{direction}.distribution_file={name}")
+                overrides.append(f"{key}={name}")
         try:
             with custom_laws_left_out():
                 setup = load_setup(str(scenario), overrides)

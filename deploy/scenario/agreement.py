@@ -9,7 +9,7 @@ from pathlib import PurePath
 from typing import Any
 
 from bus_schema.link.agreement import Agreement
-from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import effective_values
 from deploy.scenario.setup import Setup
 
@@ -27,8 +27,8 @@ def agreement_of(setup: Setup) -> Agreement:
     for key in _OF_EACH_HOST:
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)
-    for direction, file in delay_files(setup.scenario.link).items():
-        values[f"link.{direction}.distribution_file"] = file.read_text()
+    for key, file in data_files(setup.scenario).items():
+        values[key] = file.read_text()
     return Agreement(values)
 
 

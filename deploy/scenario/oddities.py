@@ -13,7 +13,7 @@ from deploy.scenario.setup import Setup
 def oddities(setup: Setup) -> list[str]:
     """A sentence for each thing that is taken, but that may not be what was meant."""
     robot, scenario = setup.robot, setup.scenario
-    said = list(robot.warnings)
+    said = [*robot.warnings, *setup.reference.warnings]
     if scenario.limits.torque_nm is None and scenario.plant.actuator.saturation_nm is None:
         lacking = _unlimited(robot.joint_names, robot.effort_limits_nm)
         if lacking:

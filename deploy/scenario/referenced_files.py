@@ -1,4 +1,4 @@
-"""Files that a scenario refers to: the arm's URDF, and files of delays."""
+"""Files that a scenario refers to: the arm's URDF, and files of delays and of the reference."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.link.configuration import LinkConfiguration
+from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
+from controller.reference_file import KEY as REFERENCE_KEY
+from deploy.scenario.definition import Scenario
 from deploy.scenario.yaml_files import is_file
 from plant_emulator.channel.jitter import read_delays_ms
 
 DIRECTIONS = ("uplink", "downlink")
+DELAY_KEYS = tuple(f"link.{direction}.distribution_file" for direction in DIRECTIONS)
 ROBOTS = Path(str(resources.files("deploy").joinpath("robots")))
 _PYBULLET_DATA = "pybullet_data:"
 
@@ -69,7 +73,28 @@ def find_delay_files(link: LinkConfiguration, base: Path) -> LinkConfiguration:
     return link
 
 
-def delay_files(link: LinkConfiguration) -> dict[str, Path]:
-    """The files of delays by direction; empty where no delay is drawn from one."""
-    files = {direction: getattr(link, direction).distribution_file for direction in DIRECTIONS}
-    return {direction: Path(file) for direction, file in files.items() if file is not None}
+def find_reference_file(reference: ReferenceConfiguration, base: Path) -> ReferenceConfiguration:
+    """The reference with an absolute path to its file, if it has one.
+
+    Args:
+        reference: the section.
+        base: folder of the scenario; a path may also start at the current one.
+
+    Raises:
+        ConfigurationError: there is no such file.
+    """
+    if not isinstance(reference, CsvConfiguration):
+        return reference
+    for candidate in (base / reference.file, Path(reference.file)):
+        if is_file(candidate):
+            return reference.model_copy(update={"file": str(candidate.resolve())})
+    allowed = f"no such file; must be a path from {base} or from the current folder"
+    raise ConfigurationError(REFERENCE_KEY, reference.file, allowed)
+
+
+def data_files(scenario: Scenario) -> dict[str, Path]:
+    """The files of a checked scenario but for its arm, by dotted key."""
+    named = {key: getattr(scenario.link, key.split(".")[1]).distribution_file for key in DELAY_KEYS}
+    if isinstance(scenario.reference, CsvConfiguration):
+        named[REFERENCE_KEY] = scenario.reference.file
+    return {key: Path(file) for key, file in named.items() if file is not None}

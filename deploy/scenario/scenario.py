@@ -32,7 +32,7 @@ from controller.reference import Reference, sample_positions
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
 from deploy.scenario.explanation import Origin
-from deploy.scenario.referenced_files import find_delay_files, find_urdf
+from deploy.scenario.referenced_files import find_delay_files, find_reference_file, find_urdf
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import (
@@ -220,8 +220,14 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in over.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        both = both and not (key == "reference" and _is_of_another_kind(value, base[key]))
         merged[key] = _merged(base[key], value) if both else value
     return merged
+
+
+def _is_of_another_kind(section: Mapping[str, Any], than: Mapping[str, Any]) -> bool:
+    """Whether the keys of a section cannot go with those of another, as they differ in kind."""
+    return "kind" in section and section["kind"] != than.get("kind")
 
 
 def check(scenario: Scenario, origin: Origin) -> Setup:
@@ -242,7 +248,8 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     PROTOCOLS.check(scenario.link.can.protocol)
     given = scenario.robot
     robot = load_robot(find_urdf(given.urdf, source.parent), given.joints, repair=given.repair)
-    reference = scenario.reference.build(robot)
+    reference_section = find_reference_file(scenario.reference, source.parent)
+    reference = reference_section.build(robot)
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
     if scenario.duration_s * 1e9 < grid.period_ns:
         allowed = f"at least a tick, {grid.period_ns * 1e-9} s"
@@ -262,7 +269,7 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     inertia = scenario.controller.nominal_model(robot).governing_inertia(sized_by)
     link = find_delay_files(scenario.link, source.parent)
     setup = Setup(
-        scenario=scenario.model_copy(update={"link": link}),
+        scenario=scenario.model_copy(update={"link": link, "reference": reference_section}),
         source=source,
         robot=robot,
         reference=reference,
@@ -286,6 +293,13 @@ def _check(scenario: Scenario, source: Path) -> Setup:
 
 def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: Scenario) -> Matrix:
     """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
+    first_s, last_s = reference.known_s
+    if first_s > 0.0 or last_s < scenario.duration_s - 0.5 / scenario.rate_hz:
+        allowed = (
+            f"must be within the {first_s:g} to {last_s:g} s of reference.file; reference.beyond:"
+            " hold rests before and after"
+        )
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed)
     samples = min(round(scenario.duration_s * _CHECKED_PER_SECOND), _MOST_CHECKED) + 1
     times = np.linspace(0.0, scenario.duration_s, samples)
     positions = sample_positions(reference, times, robot.joints)

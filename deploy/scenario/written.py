@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from bus_schema.recording.atomic_files import write_whole
-from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import effective_scenario
 from deploy.scenario.setup import Setup
 
@@ -15,7 +15,7 @@ _DIGITS = 8
 
 
 def write_scenario(setup: Setup, path: Path) -> None:
-    """Write the scenario in force, and beside it copies of its URDF and its files of delays.
+    """Write the scenario in force, and beside it copies of its URDF and its other files.
 
     Copies are named by their contents too, so that scenarios in one folder share equal ones.
 
@@ -40,13 +40,13 @@ def portable_scenario(setup: Setup) -> str:
 
 def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
     """Name and text of a copy of each file that a scenario refers to, by its key."""
-    robot, links = setup.robot, delay_files(setup.scenario.link)
+    robot = setup.robot
     arm = robot.path
     if arm.suffix == ".xacro":  # the copy is what it stands for
         arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
     found = {"robot.urdf": (arm, robot.portable_urdf())}
-    for direction, file in links.items():
-        found[f"link.{direction}.distribution_file"] = (file, file.read_text())
+    for key, file in data_files(setup.scenario).items():
+        found[key] = (file, file.read_text())
     return {key: (_name(file, text), text) for key, (file, text) in found.items()}
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from controller.control_law import ControlLaw
 from controller.laws.custom import Maker, laws_given
 from deploy.input_error import InputError
-from deploy.scenario.referenced_files import delay_files
+from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import SHIPPED, build_setup, effective_values, given_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
@@ -117,8 +117,8 @@ class Scenario:
         """What it says, as a scenario file with absolute paths; nothing that is derived from it."""
         values = given_values(self._values, self._file, self.overrides)
         set_value(values, "robot.urdf", str(self.setup.robot.path))
-        for direction, file in delay_files(self.setup.scenario.link).items():
-            set_value(values, f"link.{direction}.distribution_file", str(file))
+        for key, file in data_files(self.setup.scenario).items():
+            set_value(values, key, str(file))
         return to_yaml(values)
 
     @contextmanager
@@ -162,7 +162,8 @@ def _name_of(law: Any) -> str:
 def _leaves(given: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     """Values by dotted key, as plain ones that YAML has."""
     for key, value in given.items():
-        if isinstance(value, Mapping):
+        whole = f"{before}{key}" == "reference" and "kind" in value  # takes the place of any other
+        if isinstance(value, Mapping) and not whole:
             yield from _leaves(value, f"{before}{key}.")
         else:
             yield f"{before}{key}", _plain(value)
