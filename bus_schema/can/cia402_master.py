@@ -21,6 +21,7 @@ from canopen.profiles.p402 import BaseNode402, State402
 from canopen.sdo.exceptions import SdoError
 
 from bus_schema.can.cia402_codec import Cia402Codec
+from bus_schema.can.eds import object_dictionary
 from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError
@@ -55,7 +56,10 @@ class Cia402Master(CanMaster):
     ) -> None:
         super().__init__(bus, can, node_ids, codec)
         self._network = _Network(bus)
-        self._nodes = [BaseNode402(node_id, str(can.eds or CIA402_EDS)) for node_id in node_ids]
+        self._nodes = [
+            BaseNode402(node_id, object_dictionary(can.eds or CIA402_EDS, node_id))
+            for node_id in node_ids
+        ]
         for node in self._nodes:
             node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
             node.TIMEOUT_SWITCH_STATE_FINAL = can.answer_timeout_s

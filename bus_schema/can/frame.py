@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 BUS_OFF = 0x40
@@ -43,6 +44,9 @@ class CanBus(Protocol):
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame."""
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        """Send frames one after the other; whoever waits for them may be woken once."""
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         """The next frame that another node sent; None if none came within `timeout_s`."""

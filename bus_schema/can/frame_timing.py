@@ -23,6 +23,7 @@ _CRC15_BITS = 15
 _STUFFED_RUN = 5
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _LONGEST_CLASSICAL_BYTES = 8
+_LARGEST_DATA_BITS, _HALF = 8 * _LONGEST_CLASSICAL_BYTES, 1 << 32
 _LARGEST_CRC17_BYTES = 16
 _EXTENDED_HEAD_BITS = 1 + 11 + 2 + 18 + 1
 # CRC delimiter, ACK slot and delimiter, end of frame (7), interframe space (3)
@@ -77,8 +78,11 @@ def wire_bits(frame: CanFrame) -> WireBits:
     head, head_bits = _arbitration(frame)
     length = 0 if frame.is_remote else min(len(frame.data), _LONGEST_CLASSICAL_BYTES)
     # IDE and r0, or r1 and r0 of an extended frame, and the DLC
-    bits = _unpacked(head << 6 | length, head_bits + 6, frame.data[:length])
-    stuffed = int(_stuffed_classical_bits(bits))
+    head, head_bits = head << 6 | length, head_bits + 6
+    data = int.from_bytes(frame.data[:length], "big")
+    # In halves: numba takes whole numbers of 64 bits for another type than smaller ones.
+    first, rest = divmod(data << _LARGEST_DATA_BITS - 8 * length, _HALF)
+    stuffed = int(_stuffed_classical_bits(head, head_bits, first, rest, 8 * length))
     return WireBits(stuffed + _CLASSICAL_TAIL_BITS, 0)
 
 
@@ -168,20 +172,39 @@ def _unpacked(head: int, head_bits: int, data: bytes) -> NDArray[np.uint8]:
 
 
 @compiled
-def _stuffed_classical_bits(bits: NDArray[np.uint8]) -> int:
-    """Bits from start of frame to the end of the CRC sequence, stuff bits included."""
-    crc = 0
-    for bit in bits:
-        flips = bit ^ (crc >> (_CRC15_BITS - 1))
+def _stuffed_classical_bits(
+    head: int, head_bits: int, first: int, rest: int, data_bits: int
+) -> int:
+    """Bits from start of frame to the end of the CRC sequence, stuff bits included.
+
+    Args:
+        head: start of frame to DLC.
+        head_bits: how many bits these are.
+        first: the first 32 bits of the data, filled up with zeros.
+        rest: the other 32.
+        data_bits: how many of them there are.
+    """
+    content_bits = head_bits + data_bits
+    crc, stuff_bits, run, last = 0, 0, 0, 2
+    for index in range(content_bits + _CRC15_BITS):
+        if index < head_bits:
+            bit = (head >> (head_bits - 1 - index)) & 1
+        elif index < head_bits + 32 and index < content_bits:
+            bit = (first >> (head_bits + 31 - index)) & 1
+        elif index < content_bits:
+            bit = (rest >> (head_bits + 63 - index)) & 1
+        else:
+            bit = (crc >> (_CRC15_BITS - 1)) & 1
+        # What is shifted out while the CRC is sent itself is the CRC.
+        flips = index < content_bits and bit != (crc >> (_CRC15_BITS - 1)) & 1
         crc = (crc << 1) & 0x7FFF
         if flips:
             crc ^= _CRC15
-    sequence = np.empty(bits.size + _CRC15_BITS, np.uint8)
-    sequence[: bits.size] = bits
-    for index in range(_CRC15_BITS):
-        sequence[bits.size + index] = (crc >> (_CRC15_BITS - 1 - index)) & 1
-    _, stuff_bits = _stuff_bits(sequence, 0)
-    return sequence.size + stuff_bits
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == _STUFFED_RUN:
+            stuff_bits, run, last = stuff_bits + 1, 1, 1 - bit
+    return content_bits + _CRC15_BITS + stuff_bits
 
 
 @compiled

@@ -10,7 +10,7 @@ Whatever happens, drives that were enabled are brought to rest before the link i
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +54,11 @@ class CanRun:
     gains: DriveGains | None = None
 
 
+def _on_this_thread(turns: Iterator[None]) -> None:
+    for _ in turns:
+        pass
+
+
 class CanControllerLink(ControllerLink):
     """The controller's side.
 
@@ -63,11 +68,20 @@ class CanControllerLink(ControllerLink):
         bus: the bus it is on, which the link closes.
         clock: time of the run.
         telemetry: where everything goes that is no state or torque.
+        take_turns: steps through what `spin` does, which pauses wherever drives are to answer;
+            the first step, to where the drives follow, it makes by itself.
     """
 
     def __init__(
-        self, run: CanRun, master: CanMaster, bus: CanBus, clock: Clock, telemetry: Telemetry
+        self,
+        run: CanRun,
+        master: CanMaster,
+        bus: CanBus,
+        clock: Clock,
+        telemetry: Telemetry,
+        take_turns: Callable[[Iterator[None]], None] = _on_this_thread,
     ) -> None:
+        self._take_turns = take_turns
         self._run, self._master, self._bus = run, master, bus
         self._clock, self._telemetry = clock, telemetry
         self._state = Record(topics.layout(topics.JOINT_STATES, run.joint_names))
@@ -108,22 +122,7 @@ class CanControllerLink(ControllerLink):
             BusError: the bus itself was lost.
             Exception: whatever the handler of states raised.
         """
-        tick = 0
-        try:
-            if not self._master.enable(self._run.link.connect_timeout_s, is_stop_requested):
-                return
-            self._telemetry.require_same_scenario(Role.PLANT)
-            self._clock.start()
-            while tick < self._run.ticks and not is_stop_requested():
-                self._cycle(tick, is_stop_requested)
-                tick = self._next(tick)
-        except DriveError as error:
-            strangers = self._master.strangers()
-            if not strangers:
-                raise
-            raise DriveError(f"{error}; {strangers}") from error
-        finally:
-            self._bring_to_rest(tick, is_stop_requested)
+        self._take_turns(self._turns(is_stop_requested))
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -141,9 +140,28 @@ class CanControllerLink(ControllerLink):
         self._bus.close()
         self._telemetry.close()
 
-    def _cycle(self, tick: int, is_stop_requested: Callable[[], bool]) -> None:
+    def _turns(self, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
+        tick = 0
+        try:
+            if not self._master.enable(self._run.link.connect_timeout_s, is_stop_requested):
+                return
+            self._telemetry.require_same_scenario(Role.PLANT)
+            self._clock.start()
+            while tick < self._run.ticks and not is_stop_requested():
+                yield from self._cycle(tick, is_stop_requested)
+                tick = self._next(tick)
+        except DriveError as error:
+            strangers = self._master.strangers()
+            if not strangers:
+                raise
+            raise DriveError(f"{error}; {strangers}") from error
+        finally:
+            yield from self._bring_to_rest(tick, is_stop_requested)
+
+    def _cycle(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
         self._master.sample(self._run.grid.tick_ns(tick))
-        if not self._await_state(tick, is_stop_requested):
+        is_complete = yield from self._await_state(tick, is_stop_requested)
+        if not is_complete:
             return
         self._state.stamp_ns = self._run.grid.tick_ns(tick)
         self._state.fields["effort"][:] = self._torque
@@ -153,9 +171,12 @@ class CanControllerLink(ControllerLink):
         if self._is_answered:
             self._master.command(self._torque)
 
-    def _await_state(self, tick: int, is_stop_requested: Callable[[], bool]) -> bool:
+    def _await_state(
+        self, tick: int, is_stop_requested: Callable[[], bool]
+    ) -> Generator[None, None, bool]:
         """Read what all drives answer; false if this tick has to do without."""
         position, velocity = self._state.fields["position"], self._state.fields["velocity"]
+        yield
         if not self._run.lockstep:
             return self._master.read(self._patience_s(tick), position, velocity)
         waited_s = 0.0
@@ -167,6 +188,7 @@ class CanControllerLink(ControllerLink):
                 nodes = self._master.missing()
                 self._master.give_up()
                 raise DriveError(f"no answer from drive {nodes} within {waited_s:g} s")
+            yield
         return True
 
     def _patience_s(self, tick: int) -> float:
@@ -182,29 +204,34 @@ class CanControllerLink(ControllerLink):
         self._clock.wait_until(self._run.grid.tick_ns(following))
         return following
 
-    def _bring_to_rest(self, tick: int, is_stop_requested: Callable[[], bool]) -> None:
+    def _bring_to_rest(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
         """Keep the cycle going until the drives have stopped: in lockstep it is what time is."""
         try:
             self._master.begin_stop()
             self._torque[:] = 0.0
             last = tick + max(1, int(_LONGEST_STOP_S * 1e9 / self._run.grid.period_ns))
-            self._read_while_stopping(tick, is_stop_requested)  # what the last tick still owes
+            yield from self._read_while_stopping(
+                tick, is_stop_requested
+            )  # what the last tick still owes
             while not self._master.is_stopped() and tick < last:
                 self._master.command(self._torque)
                 tick = self._next(tick)
                 self._master.sample(self._run.grid.tick_ns(tick))
-                self._read_while_stopping(tick, is_stop_requested)
+                yield from self._read_while_stopping(tick, is_stop_requested)
             self._master.leave()
         except Exception as error:  # noqa: BLE001 (what led here matters more)
             logger.error("the drives may not have been commanded to stop: %s", error)
 
-    def _read_while_stopping(self, tick: int, is_stop_requested: Callable[[], bool]) -> None:
+    def _read_while_stopping(
+        self, tick: int, is_stop_requested: Callable[[], bool]
+    ) -> Iterator[None]:
         """Read what the drives answer; in lockstep, those that do not in time are given up.
 
         One that only takes longer than a poll is waited for, else it would be left while it moves.
         In real time nobody is waited for beyond the tick: the others need their torques.
         """
         position, velocity = self._state.fields["position"], self._state.fields["velocity"]
+        yield
         if not self._run.lockstep:
             self._master.read(self._patience_s(tick), position, velocity)
             return
@@ -215,3 +242,4 @@ class CanControllerLink(ControllerLink):
             longest_s = _LONGEST_STOP_S if is_stop_requested() else answer_timeout_s
             if waited_s >= min(longest_s, answer_timeout_s):
                 self._master.give_up()
+            yield

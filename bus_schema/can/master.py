@@ -184,5 +184,4 @@ class CanMaster(ABC):
             self._strangers[name] += 1
 
     def _send(self, frames: Iterable[CanFrame]) -> None:
-        for frame in frames:
-            self._bus.send(frame)
+        self._bus.send_all(tuple(frames))

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import math
 import random
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.frame_timing import arbitration_key, wire_bits
+from bus_schema.can.frame_timing import WireBits, arbitration_key, wire_bits
 from bus_schema.link.can_configuration import CanConfiguration
 
 _ERROR_FLAG_BITS = (6, 12)
 _ERROR_DELIMITER_AND_SPACE_BITS = 8 + 3
 _LOAD_WINDOW_NS = 100_000_000
 _MOST_NAMES = 1000
+_OTHERS, _NOBODY = -1, -2
 
 
 class CanMedium:
@@ -43,10 +43,11 @@ class CanMedium:
         self._data_bitrate = configuration.data_bitrate or configuration.bitrate
         self._error_probability = configuration.faults.frame_error_probability
         self._random = random.Random(seed)
-        self._counts: Counter[str] = Counter()
+        self._durations_ns: dict[WireBits, int] = {}
+        self._counts: dict[int, int] = {}
         self._busy_ns = 0
-        self._window_busy: Counter[int] = Counter()
-        self._worst_identifier = ""
+        self._window, self._window_busy_ns, self._peak_busy_ns = 0, 0, 0
+        self._worst_name = _NOBODY
         self._start_ns = 0
         self.free_ns = 0
         self.error_frames = 0
@@ -60,10 +61,11 @@ class CanMedium:
             counted from when the bus came up.
         """
         passed = []
-        for frame in sorted(frames, key=arbitration_key):
+        in_order = sorted(frames, key=arbitration_key) if len(frames) > 1 else frames
+        for frame in in_order:
             start_ns = max(ready_ns, self.free_ns)
             self.free_ns = start_ns + self._time_on_wire_ns(frame)
-            self._note(frame, start_ns, self.free_ns - ready_ns)
+            self._note(_name(frame), start_ns, self.free_ns - ready_ns)
             passed.append((self._start_ns + self.free_ns, frame))
         return passed
 
@@ -71,7 +73,7 @@ class CanMedium:
         """The run begins: time is 0 again, and what came before does not count."""
         self._start_ns += self.free_ns
         self._counts.clear()
-        self._window_busy.clear()
+        self._window = self._window_busy_ns = self._peak_busy_ns = 0
         self._busy_ns = self.free_ns = self.error_frames = self.worst_latency_ns = 0
 
     def summary(self, duration_ns: int) -> dict[str, Any]:
@@ -79,18 +81,23 @@ class CanMedium:
         return {
             "bitrate": self._bitrate,
             "load": self._busy_ns / duration_ns if duration_ns else None,
-            "peak_load_100_ms": max(self._window_busy.values(), default=0) / _LOAD_WINDOW_NS,
+            "peak_load_100_ms": max(self._peak_busy_ns, self._window_busy_ns) / _LOAD_WINDOW_NS,
             "worst_latency_us": self.worst_latency_ns * 1e-3,
-            "worst_latency_identifier": self._worst_identifier,
+            "worst_latency_identifier": _text(self._worst_name),
             "frames": sum(self._counts.values()),
-            "frames_by_identifier": dict(sorted(self._counts.items())),
+            "frames_by_identifier": dict(
+                sorted((_text(name), count) for name, count in self._counts.items())
+            ),
             "error_frames": self.error_frames,
         }
 
     def _time_on_wire_ns(self, frame: CanFrame) -> int:
         """With all that is destroyed on the way: error frames cut a frame off at a random bit."""
         bits = wire_bits(frame)
-        duration_ns = bits.duration_ns(self._bitrate, self._data_bitrate)
+        duration_ns = self._durations_ns.get(bits)
+        if duration_ns is None:
+            duration_ns = bits.duration_ns(self._bitrate, self._data_bitrate)
+            self._durations_ns[bits] = duration_ns
         total_ns = duration_ns
         while self._error_probability and self._random.random() < self._error_probability:
             self.error_frames += 1
@@ -100,13 +107,29 @@ class CanMedium:
             total_ns += math.ceil(wasted + after)
         return total_ns
 
-    def _note(self, frame: CanFrame, start_ns: int, latency_ns: int) -> None:
-        name = f"{frame.identifier:0{8 if frame.is_extended else 3}X}"
-        if len(self._counts) >= _MOST_NAMES and name not in self._counts:
-            name = "others"  # a flood of them fills counters, not memory
+    def _note(self, name: int, start_ns: int, latency_ns: int) -> None:
+        if name not in self._counts:
+            if len(self._counts) >= _MOST_NAMES:
+                name = _OTHERS  # a flood of them fills counters, not memory
+            self._counts.setdefault(name, 0)
         self._counts[name] += 1
         busy_ns = self.free_ns - start_ns
         self._busy_ns += busy_ns
-        self._window_busy[start_ns // _LOAD_WINDOW_NS] += busy_ns
+        window = start_ns // _LOAD_WINDOW_NS
+        if window != self._window:
+            self._peak_busy_ns = max(self._peak_busy_ns, self._window_busy_ns)
+            self._window, self._window_busy_ns = window, 0
+        self._window_busy_ns += busy_ns
         if latency_ns > self.worst_latency_ns:
-            self.worst_latency_ns, self._worst_identifier = latency_ns, name
+            self.worst_latency_ns, self._worst_name = latency_ns, name
+
+
+def _name(frame: CanFrame) -> int:
+    """Identifier and format of a frame in one number: texts are made when they are asked for."""
+    return frame.identifier << 1 | frame.is_extended
+
+
+def _text(name: int) -> str:
+    if name < 0:
+        return "" if name == _NOBODY else "others"
+    return f"{name >> 1:0{8 if name & 1 else 3}X}"

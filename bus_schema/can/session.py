@@ -8,6 +8,7 @@ import logging
 import socket
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,11 @@ class PythonCanBus:
             self._bus.send(message, timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:
             raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        """Send frames one after the other; raises as `send` does."""
+        for frame in frames:
+            self.send(frame)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         """The next frame that another node sent; None if none came within `timeout_s`.

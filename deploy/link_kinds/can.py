@@ -6,10 +6,12 @@ import secrets
 import socket
 from collections.abc import Callable
 from functools import partial
+from weakref import WeakKeyDictionary
 
 from bus_schema.arrays import Vector
 from bus_schema.can.candump import CandumpLog
 from bus_schema.can.codec import as_delivered
+from bus_schema.can.exchange import ExchangeNode, FrameExchange
 from bus_schema.can.frame import CanBus
 from bus_schema.can.frame_timing import check_cycle_fits
 from bus_schema.can.link import CanControllerLink, CanRun
@@ -17,7 +19,7 @@ from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.in_process import InProcessNode
+from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock, MonotonicClock, VirtualClock
@@ -29,6 +31,9 @@ from plant_emulator.drives.driven_arm import DrivenArm
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from plant_emulator.drives.fault_plan import parse_fault
 from plant_emulator.drives.protocol import PROTOCOLS
+
+_EXCHANGES: WeakKeyDictionary[InProcessBus, FrameExchange] = WeakKeyDictionary()
+"""A bus of its own for each simulation: those in threads of one process must not meet."""
 
 
 class CanKind(LinkKind[DrivenArm]):
@@ -110,7 +115,8 @@ class CanKind(LinkKind[DrivenArm]):
         bus, telemetry = _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
         master = PROTOCOLS.build(can.protocol).master(bus, can, run.robot)
         clock: Clock = VirtualClock() if run.lockstep else MonotonicClock()
-        return CanControllerLink(_can_run(run), master, bus, clock, telemetry)
+        link = partial(CanControllerLink, _can_run(run), master, bus, clock, telemetry)
+        return link(bus.leave_turns) if isinstance(bus, ExchangeNode) else link()
 
 
 def _can_run(run: LinkRun) -> CanRun:
@@ -118,11 +124,9 @@ def _can_run(run: LinkRun) -> CanRun:
 
 
 def _open_bus(run: LinkRun) -> CanBus:
-    can = run.link.can
-    if run.bus is not None and can.interface == "virtual":
-        # Simulations in threads of one process must not meet.
-        can = can.model_copy(update={"channel": f"{can.resolved_channel}-{id(run.bus)}"})
-    return open_can_bus(can)
+    if run.bus is not None and run.link.can.interface == "virtual":
+        return _EXCHANGES.setdefault(run.bus, FrameExchange()).join()
+    return open_can_bus(run.link.can)
 
 
 def _open_telemetry(run: LinkRun, role: Role) -> Telemetry:

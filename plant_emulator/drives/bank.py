@@ -89,8 +89,6 @@ class DriveBank:
         send: takes every frame that a drive sends.
 
     Attributes:
-        torque_nm: torques that the drives give, shape (joints,).
-        braked: whose brakes are engaged, shape (joints,).
         rejections: frames that no drive could use, by reason.
     """
 
@@ -98,9 +96,10 @@ class DriveBank:
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
         self._axes = [_Axis(protocol, each, send) for each in settings]
-        self.torque_nm: Vector = np.zeros(len(self._axes))
+        self._torque_nm: Vector = np.zeros(len(self._axes))
         self._loops: list[JointLoop | None] = [None] * len(self._axes)
-        self.braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
+        self._braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
+        self._is_stale = True
         self.rejections = Rejections("frame", logger)
 
     @property
@@ -143,11 +142,24 @@ class DriveBank:
         rows = zip(position_rad.tolist(), velocity_rad_s.tolist(), torque_nm.tolist(), strict=True)
         for axis, row in zip(self._axes, rows, strict=True):
             axis.measure(*row)
-        self._note_demands()
+        self._is_stale = True
+
+    @property
+    def torque_nm(self) -> Vector:
+        """Torques that the drives give, shape (joints,)."""
+        self._refresh()
+        return self._torque_nm
+
+    @property
+    def braked(self) -> NDArray[np.bool_]:
+        """Whose brakes are engaged, shape (joints,)."""
+        self._refresh()
+        return self._braked
 
     @property
     def closes_loops(self) -> bool:
         """Whether the torque of any drive follows its joint's motion, see `close_loops`."""
+        self._refresh()
         return any(loop is not None for loop in self._loops)
 
     def close_loops(self, position_rad: Vector, velocity_rad_s: Vector) -> None:
@@ -155,7 +167,7 @@ class DriveBank:
         for joint, (axis, loop) in enumerate(zip(self._axes, self._loops, strict=True)):
             if loop is not None:
                 motion = float(position_rad[joint]), float(velocity_rad_s[joint])
-                self.torque_nm[joint] = loop.torque_nm(*axis.seen(*motion))
+                self._torque_nm[joint] = loop.torque_nm(*axis.seen(*motion))
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
@@ -166,23 +178,23 @@ class DriveBank:
             self._deliver(frame, now_ns)
         except InvalidMessageError as error:
             self.rejections.note(error)
-            self._note_demands()
+            self._is_stale = True
 
     def advance(self, now_ns: int) -> None:
         """Let the drives do what is due at `now_ns`."""
         for axis in self._axes:
             axis.drive.advance(now_ns)
-        self._note_demands()
+        self._is_stale = True
 
     def inject(self, joint: int, fault: DriveFault, now_ns: int) -> None:
         """Let something go wrong with the drive of a joint (counted from 0)."""
         self._axes[joint].inject(fault, now_ns)
-        self._note_demands()
+        self._is_stale = True
 
     def heal(self, joint: int, fault: DriveFault, now_ns: int) -> None:
         """Take the cause of a fault away."""
         self._axes[joint].heal(fault, now_ns)
-        self._note_demands()
+        self._is_stale = True
 
     def describe(self, frame: CanFrame) -> str:
         """A frame in words."""
@@ -196,10 +208,9 @@ class DriveBank:
         if frame.is_fd or frame.is_extended or len(frame.data) > _MOST_BYTES:
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
         understood = False
-        for joint, axis in enumerate(self._axes):
+        for axis in self._axes:
             if not axis.is_silent and axis.drive.receive(frame, now_ns):
-                understood = True
-                self._note_demand(joint, axis)
+                understood = self._is_stale = True
         if not understood:
             raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
 
@@ -209,17 +220,17 @@ class DriveBank:
                 axis.drive.lose_bus(now_ns)
             if frame.identifier & BUS_RESTARTED:
                 axis.drive.regain_bus(now_ns)
-        self._note_demands()
+        self._is_stale = True
 
-    def _note_demands(self) -> None:
+    def _refresh(self) -> None:
+        """Ask the drives what they do to their joints, if anything happened since the last time."""
+        if not self._is_stale:
+            return
+        self._is_stale = False  # first: what a thread brings in meanwhile is for the next time
         for joint, axis in enumerate(self._axes):
-            self._note_demand(joint, axis)
-
-    def _note_demand(self, joint: int, axis: _Axis) -> None:
-        torque_nm, is_released = axis.drive.demand()
-        self._loops[joint] = axis.loop()
-        self.torque_nm[joint] = torque_nm
-        self.braked[joint] = not is_released
+            self._torque_nm[joint], is_released = axis.drive.demand()
+            self._loops[joint] = axis.loop()
+            self._braked[joint] = not is_released
 
 
 _MOST_BYTES = 8

@@ -68,7 +68,7 @@ class DrivesOnBus:
         if not frame.is_error:  # else it never was on the bus
             self._note([frame], now_ns)
         self.bank.receive(frame, self._began_ns + now_ns)
-        self._note(self.answers, now_ns)
+        self._answer(now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Let happen to the drives what is planned, and let them do what is due."""
@@ -76,7 +76,7 @@ class DrivesOnBus:
         if self._is_running:
             self._faults.run_due(self._began_ns + now_ns)
         self.bank.advance(self._began_ns + now_ns)
-        self._note(self.answers, now_ns)
+        self._answer(now_ns)
 
     def lose_bus(self, now_ns: int) -> None:
         """The drives' side goes bus-off."""
@@ -92,7 +92,12 @@ class DrivesOnBus:
     def _send(self, frame: CanFrame) -> None:
         if not self.is_off:
             self.answers.append(frame)
-            self._bus.send(frame)
+
+    def _answer(self, now_ns: int) -> None:
+        """Send what the drives have to say; only then is there time to write it down."""
+        if self.answers:
+            self._bus.send_all(self.answers)
+            self._note(self.answers, now_ns)
 
     def _note(self, frames: Sequence[CanFrame], now_ns: int) -> None:
         """Frames become ready together, when what they answer is through."""

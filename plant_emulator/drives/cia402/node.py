@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import canopen
-from canopen.objectdictionary import NUMBER_TYPES, ObjectDictionary, ODVariable
+from canopen.objectdictionary import NUMBER_TYPES, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
+from bus_schema.can.eds import object_dictionary
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.cia402.abort import Abort
@@ -33,12 +33,6 @@ Reader = Callable[[int], int]
 
 Writer = Callable[[int, int], None]
 """Takes a sub-index and the value written to it; raises `SdoAbortedError` to refuse."""
-
-
-@cache
-def _dictionary(node_id: int) -> ObjectDictionary:
-    """The dictionary of a node; it holds no values, so all nodes of an id can share it."""
-    return canopen.import_od(str(CIA402_EDS), node_id)
 
 
 class PassiveNetwork(canopen.Network):
@@ -128,7 +122,7 @@ class DriveNode(canopen.LocalNode):
     """
 
     def __init__(self, node_id: int, send: Send) -> None:
-        super().__init__(node_id, _dictionary(node_id))
+        super().__init__(node_id, object_dictionary(CIA402_EDS, node_id))
         self.sdo = StrictSdoServer(self, node_id)
         self.network = PassiveNetwork(send)
         self.sdo.network = self.emcy.network = self.network
@@ -147,6 +141,14 @@ class DriveNode(canopen.LocalNode):
     def on_write(self, index: int, write: Writer) -> None:
         """Have a function look at what is written to an object before it is stored."""
         self._writers[index] = write
+
+    def reader(self, index: int) -> Reader | None:
+        """Where an object's value comes from; None if it is stored."""
+        return self._readers.get(index)
+
+    def writer(self, index: int) -> Writer | None:
+        """What looks at an object's values before they are stored; None if nothing does."""
+        return self._writers.get(index)
 
     def fit(self, index: int, subindex: int, value: int) -> None:
         """Give an object of this drive another default than the EDS has."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
 
 from canopen.sdo.exceptions import SdoAbortedError
 
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.errors import check_identifier
+from plant_emulator.drives.cia402.mapped_objects import Entry, packer, unpacker
 from plant_emulator.drives.cia402.node import DriveNode
 
 _NOT_VALID, _NO_REMOTE = 1 << 31, 1 << 30
@@ -16,14 +17,6 @@ _MOST_BITS = 64
 _MOST_ENTRIES = 8
 _COB_ID, _TYPE, _INHIBIT, _EVENT = 1, 2, 3, 5
 _MS, _INHIBIT_UNIT = 1_000_000, 100_000
-
-
-class Entry(NamedTuple):
-    """An object mapped into a PDO."""
-
-    object_index: int
-    subindex: int
-    bits: int
 
 
 class Pdo:
@@ -51,6 +44,9 @@ class Pdo:
         self, node: DriveNode, communication: int, mapping: int, *, is_received: bool
     ) -> None:
         self._node = node
+        # Made at the first use: only then is it certain who serves the objects.
+        self._packer: Callable[[], bytes] | None = None
+        self._unpacker: Callable[[bytes], None] | None = None
         self._communication, self._mapping = communication, mapping
         self._is_received = is_received
         node.on_write(communication, self._write_communication)
@@ -65,7 +61,9 @@ class Pdo:
 
     def pack(self) -> bytes:
         """The mapped objects' values."""
-        return b"".join(self._node.get_data(index, sub) for index, sub, _ in self.entries)
+        if self._packer is None:
+            self._packer = packer(self._node, self.entries)
+        return self._packer()
 
     def unpack(self, data: bytes) -> None:
         """Write the mapped objects.
@@ -73,11 +71,9 @@ class Pdo:
         Raises:
             SdoAbortedError: an object does not take its value; those before it were written.
         """
-        start = 0
-        for index, subindex, bits in self.entries:
-            end = start + bits // 8
-            self._node.set_data(index, subindex, data[start:end])
-            start = end
+        if self._unpacker is None:
+            self._unpacker = unpacker(self._node, self.entries)
+        self._unpacker(data)
 
     def _take(self, subindex: int, value: int) -> None:
         """Take a communication parameter."""
@@ -96,6 +92,7 @@ class Pdo:
     def _set_entries(self, count: int) -> None:
         self.entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(count)]
         self.length = sum(entry.bits for entry in self.entries) // 8
+        self._packer = self._unpacker = None
 
     def _write_communication(self, subindex: int, value: int) -> None:
         if subindex == _COB_ID:

@@ -177,7 +177,10 @@ class ProcessData:
 
 
 def _with_identifier(pdos: Sequence[AnyPdo], identifier: int) -> AnyPdo | None:
-    return next((pdo for pdo in pdos if pdo.is_valid and pdo.identifier == identifier), None)
+    for pdo in pdos:
+        if pdo.identifier == identifier and pdo.is_valid:
+            return pdo
+    return None
 
 
 def _unpack(pdo: Pdo, data: bytes) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -37,6 +37,9 @@ class Replies:
 
     def send(self, frame: CanFrame) -> None:
         self._bus.send(frame)
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        self._bus.send_all(frames)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         give_up_s = time.monotonic() + timeout_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -32,6 +32,9 @@ class FrameBus:
 
     def send(self, frame: CanFrame) -> None:
         self.sent.append(frame)
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        self.sent.extend(frames)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         if self._frames:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import pytest
 
@@ -33,6 +33,9 @@ class FailingBus:
         self._frames = [SYNC]
 
     def send(self, frame: CanFrame) -> None:
+        pass
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
         pass
 
     def receive(self, timeout_s: float) -> CanFrame:
