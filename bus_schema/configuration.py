@@ -140,8 +140,8 @@ def expand_fields(gains: Gains, joints: int, key: str) -> Gains:
 
 
 def shown(value: Any) -> str:
-    """A value as messages show it: as Python writes it, cut off where that is long."""
-    return shortened(repr(value))
+    """A value as messages show it: as Python writes it but for null, cut off where that is long."""
+    return "null" if value is None else shortened(repr(value))
 
 
 def shortened(text: str, longest: int = 120) -> str:

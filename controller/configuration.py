@@ -40,7 +40,7 @@ from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
 from controller.external.configuration import ExternalLawConfiguration
 from controller.external.external_law import ExternalLaw
-from controller.laws import LAWS
+from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
 from controller.manipulator_model import ManipulatorModel
@@ -156,7 +156,7 @@ class ControllerConfiguration(StrictModel):
         if law not in LAWS and law != PROCESS and not is_custom(law):
             raise ValueError(
                 f"one of {', '.join(LAWS)}, module:Class for a law of your own, or {EXTERNAL} for a"
-                " program of your own"
+                f" program of your own{likely_law(law)}"
             )
         return law
 

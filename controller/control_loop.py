@@ -33,7 +33,7 @@ from controller.control_law import ControlLaw, Tracking, release
 from controller.control_status import ControlStatus
 from controller.errors import ControllerError
 from controller.funnel import Funnel
-from controller.law_error import LawError
+from controller.law_error import LawError, is_of_the_law
 from controller.reference import Reference
 from controller.torque_guard import TorqueGuard
 
@@ -121,8 +121,8 @@ class ControlLoop:
         try:
             torque_nm = self._task.law.torque(situation)
             self._task.law.reset()
-        except (Exception, SystemExit) as error:
-            raise LawError(self._task.law_name, None, error) from error
+        except BaseException as error:
+            raise self._of_the_law(error, None) from error
         self._guard.admit(torque_nm, 0, 0.0)
         self._guard.reset()
         # The codec of a message type is made at its first use, which takes longer than a few ticks.
@@ -227,10 +227,14 @@ class ControlLoop:
             )
         try:
             torque_nm = self._task.law.torque(situation)
-        except (Exception, SystemExit) as error:  # a law of the user's own may raise anything
-            raise LawError(self._task.law_name, self.cycles, error) from error
+        except BaseException as error:  # a law of the user's own may raise anything
+            raise self._of_the_law(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
         self._take_torque()
+
+    def _of_the_law(self, error: BaseException, tick: int | None) -> BaseException:
+        """What to raise for an error within the law: a request to stop goes on as it is."""
+        return LawError(self._task.law_name, tick, error) if is_of_the_law(error) else error
 
     def _write(self) -> int:
         """Send the torque in force in answer to the state that was read; its number."""

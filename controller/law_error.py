@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import traceback
 
 from controller.errors import ControllerError
@@ -23,6 +24,13 @@ class LawError(ControllerError):
     def __init__(self, law: str, tick: int | None, error: BaseException) -> None:
         when = "before the first tick" if tick is None else f"at tick {tick}"
         super().__init__(f"law {law} failed {when}: {_described(error)}{_places(error)}")
+
+
+def is_of_the_law(error: BaseException) -> bool:
+    """Whether something raised within a law came from it, rather than from a request to stop."""
+    if isinstance(error, KeyboardInterrupt):  # which Ctrl-C raises only where nothing handles it
+        return signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    return isinstance(error, (Exception, SystemExit))
 
 
 def _described(error: BaseException) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from bus_schema.arrays import Vector
@@ -41,3 +42,9 @@ LAWS = {
     "ftsmc": LawEntry(SlidingMode, FtsmcGains),
 }
 """All that scenarios (``controller.law``, ``controller.gains``), ``--laws`` and studies know of."""
+
+
+def likely_law(unknown: str) -> str:
+    """``; did you mean …?`` for a name that no law has but one nearly has; else nothing."""
+    found = get_close_matches(unknown, list(LAWS), n=1)
+    return f"; did you mean {found[0]}?" if found else ""

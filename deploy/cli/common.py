@@ -16,7 +16,7 @@ from rich.markup import escape
 from bus_schema.configuration import shown
 from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
-from controller.laws import LAWS
+from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
@@ -86,7 +86,7 @@ def parse_laws(text: str | None) -> list[str] | None:
             allowed = (
                 f"{', '.join(LAWS)}, {PROCESS}, module:Class for a law of your own, or {EXTERNAL}"
             )
-            raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}")
+            raise ScenarioError(f"--laws {shown(law)}: must be one of {allowed}{likely_law(law)}")
     return named
 
 

@@ -120,8 +120,13 @@ def replay(
         console.print(PARTIAL)
     console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
     console.print(f"replayed {result.replayed} commands, digest {result.digest}")
+    if result.failure:
+        console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
     if result.is_identical:
-        console.print("[bold green]identical[/]" + " as far as can be read" * bool(data.damage))
+        until = " as far as can be read" * bool(data.damage) or " until it failed" * bool(
+            result.failure
+        )
+        console.print(f"[bold green]identical[/]{until}")
         raise typer.Exit(FAULT if data.damage else FINISHED)
     console.print(f"[bold red]different[/] from command {result.first_difference} on")
     raise typer.Exit(FAULT)

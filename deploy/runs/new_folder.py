@@ -46,7 +46,7 @@ class FolderLock:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             self.close()
-            raise ScenarioError(f"--out {path}: another command is writing there") from error
+            raise ScenarioError(f"{path}: another command is writing there") from error
         except OSError:  # a file system without locks
             self.close()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -30,6 +30,7 @@ class Replay:
         first_difference: index of the first command that differs; None if none does.
         digest: digest of the replay.
         recorded_digest: digest of the recording.
+        failure: what ended the replay before all recorded states were answered; empty if nothing.
     """
 
     recorded: int
@@ -37,6 +38,7 @@ class Replay:
     first_difference: int | None
     digest: str
     recorded_digest: str
+    failure: str = ""
 
     @property
     def is_identical(self) -> bool:
@@ -58,11 +60,7 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     bus = InProcessBus(VirtualClock())
     loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     loop.warm_up()
-    for state in states:
-        try:
-            loop.cycle(state, statuses.get(state[_STAMP]))
-        except Exception:  # noqa: BLE001 (a law that failed in the recording fails again)
-            break
+    failure = _cycle_through(loop, states, statuses)
     replayed = [command.payload for command in bus.commands]
     rounding = setup.link_kind.wire_rounding(setup.link_run(lockstep=True))
     if rounding is not None:
@@ -78,7 +76,18 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
         first_difference=next(differing, None),
         digest=digest(states, replayed),
         recorded_digest=digest(states, recorded),
+        failure=failure,
     )
+
+
+def _cycle_through(loop: ControlLoop, states: list[bytes], statuses: Mapping[bytes, bytes]) -> str:
+    """Answer all states; what ended that early, as a law that failed in the recording will."""
+    for state in states:
+        try:
+            loop.cycle(state, statuses.get(state[_STAMP]))
+        except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
+            return str(error)
+    return ""
 
 
 def _as_delivered(

@@ -62,6 +62,8 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
         return f"{source}: {key}: there is no such key{hint}"
     if problem["type"] == "missing":
         return f"{source}: {key}: is missing"
+    if problem["type"] in ("model_type", "dataclass_type", "dict_type"):
+        return f"{source}: {key} = {shown(problem['input'])}: must be a mapping of keys to values"
     said = problem["msg"].removeprefix("Value error, ")
     should = _SHOULD.fullmatch(said)
     allowed = f"be {said}" if should is None else should[1]

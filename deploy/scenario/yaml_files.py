@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from bus_schema.configuration import ConfigurationError, shortened, shown
 from deploy.input_error import InputError
 from deploy.scenario.explanation import Origin, explain
-from deploy.scenario.yaml_text import values_of
+from deploy.scenario.yaml_text import problem_in, values_of
 
 # Several times as fast, where it is there.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -86,7 +86,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         with naming(path):
             values = values_of(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"{path}: cannot be read as YAML: {problem_in(error)}") from error
+    except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
     if not isinstance(values, dict):
         raise ScenarioError(f"{path}: must be a mapping of keys to values")

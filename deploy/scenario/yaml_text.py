@@ -7,6 +7,7 @@ than characters, are counted before anything is built from them.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -58,6 +59,18 @@ class _Level(NamedTuple):
 
     nodes_before: int
     anchor: str | None
+
+
+def problem_in(error: yaml.YAMLError) -> str:
+    """What a parser did not like, and at which line, as a sentence of its own."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem is None:
+        return str(error)
+    problem = re.sub(
+        r"^could not determine a constructor for the tag", "unknown tag", error.problem
+    )
+    problem = problem.replace("but found another document", "holds a second document after ---")
+    mark = error.problem_mark or error.context_mark
+    return problem if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: {problem}"
 
 
 def values_of(text: str) -> Any:

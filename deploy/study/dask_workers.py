@@ -125,7 +125,11 @@ class DaskWorkers:
 
 
 def dask_setup(_worker: Worker) -> None:
-    """Called by Dask in every worker process of our own: Ctrl-C is for the command that began."""
+    """Called by Dask in every worker process of our own: Ctrl-C is for the command that began.
+
+    What goes wrong in a run stands in its row, cause first; here nobody would know whose it is.
+    """
+    logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
     for number in (signal.SIGINT, signal.SIGHUP):  # which a terminal sends to all processes
         signal.signal(number, signal.SIG_IGN)
 

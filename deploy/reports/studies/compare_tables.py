@@ -13,7 +13,6 @@ from deploy.reports.tables import (
     Column,
     Table,
     Value,
-    margin_percent,
     margin_text,
     number,
     scaled,
@@ -29,12 +28,13 @@ def _percentage(section: str, key: str) -> Callable[[dict[str, Any]], float | No
 
 
 def _margin(summary: dict[str, Any]) -> Value:
-    return margin_percent(summary["bounds"]["margin_min"])
+    """With its unit: it is per cent, or a multiple of the bound where that was left far behind."""
+    return margin_text(summary["bounds"]["margin_min"])
 
 
 _NUMBERS: list[tuple[Column, Callable[[dict[str, Any]], Value], bool]] = [
     (Column("Ticks outside", "%", "Outside"), _percentage("bounds", "violation_fraction"), False),
-    (Column("Smallest margin", "%", "Margin"), _margin, False),
+    (Column("Smallest margin", "", "Margin"), _margin, False),
     (replace(quantities.RMS_ERROR.column, brief=None), quantities.RMS_ERROR.of_worst_joint, True),
     (quantities.TOTAL_VARIATION.column, quantities.TOTAL_VARIATION.of_worst_joint, True),
     (quantities.SHARE_ABOVE_50_HZ.column, quantities.SHARE_ABOVE_50_HZ.of_worst_joint, True),

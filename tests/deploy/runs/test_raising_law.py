@@ -97,6 +97,29 @@ def test_a_law_that_wants_to_exit_only_fails(funnel_hil, folder):
     assert "failed at tick 1005: SystemExit: enough" in output
 
 
+@pytest.mark.parametrize("command", ["simulate", "run"])
+def test_a_law_that_raises_what_ctrl_c_raises_has_failed(folder, command):
+    (folder / "raising_law.py").write_text(LAW.replace('SystemExit("enough")', "KeyboardInterrupt"))
+    gains = "controller.gains.custom={at_tick: 1005}"
+    words = [command, "mine.yaml", "--no-report", "--set", "duration_s=1.2", "--set", gains,
+             "--set", "clock=lockstep", "--out", "out"]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
+        env={**os.environ, "COLUMNS": "400"}, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert "failed at tick 1005: KeyboardInterrupt" in done.stdout
+
+
+def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
+    out = folder / "out"
+    assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
+    code, output = funnel_hil("replay", out, "--allow-custom-law")
+    assert code == 0
+    assert f"the replay ended early: {TOLD[0]}" in output
+    assert "identical until it failed" in output
+
+
 def test_compare_tells_it_beside_the_laws_that_work(funnel_hil, folder):
     out = folder / "out"
     code, output = funnel_hil("compare", "mine.yaml", "--laws", f"pid,{NAME}", *SHORT, "--out", out)

@@ -62,7 +62,7 @@ def test_two_commands_in_one_folder_are_refused(funnel_hil, tmp_path, command):
     code, output = funnel_hil(*COMMANDS[command], "--out", tmp_path, "--overwrite")
     lock.close()
     assert code == 2
-    assert f"--out {tmp_path}: another command is writing there" in output
+    assert f"error: {tmp_path}: another command is writing there" in output
     assert list(tmp_path.iterdir()) == []
 
 
