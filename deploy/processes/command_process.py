@@ -88,6 +88,9 @@ def _fork_server_survives() -> Iterator[None]:
     It is in the process group that a terminal, or `timeout`, tells to stop; the path of its
     socket must be short, which not every TMPDIR is; and modules in this folder are not to take the
     place of ours.
+
+    Raises:
+        ChildProcessError: something ended it while it was asked for a process.
     """
     resource_tracker.ensure_running()  # which would let the signals through
     signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
@@ -96,6 +99,8 @@ def _fork_server_survives() -> Iterator[None]:
     is_ours = os.environ.setdefault(SAFE_PATH, FOR_FORK_SERVER) == FOR_FORK_SERVER
     try:
         yield
+    except EOFError as error:
+        raise ChildProcessError("what this run's processes are forked from was killed") from error
     finally:
         if is_ours:
             del os.environ[SAFE_PATH]

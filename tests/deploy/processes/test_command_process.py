@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,3 +40,31 @@ def test_command_is_told_by_its_command_line(tmp_path):
     command.process.join()
     assert f"-m deploy.cli {' '.join(words)} --to-parent " in line
     assert session == command.process.pid  # a terminal's signals are not for it
+
+
+KILLED_WHILE_ASKED = """
+import os, signal, threading
+from multiprocessing import forkserver
+from deploy.processes.command_process import start
+
+command = start(["--version"])
+print(command.stdout.read().strip())
+pid = forkserver._forkserver._forkserver_pid
+os.kill(pid, signal.SIGSTOP)  # so that it cannot answer before it is killed
+threading.Timer(0.2, os.kill, (pid, signal.SIGKILL)).start()
+try:
+    start(["--version"])
+except OSError as error:  # which ends commands with one message
+    print(error)
+print(start(["--version"]).stdout.read().strip())
+"""
+
+
+def test_a_fork_server_that_is_killed_is_named_and_replaced():
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED_WHILE_ASKED], capture_output=True, text=True, check=True,
+        timeout=120,
+    )  # fmt: skip
+    version, error, again = done.stdout.splitlines()
+    assert version == again
+    assert error == "what this run's processes are forked from was killed"
