@@ -211,7 +211,7 @@ def test_impossible_file_of_delays_is_refused(
 def test_empirical_distribution_needs_a_file_and_has_no_jitter(refuse: Refusal) -> None:
     words = ["run", "paper_arm", "--set", "link.uplink.distribution=empirical"]
     message = refuse(*words, "--set", "link.uplink.jitter_ms=2")
-    assert "link.uplink.distribution_file = None: must be a file of delays in ms" in message
+    assert "link.uplink.distribution_file = null: must be a file of delays in ms" in message
     assert "link.uplink.jitter_ms = 2: must be left at 0" in message
 
 

@@ -47,7 +47,7 @@ def test_it_is_called_after_its_program(command: str, name: str) -> None:
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["controller.law=process"], "controller.process = None: must be a program"),
+        (["controller.law=process"], "controller.process = null: must be a program"),
         (["controller.process=[]"], r"controller\.process = \(?\[?\]?"),
         (["controller.process=./mine"], r"controller\.process = './mine'"),
         (["controller.process=['']"], r"controller\.process\.0 = ''"),
