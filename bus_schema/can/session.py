@@ -5,18 +5,18 @@ from __future__ import annotations
 import contextlib
 import errno
 import logging
+import os
 import socket
-import time
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import can
+from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.multicast import Envelopes, MulticastBus
 from bus_schema.can.socket_drops import dropped_by_socket
-from bus_schema.can.this_machine import hear_this_machine_only
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -38,14 +38,11 @@ class PythonCanBus:
     Args:
         bus: python-can's bus.
         channel: what it is called, for error messages.
-        receives_own: it receives its own frames too, as in a multicast group; these are left out.
     """
 
-    def __init__(self, bus: can.BusABC, channel: str, *, receives_own: bool) -> None:
+    def __init__(self, bus: can.BusABC, channel: str) -> None:
         self._bus = bus
         self._channel = channel
-        self._receives_own = receives_own
-        self._own_frames: Counter[CanFrame] = Counter()
 
     def send(self, frame: CanFrame) -> None:
         """Send a frame.
@@ -53,19 +50,8 @@ class PythonCanBus:
         Raises:
             CanSessionError: the interface is down, or its queue stays full for a second.
         """
-        if self._receives_own:
-            self._own_frames[frame] += 1
-        message = can.Message(
-            arbitration_id=frame.identifier,
-            data=frame.data,
-            is_extended_id=frame.is_extended,
-            is_remote_frame=frame.is_remote,
-            is_error_frame=frame.is_error,
-            is_fd=frame.is_fd,
-            bitrate_switch=frame.is_fd,
-        )
         try:
-            self._bus.send(message, timeout=_SEND_TIMEOUT_S)
+            self._bus.send(_message(frame), timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:
             raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
 
@@ -80,13 +66,11 @@ class PythonCanBus:
         Raises:
             CanSessionError: the interface is down.
         """
-        frame = self._receive(timeout_s)
-        if not self._receives_own:
-            return frame
-        give_up_s = time.monotonic() + timeout_s
-        while frame is not None and self._is_own(frame):
-            frame = self._receive(max(0.0, give_up_s - time.monotonic()))
-        return frame
+        try:
+            message = self._bus.recv(timeout_s)
+        except (can.CanError, OSError) as error:
+            raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
+        return None if message is None else _frame(message)
 
     def dropped(self) -> int | None:
         """Frames that came while the socket's queue was full; None where nobody counts them."""
@@ -100,31 +84,28 @@ class PythonCanBus:
         with contextlib.suppress(can.CanError, OSError):
             self._bus.shutdown()
 
-    def _receive(self, timeout_s: float) -> CanFrame | None:
-        try:
-            message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError) as error:
-            if self._receives_own and not isinstance(error.__cause__, OSError):
-                return None  # a datagram on the multicast group that is no CAN frame
-            raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
-        if message is None:
-            return None
-        return CanFrame(
-            message.arbitration_id,
-            bytes(message.data),
-            message.is_extended_id,
-            message.is_remote_frame,
-            message.is_error_frame,
-            message.is_fd,
-        )
 
-    def _is_own(self, frame: CanFrame) -> bool:
-        outstanding = self._own_frames[frame]
-        if outstanding <= 1:
-            del self._own_frames[frame]
-        else:
-            self._own_frames[frame] = outstanding - 1
-        return outstanding > 0
+def _message(frame: CanFrame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.identifier,
+        data=frame.data,
+        is_extended_id=frame.is_extended,
+        is_remote_frame=frame.is_remote,
+        is_error_frame=frame.is_error,
+        is_fd=frame.is_fd,
+        bitrate_switch=frame.is_fd,
+    )
+
+
+def _frame(message: can.Message) -> CanFrame:
+    return CanFrame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_extended_id,
+        message.is_remote_frame,
+        message.is_error_frame,
+        message.is_fd,
+    )
 
 
 def open_can_bus(configuration: CanConfiguration) -> CanBus:
@@ -141,11 +122,35 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
         )  # fmt: skip
     try:
         bus = can.Bus(interface=interface, channel=channel, **_arguments(configuration))
-        if interface == "udp_multicast" and not configuration.hop_limit:
-            hear_this_machine_only(bus.fileno())
+        if interface == "udp_multicast":
+            return _over_socket_of(bus, configuration)
     except Exception as error:
         raise _explained(error, interface, channel) from error
-    return PythonCanBus(bus, channel, receives_own=interface == "udp_multicast")
+    return PythonCanBus(bus, channel)
+
+
+def _over_socket_of(bus: can.BusABC, configuration: CanConfiguration) -> CanBus:
+    """A bus on the socket that python-can has opened, and in its format."""
+
+    def pack(frame: CanFrame) -> bytes:
+        if frame.is_fd and not configuration.fd:
+            raise ValueError("cannot send FD frames with link.can.fd = false")
+        return pack_message(_message(frame))
+
+    def unpack(datagram: bytes) -> CanFrame | None:
+        try:
+            message = unpack_message(datagram, check=True)
+        except Exception:  # noqa: BLE001 (the group may carry anything; msgpack raises anything)
+            return None
+        return None if message.is_fd and not configuration.fd else _frame(message)
+
+    try:
+        receiver = socket.socket(fileno=os.dup(bus.fileno()))
+        receiver.setblocking(False)
+        place = configuration.resolved_channel, configuration.port
+        return MulticastBus(receiver, place, configuration.hop_limit, Envelopes(pack, unpack))
+    finally:
+        bus.shutdown()
 
 
 def check_can_bus(configuration: CanConfiguration) -> None:

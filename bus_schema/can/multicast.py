@@ -1,0 +1,170 @@
+"""CAN frames over UDP multicast, in python-can's wire format, without python-can in the cycle.
+
+A frame is a datagram. All of it but the frame's data is the same whenever a frame of that kind is
+sent: such envelopes are made and understood once, by python-can, and kept. What this node sends
+comes from a port of its own, by which the kernel keeps its own frames from coming back.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+
+from bus_schema.can.frame import CanFrame
+from bus_schema.can.socket_drops import dropped_by_socket
+from bus_schema.can.socket_filter import keep_out
+from bus_schema.errors import BusError
+
+_LONGEST_DATAGRAM = 4096
+_MOST_ENVELOPES = 4096
+_DATA = b"\xa4data\xc4"
+"""The key before a frame's data and the type of its value, as msgpack has them."""
+_SEND_TIMEOUT = struct.pack("@ll", 1, 0)
+
+Pack = Callable[[CanFrame], bytes]
+"""Makes a datagram of a frame; raises `ValueError` for one that the bus does not carry."""
+
+Unpack = Callable[[bytes], CanFrame | None]
+"""Makes a frame of a datagram; None if it is none, or none for this bus."""
+
+
+class Envelopes:
+    """Datagrams of frames, of which only the data is new each time.
+
+    Args:
+        pack: makes any datagram.
+        unpack: understands any datagram.
+    """
+
+    def __init__(self, pack: Pack, unpack: Unpack) -> None:
+        self._pack, self._unpack = pack, unpack
+        self._outgoing: dict[tuple[object, ...], tuple[bytes, bytes]] = {}
+        self._incoming: dict[tuple[bytes, bytes], CanFrame] = {}
+
+    def seal(self, frame: CanFrame) -> bytes:
+        """The datagram of a frame; raises `ValueError` as `Pack` does."""
+        identifier, data, *flags = frame
+        kind = (identifier, len(data), *flags)
+        envelope = self._outgoing.get(kind)
+        if envelope is None:
+            datagram = self._pack(frame)
+            head, mark, rest = datagram.partition(_DATA)
+            envelope = head + mark + rest[:1], rest[1 + len(data) :]
+            if len(self._outgoing) < _MOST_ENVELOPES:
+                self._outgoing[kind] = envelope
+        return envelope[0] + data + envelope[1]
+
+    def open(self, datagram: bytes) -> CanFrame | None:
+        """The frame of a datagram, None if it is none."""
+        start = datagram.find(_DATA) + len(_DATA) + 1
+        end = start + datagram[start - 1] if start <= len(datagram) else 0
+        envelope = datagram[:start], datagram[end:]
+        known = self._incoming.get(envelope)
+        if known is not None:
+            identifier, _, *flags = known
+            return CanFrame(identifier, datagram[start:end], *flags)
+        frame = self._unpack(datagram)
+        is_typical = frame is not None and frame.data == datagram[start:end]
+        if frame is not None and is_typical and len(self._incoming) < _MOST_ENVELOPES:
+            self._incoming[envelope] = frame
+        return frame
+
+
+class MulticastBus:
+    """A node's access to a multicast group, see `CanBus`.
+
+    Args:
+        receiver: a socket in the group, which the bus takes over.
+        place: group and port.
+        hop_limit: how far frames go; with 0 only what this machine sends is heard.
+        envelopes: datagrams of frames.
+
+    Raises:
+        OSError: there is no way to the group.
+    """
+
+    def __init__(
+        self, receiver: socket.socket, place: tuple[str, int], hop_limit: int, envelopes: Envelopes
+    ) -> None:
+        self._receiver, self._envelopes = receiver, envelopes
+        self._name = place[0]
+        self._sender = _sender(receiver.family, place, hop_limit)
+        self._sent = 0
+        own_port = self._sender.getsockname()[1]
+        keep_out(receiver.fileno(), own_port, other_machines=not hop_limit)
+
+    def send(self, frame: CanFrame) -> None:
+        """Send a frame.
+
+        Raises:
+            BusError: it cannot be sent here, or the network is down.
+        """
+        try:
+            self._sender.send(self._envelopes.seal(frame))
+        except (OSError, ValueError) as error:
+            raise BusError(f"CAN channel {self._name}: {error}") from error
+        self._sent += 1
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        """Send frames one after the other; raises as `send` does."""
+        for frame in frames:
+            self.send(frame)
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        """The next frame that another node sent; None if none came within `timeout_s`.
+
+        Raises:
+            BusError: the network is down.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        try:
+            while True:
+                datagram = self._next()
+                frame = None if datagram is None else self._envelopes.open(datagram)
+                left_s = give_up_s - time.monotonic()
+                if frame is not None or left_s <= 0.0:
+                    return frame
+                if datagram is None:
+                    select.select([self._receiver], [], [], left_s)
+        except (OSError, ValueError) as error:  # a closed socket's descriptor is -1
+            raise BusError(f"CAN channel {self._name}: {error}") from error
+
+    def dropped(self) -> int | None:
+        """Frames that came while the socket's queue was full; None where nobody counts them.
+
+        The kernel counts those too that it keeps out.
+        """
+        try:
+            return max(0, dropped_by_socket(self._receiver.fileno()) - self._sent)
+        except OSError:  # another kernel than Linux
+            return None
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._receiver.close()
+        self._sender.close()
+
+    def _next(self) -> bytes | None:
+        """A datagram that is there."""
+        try:
+            return self._receiver.recv(_LONGEST_DATAGRAM)
+        except BlockingIOError:
+            return None
+
+
+def _sender(family: int, place: tuple[str, int], hop_limit: int) -> socket.socket:
+    sender = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        if family == socket.AF_INET6:
+            sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, hop_limit)
+        else:
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, hop_limit)
+        sender.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _SEND_TIMEOUT)
+        sender.connect(place)
+    except OSError:
+        sender.close()
+        raise
+    return sender
