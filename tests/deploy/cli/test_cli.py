@@ -60,7 +60,7 @@ ONE_EACH = "each of the 3 joints"
 IMPOSSIBLE = [
     # key, value as given, as the message shows it, what the message says is allowed
     ("duration_s", "abc", "'abc'", "a valid number"),
-    ("duration_s", "", "None", "a valid number"),
+    ("duration_s", "", "null", "a valid number"),
     ("duration_s", "0", "0", "greater than 0"),
     ("duration_s", ".nan", "nan", "a finite number"),
     ("duration_s", "1000000000", "1000000000", "must"),
