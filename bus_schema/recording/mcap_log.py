@@ -203,17 +203,17 @@ class _Sorter:
 
     def take(self, record: McapRecord) -> None:
         """Sort one record in."""
-        match record:
+        match record:  # of which nearly all are messages
+            case Message() if record.channel_id in self._topics:
+                self._take_message(record)
+            case Message():
+                self._waiting.append(record)
             case Schema() if record.id not in self._translations:
                 text = record.data.decode(errors="replace")
                 self._translations[record.id] = translation(record.name, text)
             case Channel() if record.id not in self._topics:
                 self._topics[record.id] = record.topic.strip("/")
                 self._translate[record.id] = self._translations.get(record.schema_id)
-            case Message() if record.channel_id in self._topics:
-                self._take_message(record)
-            case Message():
-                self._waiting.append(record)
             case Attachment():
                 self.contents.attachments[record.name] = record.data
             case Metadata():

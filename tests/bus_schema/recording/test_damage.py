@@ -6,11 +6,13 @@ import struct
 
 import numpy as np
 import pytest
-from mcap.records import Chunk
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
+from bus_schema.recording.checked_records import CheckedRecords
 from bus_schema.recording.mcap_log import McapLog, read_log
 
 COUNT = 40
@@ -123,3 +125,37 @@ def test_a_recording_without_checksums_over_its_data_says_so(tmp_path):
     assert contents.complete
     assert contents.lacks_checksums
     assert contents.payloads == {"joint_commands": [b"payload"]}
+
+
+@pytest.mark.parametrize("length", [0, 5, 21, 23, 31])
+def test_a_message_of_a_wrong_length_is_damage_where_no_checksum_tells(tmp_path, length):
+    """In a chunk without a checksum, lengths alone say where a record ends."""
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start(profile="ros2", library="funnel-hil")
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        channel = writer.register_channel(f"/{JOINT_COMMANDS.name}", "cdr", schema)
+        writer.add_message(channel, 1, b"payload", 1)
+        writer.finish()
+    whole, right = path.read_bytes(), struct.pack("<BQH", Opcode.MESSAGE, 22 + 7, channel)
+    assert whole.count(right) == 1
+    assert read_log(path).payloads == {"joint_commands": [b"payload"]}
+    path.write_bytes(whole.replace(right, struct.pack("<BQH", Opcode.MESSAGE, length, channel)))
+    contents = read_log(path)
+    assert "the chunk at byte" in contents.damage[0]
+    assert not contents.complete
+    assert not contents.payloads
+
+
+def test_chunks_are_read_as_the_library_reads_them(recording):
+    path, _, _ = recording
+    with path.open("rb") as file:
+        theirs = list(StreamReader(file).records)
+    with path.open("rb") as file:
+        ours = list(CheckedRecords(file, path.stat().st_size))
+    known = (Message, Schema, Channel, Attachment)
+    assert [each for each in ours if isinstance(each, known)] == [
+        each for each in theirs if isinstance(each, known)
+    ]
+    assert sum(isinstance(each, Message) for each in ours) == COUNT
