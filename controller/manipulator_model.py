@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError
@@ -199,6 +200,18 @@ class ManipulatorModel:
         pinocchio.forwardKinematics(self._model, self._data, self._places.positions(position))
         placement = pinocchio.updateFramePlacement(self._model, self._data, self._tip)
         return np.array(placement.translation)
+
+    def skeleton(self, position: Vector) -> NDArray[np.float64]:
+        """Bones in the base frame, shape (bones, 2, 3), m.
+
+        Each leads from a joint, or the base's origin, to a joint that it carries, or to the tip.
+        """
+        pinocchio.forwardKinematics(self._model, self._data, self._places.positions(position))
+        tip = pinocchio.updateFramePlacement(self._model, self._data, self._tip).translation
+        joints = [placement.translation for placement in self._data.oMi]
+        carriers = [*self._model.parents[1:], self._model.frames[self._tip].parentJoint]
+        ends = zip(carriers, [*joints[1:], tip], strict=True)
+        return np.array([(joints[carrier], end) for carrier, end in ends])
 
     def yaw_pitch_pitch_lengths(self) -> tuple[float, float, float]:
         """Shoulder height, upper arm and forearm of a yaw-pitch-pitch arm, m.

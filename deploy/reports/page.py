@@ -1,18 +1,26 @@
-"""The page of a report: one HTML file that holds everything it needs and opens offline."""
+"""The page of a report: one HTML file that holds everything it needs and opens offline.
+
+But for reports of studies, which share a file with the library that draws their figures.
+"""
 
 from __future__ import annotations
 
 import base64
+import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import numpy as np
 import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from plotly.offline import get_plotlyjs
+from numpy.typing import NDArray
 
+from bus_schema.arrays import Vector
 from bus_schema.recording.atomic_files import write_whole
+from deploy.reports import plotly_library
+from deploy.reports.figure_json import figure_json, typed_array
 from deploy.reports.tables import Table
 
 T = TypeVar("T")
@@ -40,6 +48,27 @@ class Picture:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """A figure in space whose first traces move along a run.
+
+    Attributes:
+        figure: as it is at the first of the times.
+        times_s: rising, shape (frames,).
+        points: of each trace at each time, shape (frames, traces, points, 3), m.
+    """
+
+    figure: go.Figure
+    times_s: Vector
+    points: NDArray[np.float64]
+
+    def frames(self) -> dict[str, Any]:
+        """Times and points for the page, ready for JSON."""
+        _, traces, points, _ = self.points.shape
+        arrays = {"times": typed_array(self.times_s), "points": typed_array(self.points.ravel())}
+        return {"traces": traces, "points_of_each": points, **arrays}
+
+
+@dataclass(frozen=True)
 class Panel(Generic[T]):
     """A figure of a report.
 
@@ -47,21 +76,30 @@ class Panel(Generic[T]):
         section: title of the section that it stands in.
         id: of its HTML element, and the only one of this name in a page.
         title: of the figure.
-        draw: gives the figure, pictures or a table; None where there is nothing to draw.
+        draw: gives the figure, pictures, a motion or a table; None where there is nothing to draw.
         caption: what to look for in it.
         is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
+        is_over_time: whether its horizontal axis is the time of a run, on which the page shows the
+            instant that is looked at.
     """
 
     section: str
     id: str
     title: str
-    draw: Callable[[T], go.Figure | Sequence[Picture] | Table | None]
+    draw: Callable[[T], go.Figure | Sequence[Picture] | Motion | Table | None]
     caption: str
     is_clickable: bool = False
+    is_over_time: bool = False
 
 
 def write_page(
-    path: Path, template: str, panels: Iterable[Panel[T]], subject: T, **values: Any
+    path: Path,
+    template: str,
+    panels: Iterable[Panel[T]],
+    subject: T,
+    *,
+    end_s: float | None = None,
+    **values: Any,
 ) -> None:
     """Write a report.
 
@@ -70,6 +108,7 @@ def write_page(
         template: file name of the template of this kind of report.
         panels: its figures, in order.
         subject: what they show.
+        end_s: end of the run whose figures over time share an instant; None for no such run.
         values: what else the template asks for: always `title`, `verdict`, `facts`
             and `conditions`.
     """
@@ -78,8 +117,10 @@ def write_page(
         content = panel.draw(subject)
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
+    address = plotly_library.address(path)
+    library = {"library": address, "packed_library": "" if address else plotly_library.packed()}
     html = _ENVIRONMENT.get_template(template).render(
-        plotly_js=get_plotlyjs(), sections=sections, **values
+        sections=sections, end_s=end_s, **library, **values
     )
     write_whole(path, html)
 
@@ -92,6 +133,9 @@ _ENVIRONMENT = Environment(
     lstrip_blocks=True,
     keep_trailing_newline=True,
 )
-_ENVIRONMENT.policies["json.dumps_function"] = lambda figure, **_: figure.to_json()
+_ENVIRONMENT.policies["json.dumps_function"] = lambda content, **_: (
+    figure_json(content) if isinstance(content, go.Figure) else json.dumps(content)
+)
 _ENVIRONMENT.tests["figure"] = lambda content: isinstance(content, go.Figure)
+_ENVIRONMENT.tests["motion"] = lambda content: isinstance(content, Motion)
 _ENVIRONMENT.tests["table"] = lambda content: isinstance(content, Table)

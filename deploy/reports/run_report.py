@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from deploy.reports.figures.arm_motion import arm_motion
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.figures.end_effector import tip_error, tip_path
 from deploy.reports.figures.errors import error_first_second, error_in_funnel, transformed_error
@@ -42,6 +43,7 @@ PANELS: list[Panel[RunData]] = [
         "A good run is ready for an instant and tracking to its end. Every way to a fault leads"
         " through stopping. Crosses are faults, triangles are limits reached for the first"
         " time; what lasts an instant is drawn wider than it was.",
+        is_over_time=True,
     ),
     Panel(
         "Tracking error", "error-in-funnel", "True error inside its bounds",
@@ -49,21 +51,25 @@ PANELS: list[Panel[RunData]] = [
         "The line should stay within the shaded band. The scale is that of the steady state;"
         " the start is drawn in full beside or below. Red marks are ticks outside the bounds; a"
         " red shade, here and in all figures over time, is a scheduled fault.",
+        is_over_time=True,
     ),
     Panel(
         "Tracking error", "error-first-second", "The first second", with_faults(error_first_second),
         "The bounds shrink from where the error begins. Look for overshoot beyond the far"
         " bound, and for how much room is left while the bounds close in.",
+        is_over_time=True,
     ),
     Panel(
         "Control", "transformed-error", "Transformed error ε", with_faults(transformed_error),
         "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
         " quarters of the way where the bounds are symmetric. As the controller saw it.",
+        is_over_time=True,
     ),
     Panel(
         "Control", "torques", "Commanded torque", with_faults(torques),
         "A smooth line is kind to gears; a solid block of colour is chatter. Dotted lines are"
         " the limits of the actuators, where the command comes near them.",
+        is_over_time=True,
     ),
     Panel(
         "Motion", "tip-path", "Path of the end effector", tip_path,
@@ -73,6 +79,12 @@ PANELS: list[Panel[RunData]] = [
     Panel(
         "Motion", "tip-error", "Error of the end effector", with_faults(tip_error),
         "True minus reference position in the base frame, scaled to the steady state.",
+        is_over_time=True,
+    ),
+    Panel(
+        "Motion", "arm-motion", "The arm along its run", arm_motion,
+        "From joint to joint, at the instant that the bar at the foot of the page shows. Grey: on"
+        " the reference. Drag to turn, scroll to zoom.",
     ),
     Panel(
         "Motion", "arm", "The arm", arm_pictures,
@@ -84,6 +96,7 @@ PANELS: list[Panel[RunData]] = [
         "Coloured: output of the network. Grey: M q̈ + C q̇ + G of the true arm at the reference"
         " acceleration, plus friction and disturbance. The closer the two, the less is left to"
         " the reaching terms. The scale is that of the steady state.",
+        is_over_time=True,
     ),
     Panel(
         "What was learned", "learned-values", "Believed at the end, and true", learned_values,
@@ -96,24 +109,29 @@ PANELS: list[Panel[RunData]] = [
         "What was learned", "learned-inertia", "Inertia factor 1 + α", with_faults(learned_inertia),
         "Masses and inertias over those of the nominal model. Dashed, in all these figures: the"
         " truth.",
+        is_over_time=True,
     ),
     Panel(
         "What was learned", "learned-payload", "Payload", with_faults(learned_payload),
         "A point mass at the tip that the nominal model does not have.",
+        is_over_time=True,
     ),
     Panel(
         "What was learned", "learned-lag", "Lag of the actuators", with_faults(learned_lag),
         "Time constant from the torque asked for to the torque delivered; at most 8 ms are"
         " believed.",
+        is_over_time=True,
     ),
     Panel(
         "What was learned", "learned-coulomb", "Coulomb friction", with_faults(learned_coulomb),
         "What brakes a moving joint whatever its speed. Torques that change their sign with the"
         " velocity for other reasons are taken for it, too.",
+        is_over_time=True,
     ),
     Panel(
         "What was learned", "learned-viscous", "Viscous friction", with_faults(learned_viscous),
         "What brakes a joint in proportion to its speed.",
+        is_over_time=True,
     ),
     Panel(
         "Timing", "timing-percentiles", "Percentiles of times", timing_percentiles,
@@ -126,6 +144,7 @@ PANELS: list[Panel[RunData]] = [
         "Share of the ticks at which the torque in force answered a state that was too old."
         " Single bars are disturbances of the machine or the link; a full block is a link that"
         " is slower than the deadline allows.",
+        is_over_time=True,
     ),
 ]  # fmt: skip
 """The figures of the report, in order; another one is another entry."""
@@ -152,6 +171,7 @@ def write_report(
         "run.html",
         PANELS,
         run,
+        end_s=summary["duration_s"],
         title=f"{summary['scenario']} · {summary['law']} · {verdict.headline}",
         verdict=verdict,
         facts=_facts(summary),

@@ -22,7 +22,7 @@ _RESULTS = (
 """By any of these a folder holds results."""
 _MORE = re.compile(
     r"run-\d+(\.partial)?\.mcap|can(-\d+)?\.log|table\.md|scenario\.yaml|tags\.json"
-    r"|\w+\.partial\.(json|html|parquet|md|yaml)"
+    r"|\w+\.partial\.(json|html|parquet|md|yaml)|plotly\.min(\.partial)?\.js"
 )
 """What else commands write there."""
 _FOLDERS = ("rows", "scenarios", "base", "export")

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from deploy.comparison.comparison import Comparison
-from deploy.reports import quantities
+from deploy.reports import plotly_library, quantities
 from deploy.reports.figures.end_effector import tip_error_envelopes, tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
@@ -94,8 +94,12 @@ PANELS: list[Panel[Comparison]] = [
 def write_comparison_report(
     comparison: Comparison, path: Path, conditions: Mapping[str, str]
 ) -> None:
-    """Write the report of a comparison with at least one run to an HTML file."""
+    """Write the report of a comparison with at least one run to an HTML file.
+
+    The library of its figures goes beside it, where reports of single laws find it too.
+    """
     verdict = verdict_on_laws(comparison)
+    plotly_library.share(path.parent)
     write_page(
         path,
         "comparison.html",

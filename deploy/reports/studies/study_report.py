@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from deploy.reports import plotly_library
 from deploy.reports.page import Fact, write_page
 from deploy.reports.studies.margin_report import margin_content
 from deploy.reports.studies.robustness_report import robustness_content
@@ -23,10 +24,11 @@ def content_of(summary: dict[str, Any]) -> StudyContent:
 
 
 def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
-    """Write the report of a sweep or of margins to its folder."""
+    """Write the report of a sweep or of margins to its folder, and the library of its figures."""
     content = content_of(summary)
     verdict = _with_failures(content.verdict, summary)
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
+    plotly_library.share(folder.path)
     write_page(
         folder.report,
         "study.html",

@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
-from plotly.offline import get_plotlyjs
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
@@ -54,12 +53,12 @@ def page_of(tmp_path_factory):
     pages = []
 
     def write(comparison):
-        """The report without plotly.js, which is not ours; that of a comparison is written once."""
+        """The report; that of a comparison is written once."""
         for subject, page in pages:
             if subject is comparison:
                 return page
         write_comparison_report(comparison, path, {"law": HOSTILE})
-        pages.append((comparison, path.read_text(encoding="utf-8").replace(get_plotlyjs(), "")))
+        pages.append((comparison, path.read_text(encoding="utf-8")))
         return pages[-1][1]
 
     return write

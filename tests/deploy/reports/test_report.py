@@ -9,10 +9,9 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 from PIL import Image
-from plotly.offline import get_plotlyjs
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from deploy.reports import run_report
+from deploy.reports import plotly_library, run_report
 from deploy.reports.figures.arm_pictures import arm_pictures
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.errors import error_in_funnel
@@ -29,7 +28,8 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
 FIGURES = ("timeline", "error-in-funnel", "error-first-second", "transformed-error", "torques",
-           "tip-path", "tip-error", "arm", "network-output", "timing-percentiles")  # fmt: skip
+           "tip-path", "tip-error", "arm-motion", "arm", "network-output",
+           "timing-percentiles")  # fmt: skip
 
 HOSTILE = "</script><script>alert(1)</script>"
 
@@ -60,8 +60,8 @@ def page_of(tmp_path_factory):
                 return page
         write_report(run, summary or summarise(run), path)
         page = path.read_text(encoding="utf-8")
-        assert page.count(get_plotlyjs()) == 1
-        page = page.replace(get_plotlyjs(), "")
+        assert page.count(plotly_library.packed()) == 1
+        page = page.replace(plotly_library.packed(), "")
         if summary is None:
             pages.append((run, page))
         return page

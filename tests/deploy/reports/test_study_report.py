@@ -69,7 +69,7 @@ def margin():
 def page_of(tmp_path):
     def write(summary):
         folder = SimpleNamespace(
-            report=tmp_path / "report.html", rows_file=tmp_path / "rows.parquet",
+            path=tmp_path, report=tmp_path / "report.html", rows_file=tmp_path / "rows.parquet",
             rerun_command=lambda point: f"funnel-hil simulate {point}.yaml",
         )  # fmt: skip
         write_study_report(summary, folder)

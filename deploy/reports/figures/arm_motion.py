@@ -1,0 +1,73 @@
+"""The arm along its run: a skeleton that moves, and where the reference has it."""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix
+from bus_schema.messages import topics
+from controller.manipulator_model import ManipulatorModel
+from controller.reference import sample_positions
+from deploy.reports.figures import style
+from deploy.reports.page import Motion
+from deploy.runs.run_data import RunData, stamps_s
+
+_FRAMES = 400
+_HEIGHT_PX = 480
+_ROOM_M = 0.05
+_GHOST = {"color": "#b9c2cb", "width": 16}
+_CAMERA = {"eye": {"x": 1.5, "y": 1.3, "z": 0.75}}
+
+
+def arm_motion(run: RunData) -> Motion | None:
+    """The arm from joint to joint as it moved, before a ghost of it on the reference.
+
+    None if nothing was recorded.
+    """
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    if not len(truth):
+        return None
+    shown = np.unique(np.linspace(0, len(truth) - 1, _FRAMES).round().astype(int))
+    times_s, robot = stamps_s(truth[shown]), run.setup.robot
+    wanted = sample_positions(run.setup.reference, times_s, robot.joints)
+    model = ManipulatorModel(robot)
+    ghost, arm = (_skeletons(model, each) for each in (wanted, truth["position"][shown]))
+    names = [f"at {name}" for name in ("reference", "true position")]
+    figure = go.Figure([
+        _skeleton(ghost[0], names[0], "lines", line=_GHOST),
+        _skeleton(arm[0], names[1], "lines+markers", line={"color": style.palette(0), "width": 7},
+                  marker={"size": 4, "color": style.INK}),
+    ])  # fmt: skip
+    style.apply(figure, _HEIGHT_PX, legend=True)
+    figure.update_layout(
+        scene={"aspectmode": "data", "camera": _CAMERA, **_axes(np.concatenate([ghost, arm]))},
+        margin={"l": 0, "r": 0, "b": 0},
+        legend={"y": 0},
+    )
+    return Motion(figure, times_s, np.stack([ghost, arm], axis=1))
+
+
+def _skeletons(model: ManipulatorModel, positions: Matrix) -> NDArray[np.float64]:
+    """Bones of the arm in each posture as one broken line each, shape (postures, points, 3), m."""
+    bones = np.array([model.skeleton(position) for position in positions])
+    gaps = np.full_like(bones[:, :, :1], np.nan)
+    return np.concatenate([bones, gaps], axis=2).reshape(len(bones), -1, 3)
+
+
+def _skeleton(points: Matrix, name: str, mode: str, **look: object) -> go.Scatter3d:
+    x, y, z = points.T
+    return go.Scatter3d(x=x, y=y, z=z, name=name, mode=mode, hoverinfo="skip", **look)
+
+
+def _axes(points: NDArray[np.float64]) -> dict[str, object]:
+    """Axes that hold all points, so that they stand still while the arm moves."""
+    lower, upper = (
+        extreme(points.reshape(-1, 3), axis=0) + room
+        for extreme, room in ((np.nanmin, -_ROOM_M), (np.nanmax, _ROOM_M))
+    )
+    return {
+        f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5, "range": [low, high]}
+        for name, low, high in zip("xyz", lower.tolist(), upper.tolist(), strict=True)
+    }
