@@ -12,12 +12,12 @@ import argparse
 import glob
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.exit_codes import BAD_INPUT, FAULT
-from deploy.experiments.runge_kutta_arm import independent_physics
+from deploy.experiments.runge_kutta_arm import RungeKuttaArm
 from deploy.input_error import InputError
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import provenance
@@ -80,9 +80,8 @@ def check_physics_can_be_replaced(setup: Setup) -> None:
 
 def compare(name: str, setup: Setup) -> Comparison:
     """Simulate a scenario on both."""
-    bullet = _verdict(setup)
-    with independent_physics():
-        return Comparison(name, bullet, _verdict(setup))
+    independent = replace(setup, bodies=RungeKuttaArm)
+    return Comparison(name, _verdict(setup), _verdict(independent))
 
 
 def _verdict(setup: Setup) -> Verdict:

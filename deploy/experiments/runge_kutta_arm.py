@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from unittest import mock
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +10,6 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from controller.manipulator_model import ManipulatorModel
-from plant_emulator.arm import arm_plant
 from plant_emulator.arm.joint_torques import TOTAL, JointTorques, joint_torques
 
 
@@ -109,10 +106,3 @@ class RungeKuttaArm:
         a_4 = acceleration(q + step_s * v_3, v_4, torque_nm)
         q += step_s / 6.0 * (v_1 + 2.0 * (v_2 + v_3) + v_4)
         v_1 += step_s / 6.0 * (a_1 + 2.0 * (a_2 + a_3) + a_4)
-
-
-@contextmanager
-def independent_physics() -> Iterator[None]:
-    """Arms that are made meanwhile are integrated here and not by Bullet."""
-    with mock.patch.object(arm_plant, "BulletArm", RungeKuttaArm):
-        yield

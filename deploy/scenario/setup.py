@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
 from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.faults.scheduler import ScheduledAction
 from plant_emulator.plant_task import PlantTask
@@ -34,6 +36,7 @@ class Setup:
         start_position_rad: joint positions at the start, shape (joints,).
         governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
         overrides: what was set beside the file, as ``dotted.key=value``.
+        bodies: makes the arm's rigid bodies: Bullet's, or what a check sets in their place.
     """
 
     scenario: Scenario
@@ -46,6 +49,7 @@ class Setup:
     governing_inertia_kg_m2: Vector
     grid: TickGrid
     overrides: tuple[str, ...] = ()
+    bodies: Callable[..., Any] = BulletArm
 
     @property
     def ticks(self) -> int:
@@ -127,5 +131,6 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
             self.drive,
+            self.bodies,
         )
         return arm

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ class ArmPlant:
         limits: section ``limits`` of the scenario.
         faults: what breaks, and when.
         drive: what its drives add of their own; None if they follow torques alone.
+        bodies: makes the rigid bodies that the torques move, from what `BulletArm` takes.
 
     Attributes:
         mode: what the arm does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
@@ -59,6 +60,7 @@ class ArmPlant:
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
         drive: DriveGains | None = None,
+        bodies: Callable[..., BulletArm] = BulletArm,
     ) -> None:
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
@@ -72,7 +74,7 @@ class ArmPlant:
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
-        self._arm = BulletArm(
+        self._arm = bodies(
             robot, grid, self.torques, payload_kg=configuration.payload_kg,
             payload_changes=any(isinstance(fault, PayloadFault) for fault in faults),
             gui=configuration.gui,

@@ -21,11 +21,9 @@ from deploy.experiments.independent_check import (
     files_of,
     rows,
 )
-from deploy.experiments.runge_kutta_arm import RungeKuttaArm, independent_physics
+from deploy.experiments.runge_kutta_arm import RungeKuttaArm
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.arm import arm_plant
-from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.arm.joint_torques import JointTorques
 
 UNDISTURBED = ["plant.friction.enabled=false", "plant.disturbance.enabled=false"]
@@ -62,12 +60,6 @@ def test_energy_of_a_swinging_arm_is_kept_to_the_fourth_order() -> None:
     swing = 0.5 * arm.velocity @ model.mass_matrix(arm.position) @ arm.velocity
     assert swing > 1.0
     assert model.energy(arm.position, arm.velocity) == pytest.approx(before, abs=1e-8 * swing)
-
-
-def test_bullet_comes_back_afterwards() -> None:
-    with independent_physics():
-        assert arm_plant.BulletArm is RungeKuttaArm
-    assert arm_plant.BulletArm is BulletArm
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from controller.laws import LAWS
-from deploy.experiments.runge_kutta_arm import independent_physics
+from deploy.experiments.runge_kutta_arm import RungeKuttaArm
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from plant_emulator.arm.bullet_arm import BulletArm
 
 SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 
 
-def rms_rad(law):
+def rms_rad(law, bodies=BulletArm):
     setup = load_setup("paper_arm", [f"controller.law={law}", "duration_s=6"])
+    setup = replace(setup, bodies=bodies)
     return np.array(summarise(simulate(setup).data())["tracking"]["rms_rad"])
 
 
@@ -23,8 +27,7 @@ def rms_rad(law):
 def both():
     """RMS errors by law on pybullet and on pinocchio, shape (joints,) each."""
     pybullet = {law: rms_rad(law) for law in LAWS}
-    with independent_physics():
-        pinocchio = {law: rms_rad(law) for law in LAWS}
+    pinocchio = {law: rms_rad(law, RungeKuttaArm) for law in LAWS}
     return pybullet, pinocchio
 
 
