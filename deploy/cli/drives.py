@@ -73,7 +73,9 @@ def _serve(
     monitor = BusMonitor(bus, clock, verbose=verbose)
     can, robot = setup.scenario.link.can, setup.robot
     with naming(setup.source):
-        monitor.bank = build_bank(can, robot, setup.scenario.plant, monitor.send)
+        monitor.bank = build_bank(
+            can, robot, setup.scenario.plant, monitor.send, tuned=setup.tuned_drive
+        )
     arm = setup.arm()
     rig = DriveRig(
         arm, monitor.bank, bus, clock, setup.grid,

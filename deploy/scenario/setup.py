@@ -83,6 +83,12 @@ class Setup:
         wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         if not (wanted.enabled or plant.enabled):
             return no_drive_feedback(self.robot.joints)
+        return self.tuned_drive
+
+    @property
+    def tuned_drive(self) -> DriveGains:
+        """What drives with loops of their own are tuned to, whether they take targets or not."""
+        wanted, plant = self.scenario.controller.drive_feedback, self.scenario.plant.drive_feedback
         return plant.gains(critically_damped(self.governing_inertia_kg_m2, wanted.bandwidth_rad_s))
 
     def plant_task(

@@ -21,8 +21,8 @@ from plant_emulator.drives.drive import (
     Drive,
     DriveFault,
     DriveSettings,
-    JointLoop,
     JointReading,
+    Loop,
     LoopDrive,
     Send,
 )
@@ -54,7 +54,7 @@ class _Axis:
         self._position_rad = position_rad
         self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
 
-    def loop(self) -> JointLoop | None:
+    def loop(self) -> Loop | None:
         return None if self._loop is None else self._loop.loop()
 
     def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
@@ -97,7 +97,7 @@ class DriveBank:
     ) -> None:
         self._axes = [_Axis(protocol, each, send) for each in settings]
         self._torque_nm: Vector = np.zeros(len(self._axes))
-        self._loops: list[JointLoop | None] = [None] * len(self._axes)
+        self._loops: list[Loop | None] = [None] * len(self._axes)
         self._braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
         self._is_stale = True
         self.rejections = Rejections("frame", logger)
@@ -162,12 +162,12 @@ class DriveBank:
         self._refresh()
         return any(loop is not None for loop in self._loops)
 
-    def close_loops(self, position_rad: Vector, velocity_rad_s: Vector) -> None:
-        """Bring the torques up to date that follow the joints' motion, shape (joints,) each."""
+    def close_loops(self, position_rad: Vector, velocity_rad_s: Vector, step_s: float) -> None:
+        """Give the torques that follow the joints' motion, shape (joints,) each, for a step."""
         for joint, (axis, loop) in enumerate(zip(self._axes, self._loops, strict=True)):
             if loop is not None:
                 motion = float(position_rad[joint]), float(velocity_rad_s[joint])
-                self._torque_nm[joint] = loop.torque_nm(*axis.seen(*motion))
+                self._torque_nm[joint] = loop.torque_nm(*axis.seen(*motion), step_s)
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""

@@ -8,10 +8,12 @@ import numpy as np
 
 from bus_schema.can.cia402_codec import rated_torque_nm
 from bus_schema.configuration import expand
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.cascade import UNTUNED, CascadeGains
 from plant_emulator.drives.drive import DriveSettings, Send
 from plant_emulator.drives.protocol import PROTOCOLS
 
@@ -19,9 +21,12 @@ _LARGEST_PER_MILLE = 32_767
 
 
 def commission(
-    can: CanConfiguration, robot: RobotDescription, plant: PlantConfiguration
+    can: CanConfiguration,
+    robot: RobotDescription,
+    plant: PlantConfiguration,
+    tuned: DriveGains | None = None,
 ) -> tuple[DriveSettings, ...]:
-    """Settings of the drive of each joint.
+    """Settings of the drive of each joint; the arguments are those of `build_bank`.
 
     Raises:
         ConfigurationError: a value does not fit the robot.
@@ -44,9 +49,16 @@ def commission(
             stop_damping_nm_s=float(damping[joint]),
             watchdog_ms=can.command_timeout_ms,
             own=own[joint],
+            gains=UNTUNED if tuned is None else _cascade(tuned, joint),
         )
         for joint, node_id in enumerate(node_ids)
     )
+
+
+def _cascade(tuned: DriveGains, joint: int) -> CascadeGains:
+    """A position loop around a velocity loop that has this stiffness and damping."""
+    stiffness, damping = float(tuned.stiffness_nm_rad[joint]), float(tuned.damping_nm_s[joint])
+    return CascadeGains(stiffness / damping if damping else 0.0, damping)
 
 
 def build_bank(
@@ -56,6 +68,7 @@ def build_bank(
     send: Send,
     *,
     polled: bool = False,
+    tuned: DriveGains | None = None,
 ) -> DriveBank:
     """The drives of a robot.
 
@@ -67,11 +80,12 @@ def build_bank(
         polled: as the closed loop wants them: estimates only when asked for, watchdog on. Else
             they are as real ones are delivered, with no watchdog unless ``command_timeout_ms`` is
             given; see `DriveSettings`.
+        tuned: stiffness and damping to which drives with loops of their own are tuned.
 
     Raises:
         ConfigurationError: a value does not fit the robot.
     """
-    settings = commission(can, robot, plant)
+    settings = commission(can, robot, plant, tuned)
     if polled:
         settings = tuple(replace(each, estimates_ms=0) for each in settings)
     elif "command_timeout_ms" not in can.model_fields_set:

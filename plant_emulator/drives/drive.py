@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from bus_schema.can.frame import CanFrame
+from plant_emulator.drives.cascade import UNTUNED, CascadeGains
 
 Send = Callable[[CanFrame], None]
 """Takes the frames that a drive sends."""
@@ -25,8 +26,22 @@ class JointReading(NamedTuple):
     torque_nm: float = 0.0
 
 
+class Loop(Protocol):
+    """A loop that a drive closes around its joint between the frames it gets."""
+
+    def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:
+        """Torque of the motor where the joint is and as it moves.
+
+        Args:
+            position_rad: what the encoder has of the joint, exactly; what the drive sees of it is
+                rounded to its steps.
+            velocity_rad_s: likewise.
+            step_s: how long the torque is given from now on; 0 to ask only.
+        """
+
+
 class JointLoop(NamedTuple):
-    """A loop that a drive closes around a target.
+    """Stiffness and damping around a target.
 
     Attributes:
         target_rad: where the joint is to be.
@@ -51,7 +66,7 @@ class JointLoop(NamedTuple):
         """Whether the torque depends on the joint's motion."""
         return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
 
-    def torque_nm(self, position_rad: float, velocity_rad_s: float) -> float:
+    def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:  # noqa: ARG002
         """Torque of the motor where the joint is and as it moves."""
         seen_rad = round(position_rad / self.step_rad) * self.step_rad
         wanted = (
@@ -109,6 +124,8 @@ class DriveSettings:
         watchdog_ms: CANSimple: time without a frame after which the axis is disarmed; 0 for never.
             CiA 402 has timeouts that the master sets instead.
         estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
+        gains: of the loops that the drive closes in position and velocity modes, until a master
+            sets others.
         own: what the drive's protocol alone has, see `DriveProtocol.own_settings`.
     """
 
@@ -121,6 +138,7 @@ class DriveSettings:
     stop_damping_nm_s: float = 20.0
     watchdog_ms: float = 0.0
     estimates_ms: int = 10
+    gains: CascadeGains = UNTUNED
     own: object = None
 
 
@@ -200,5 +218,5 @@ class Drive(Protocol):
 class LoopDrive(Protocol):
     """A drive whose torque can follow its joint's motion between the frames it gets."""
 
-    def loop(self) -> JointLoop | None:
+    def loop(self) -> Loop | None:
         """Where the torque of `Drive.demand` comes from; None if it is the same all the time."""

@@ -111,7 +111,7 @@ class DriveRig:
     def _advance_closed(self, first: int) -> None:
         """Advance by a tick in which drives close loops of their own, at every substep."""
         for number in range(first, first + self._grid.substeps):
-            self._bank.close_loops(self._arm.position, self._arm.velocity)
+            self._bank.close_loops(self._arm.position, self._arm.velocity, self._grid.substep_s)
             self._arm.command(self._bank.torque_nm)
             self._arm.advance(number, number + 1)
 

@@ -26,6 +26,6 @@ class DrivenArm(ArmPlant):
         steps = range(first, end) if bank.closes_loops else (first,)
         for number in steps:
             if bank.closes_loops:
-                bank.close_loops(self.position, self.velocity)
+                bank.close_loops(self.position, self.velocity, self._grid.substep_s)
             np.copyto(self._commanded, bank.torque_nm)
             super().advance(number, number + 1 if bank.closes_loops else end)

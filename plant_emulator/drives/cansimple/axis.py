@@ -1,26 +1,27 @@
-"""What an ODrive axis does: states, errors, watchdog, torque control (firmware 0.6)."""
+"""What an ODrive axis does: states, errors, watchdog, reports (firmware 0.6)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 
 from bus_schema.errors import InvalidMessageError
+from plant_emulator.drives.cansimple.controller import (
+    TORQUE_CONSTANT_NM_A,
+    TURN_RAD,
+    Controller,
+)
 from plant_emulator.drives.drive import (
     AT_REST,
     DriveFault,
     DriveSettings,
     JointDemand,
     JointReading,
+    Loop,
 )
 
-TORQUE_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 3, 1
-TORQUE_CONSTANT_NM_A = 1.0
-VELOCITY_LIMIT_TURNS_S = 10.0
 _VELOCITY_TOLERANCE = 1.2
 _BUS_VOLTAGE_V, _USUAL_TEMPERATURE_C, _HOT_C = 48.0, 25.0, 130.0
-_TURN_RAD = 2.0 * math.pi
 _REBOOT = 0
 _MS = 1_000_000
 _VERSION = {
@@ -61,7 +62,7 @@ class Axis:
     """An axis on a joint; all at the joint, in turns and N m.
 
     Attributes:
-        targets: torques taken so far.
+        controller: what it makes of its inputs.
         state: idle or in closed-loop control.
         reports: signals of each message that the axis sends.
     """
@@ -71,7 +72,7 @@ class Axis:
         self._reading = JointReading()
         self._is_hot = False
         self._watchdog_fed_ns = 0
-        self.targets = 0
+        self.controller = Controller(settings)
         self._start()
         self.reports: dict[str, Callable[[], Mapping[str, float]]] = {
             "Get_Version": lambda: _VERSION,
@@ -106,6 +107,11 @@ class Axis:
         }  # fmt: skip
 
     @property
+    def targets(self) -> int:
+        """Inputs taken so far."""
+        return self.controller.targets
+
+    @property
     def fault(self) -> str | None:
         """What disarmed it."""
         names = [error.name for error in self._errors if error.name]
@@ -119,13 +125,17 @@ class Axis:
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
         self._reading = reading
-        limit = self._velocity_limit * _VELOCITY_TOLERANCE * _TURN_RAD
+        limit = self.controller.velocity_limit * _VELOCITY_TOLERANCE * TURN_RAD
         if self._is_armed() and abs(reading.velocity_rad_s) > limit:
             self._disarm(AxisError.VELOCITY_LIMIT_VIOLATION)
 
     def demand(self) -> JointDemand:
         """What the axis does to its joint; a disarmed one has its brake engaged."""
         return JointDemand(self._given_nm(), is_released=True) if self._is_armed() else AT_REST
+
+    def loop(self) -> Loop | None:
+        """The loop that the axis closes."""
+        return self.controller.loop() if self._is_armed() else None
 
     def request(self, state: int) -> None:
         """Change the state, if the axis has it and nothing is wrong."""
@@ -134,32 +144,25 @@ class Axis:
             self._result = ProcedureResult.SUCCESS
         elif state != AxisState.CLOSED_LOOP_CONTROL:
             self._result = ProcedureResult.INVALID_STATE
-        elif self._mode != (TORQUE_CONTROL, PASSTHROUGH):
+        elif not self.controller.is_possible:
             self._disarm(AxisError.BAD_CONFIG)
         elif self._errors:
             self._result = ProcedureResult.DISARMED
         elif not self._is_armed():
-            self._torque_nm = 0.0
+            self.controller.arm(self._reading)
             self._disarm_reason = AxisError.NONE
             self.state = AxisState.CLOSED_LOOP_CONTROL
             self._result = ProcedureResult.SUCCESS
 
     def set_mode(self, control: int, inputs: int) -> None:
-        """Choose control and input mode; this axis can only control torque, passed through."""
-        self._mode = (control, inputs)
-        if self._is_armed() and self._mode != (TORQUE_CONTROL, PASSTHROUGH):
+        """Choose control and input mode."""
+        self.controller.choose(control, inputs)
+        if self._is_armed() and not self.controller.is_possible:
             self._disarm(AxisError.BAD_CONFIG)
 
-    def set_torque(self, torque_nm: float) -> None:
-        """Take a torque."""
-        self._torque_nm = torque_nm
-        self.targets += 1
-
-    def set_limits(self, velocity_turns_s: float, current_a: float) -> None:
-        """Set the speed beyond which the axis is disarmed, and the largest current."""
-        if velocity_turns_s < 0.0 or current_a < 0.0:
-            raise InvalidMessageError("out_of_range", "limits are at least 0")
-        self._velocity_limit, self._current_limit = velocity_turns_s, current_a
+    def set_absolute_position(self, turns: float) -> None:
+        """Where the joint is now has this position from now on."""
+        self.controller.set_absolute_position(turns, self._reading)
 
     def clear_errors(self) -> None:
         """Forget errors whose causes are gone."""
@@ -195,10 +198,7 @@ class Axis:
         self.state = AxisState.IDLE
         self.clear_errors()
         self._result = ProcedureResult.SUCCESS
-        self._mode = (POSITION_CONTROL, PASSTHROUGH)
-        self._torque_nm = 0.0
-        self._velocity_limit = VELOCITY_LIMIT_TURNS_S
-        self._current_limit = self._settings.max_torque_nm / TORQUE_CONSTANT_NM_A
+        self.controller.start()
 
     def _is_armed(self) -> bool:
         return self.state is AxisState.CLOSED_LOOP_CONTROL
@@ -211,18 +211,13 @@ class Axis:
         self._result = ProcedureResult.DISARMED
 
     def _given_nm(self) -> float:
-        if not self._is_armed():
-            return 0.0
-        most = min(self._current_limit * TORQUE_CONSTANT_NM_A, self._settings.max_torque_nm)
-        return min(max(self._torque_nm, -most), most)
+        return self.controller.torque_nm(self._reading) if self._is_armed() else 0.0
 
     def _power_w(self) -> float:
         return self._reading.torque_nm * self._reading.velocity_rad_s
 
     def _estimates(self) -> Mapping[str, float]:
-        counts_per_turn = self._settings.counts_per_turn
-        counts = round(self._reading.position_rad / _TURN_RAD * counts_per_turn)
         return {
-            "Pos_Estimate": counts / counts_per_turn,
-            "Vel_Estimate": self._reading.velocity_rad_s / _TURN_RAD,
+            "Pos_Estimate": self.controller.turns(self._reading),
+            "Vel_Estimate": self._reading.velocity_rad_s / TURN_RAD,
         }

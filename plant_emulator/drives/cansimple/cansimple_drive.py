@@ -52,12 +52,24 @@ class CanSimpleDrive(Axis):
         self._heartbeats = Cycle(HEARTBEAT_MS * _MS)
         self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
         self.samplings = 0
+        controller = self.controller
         self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
             "Estop": lambda _: self._disarm(AxisError.ESTOP_REQUESTED),
             "Set_Axis_State": lambda v: self.request(v["Axis_Requested_State"]),
             "Set_Controller_Mode": lambda v: self.set_mode(v["Control_Mode"], v["Input_Mode"]),
-            "Set_Input_Torque": lambda v: self.set_torque(v["Input_Torque"]),
-            "Set_Limits": lambda v: self.set_limits(v["Velocity_Limit"], v["Current_Limit"]),
+            "Set_Input_Pos": lambda v: controller.set_position(
+                v["Input_Pos"], v["Vel_FF"], v["Torque_FF"]
+            ),
+            "Set_Input_Vel": lambda v: controller.set_velocity(
+                v["Input_Vel"], v["Input_Torque_FF"]
+            ),
+            "Set_Input_Torque": lambda v: controller.set_torque(v["Input_Torque"]),
+            "Set_Pos_Gain": lambda v: controller.set_position_gain(v["Pos_Gain"]),
+            "Set_Vel_Gains": lambda v: controller.set_velocity_gains(
+                v["Vel_Gain"], v["Vel_Integrator_Gain"]
+            ),
+            "Set_Limits": lambda v: controller.set_limits(v["Velocity_Limit"], v["Current_Limit"]),
+            "Set_Absolute_Position": lambda v: self.set_absolute_position(v["Position"]),
             "Reboot": lambda v: self.reboot(v["Action"]),
             "Clear_Errors": lambda _: self.clear_errors(),
         }

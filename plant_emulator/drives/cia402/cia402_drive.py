@@ -1,4 +1,4 @@
-"""A CiA 402 servo drive in cyclic synchronous torque mode on CANopen."""
+"""A CiA 402 servo drive in cyclic synchronous torque and position mode on CANopen."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ from plant_emulator.drives.cia402.network_state import (
 from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
 from plant_emulator.drives.cia402.process_data import ProcessData
 from plant_emulator.drives.cia402.state_machine import State
-from plant_emulator.drives.drive import DriveFault, DriveSettings, JointDemand, JointReading, Send
+from plant_emulator.drives.drive import (
+    DriveFault,
+    DriveSettings,
+    JointDemand,
+    JointReading,
+    Loop,
+    Send,
+)
 
 _NMT = 0x000
 _NMT_BYTES = 2
@@ -70,6 +77,9 @@ class Cia402Drive:
     def demand(self) -> JointDemand:
         return self._motor.demand()
 
+    def loop(self) -> Loop | None:
+        return self._motor.loop()
+
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or self._network.state is NmtState.INITIALISING:
             return False
@@ -94,7 +104,7 @@ class Cia402Drive:
         self._network.advance()
         if self._is_operational():
             self._process_data.watch()
-        self._motor.automaton.advance()
+        self._motor.advance()
         self._send_events()
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:

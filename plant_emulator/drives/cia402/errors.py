@@ -29,6 +29,7 @@ class ErrorCode(IntEnum):
     PDO_TOO_LONG = 0x8220
     SYNC_LENGTH = 0x8240
     RPDO_TIMEOUT = 0x8250
+    FOLLOWING_ERROR = 0x8611
 
 
 SENTENCES = {
@@ -38,6 +39,7 @@ SENTENCES = {
     ErrorCode.HEARTBEAT_LOST: "heartbeat of the master lost",
     ErrorCode.BUS_OFF: "bus-off",
     ErrorCode.RPDO_TIMEOUT: "no RPDO within its event time",
+    ErrorCode.FOLLOWING_ERROR: "following error",
 }
 
 

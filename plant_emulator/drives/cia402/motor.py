@@ -6,14 +6,17 @@ import math
 
 from canopen.sdo.exceptions import SdoAbortedError
 
+from plant_emulator.drives.cascade import CascadeLoop
 from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.automaton import Automaton
 from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.position_mode import PositionMode
 from plant_emulator.drives.cia402.state_machine import Command, State, Statusword
 from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, JointReading
 
-NO_MODE, CYCLIC_SYNCHRONOUS_TORQUE = 0, 10
+NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE = 0, 8, 10
+_MODES = (NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE)
 INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
 _PER_MILLE = 1000
 _MILLI = 1e-3
@@ -40,7 +43,6 @@ class Motor:
     Attributes:
         automaton: its state.
         error_code: object 0x603F.
-        targets: target torques taken so far.
     """
 
     def __init__(self, node: DriveNode, errors: ErrorLog, settings: DriveSettings) -> None:
@@ -48,19 +50,25 @@ class Motor:
         self._rated_mnm = round(settings.rated_torque_nm / _MILLI)
         self._hard_limit = int(settings.max_torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE)
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
-        self._reading, self._position, self._velocity = JointReading(), 0, 0
+        self._reading, self._velocity = JointReading(), 0
+        self._position_mode = PositionMode(node, settings)
+        self._position = self._position_mode.measure(self._reading)
         self.automaton = Automaton(node, self._is_still, self._reset_errors)
         self.error_code = ErrorCode.NONE
-        self.targets = 0
+        self._torques = 0
         self._fit()
         self.restore()
         self._serve()
 
+    @property
+    def targets(self) -> int:
+        """Target torques and, in position mode, target positions taken so far."""
+        return self._torques + self._position_mode.targets
+
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
         self._reading = reading
-        counts = round(reading.position_rad * self._counts_per_rad)
-        self._position = (counts - INT32[0]) % (1 << 32) + INT32[0]
+        self._position = self._position_mode.measure(reading)
         self._velocity = clamp(round(reading.velocity_rad_s * self._counts_per_rad), INT32)
 
     def restore(self) -> None:
@@ -69,7 +77,7 @@ class Motor:
         self._mode = value(0x6060)
         self._target, self._offset = value(0x6071), value(0x60B2)
         self._max_torque = value(0x6072)
-        self._position_limits = (value(0x607D, 1), value(0x607D, 2))
+        self._position_mode.restore()
 
     def fail(self, code: ErrorCode, *, power_off: bool = False) -> None:
         """Let an error stop the drive; the automaton's faults have the first error's code."""
@@ -95,7 +103,28 @@ class Motor:
             return JointDemand(min(max(damping_nm, -most_nm), most_nm), is_released=True)
         if not self._follows():
             return AT_REST
+        loop = self.loop()
+        if loop is not None:
+            return JointDemand(self._position_mode.torque_nm(loop), is_released=True)
         return JointDemand(self._nm(self._limited()[0]), is_released=True)
+
+    def loop(self) -> CascadeLoop | None:
+        """The loop that the motor closes: there is one in position mode, while it follows."""
+        if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
+            return None
+        offset_nm, most_nm = self._nm(self._offset), self._nm(self._most())
+        return self._position_mode.loop(offset_nm, most_nm)
+
+    def advance(self) -> None:
+        """Do what is due: the end of a slow-down, the window of a following error."""
+        self.automaton.advance()
+        if self.loop() is None:
+            self._position_mode.rest()
+            return
+        self._position_mode.follow()
+        if self._position_mode.error_is_fault:
+            self.fail(ErrorCode.FOLLOWING_ERROR)
+            self._errors.note(ErrorCode.FOLLOWING_ERROR)
 
     def statusword(self) -> int:
         """Object 0x6041."""
@@ -104,8 +133,10 @@ class Motor:
             word |= Statusword.WARNING
         if self._follows():
             word |= Statusword.FOLLOWS_COMMAND
-            if self._limited()[1]:
+            if self._is_limited():
                 word |= Statusword.INTERNAL_LIMIT_ACTIVE
+        if self._position_mode.has_following_error:
+            word |= Statusword.FOLLOWING_ERROR
         return word
 
     def torque(self) -> int:
@@ -114,14 +145,24 @@ class Motor:
         return clamp(round(per_mille), INT16)
 
     def _follows(self) -> bool:
-        return self.automaton.follows and self._mode == CYCLIC_SYNCHRONOUS_TORQUE
+        return self.automaton.follows and self._mode != NO_MODE
+
+    def _is_limited(self) -> bool:
+        """Whether a limit has a say in the torque."""
+        loop, position_mode = self.loop(), self._position_mode
+        if loop is None:
+            return self._limited()[1]
+        return position_mode.is_target_limited or position_mode.is_torque_limited(loop)
+
+    def _most(self) -> int:
+        return min(self._max_torque, self._hard_limit)
 
     def _limited(self) -> tuple[int, bool]:
         """The torque to give, per mille, and whether a limit has had a say."""
         wanted = self._target + self._offset
-        most = min(self._max_torque, self._hard_limit)
+        most = self._most()
         given = clamp(wanted, (-most, most))
-        lowest, highest = self._position_limits
+        lowest, highest = self._position_mode.limits
         position = self._position
         if (position >= highest and given > 0) or (position <= lowest and given < 0):
             given = 0
@@ -146,10 +187,6 @@ class Motor:
         fit(0x6076, 0, self._rated_mnm)
         for index in (0x608F, 0x6092):
             fit(index, 1, settings.counts_per_turn)
-        for subindex, limit_rad in ((1, settings.lower_rad), (2, settings.upper_rad)):
-            if math.isfinite(limit_rad):
-                counts = clamp(round(limit_rad * self._counts_per_rad), INT32)
-                fit(0x607D, subindex, counts)
 
     def _serve(self) -> None:
         node = self._node
@@ -163,27 +200,21 @@ class Motor:
         node.on_write(0x6060, self._set_mode)
         node.on_write(0x6071, self._set_target)
         node.on_write(0x6072, self._set_max_torque)
-        node.on_write(0x607D, self._set_position_limit)
         node.on_write(0x60B2, self._set_offset)
 
     def _set_mode(self, _subindex: int, value: int) -> None:
-        if value not in (NO_MODE, CYCLIC_SYNCHRONOUS_TORQUE):
+        if value not in _MODES:
             raise SdoAbortedError(Abort.INVALID_VALUE)
+        if value != self._mode:
+            self._position_mode.rest()
         self._mode = value
 
     def _set_target(self, _subindex: int, value: int) -> None:
         self._target = value
-        self.targets += 1
+        self._torques += self._mode != CYCLIC_SYNCHRONOUS_POSITION
 
     def _set_max_torque(self, _subindex: int, value: int) -> None:
         self._max_torque = value
 
     def _set_offset(self, _subindex: int, value: int) -> None:
         self._offset = value
-
-    def _set_position_limit(self, subindex: int, value: int) -> None:
-        lowest, highest = self._position_limits
-        limits = (value, highest) if subindex == 1 else (lowest, value)
-        if limits[0] > limits[1]:
-            raise SdoAbortedError(Abort.MAXIMUM_BELOW_MINIMUM)
-        self._position_limits = limits

@@ -71,6 +71,7 @@ class Statusword:
     REMOTE = 1 << 9
     INTERNAL_LIMIT_ACTIVE = 1 << 11
     FOLLOWS_COMMAND = 1 << 12
+    FOLLOWING_ERROR = 1 << 13
 
 
 _S, _C = State, Command

@@ -18,12 +18,13 @@ SETTINGS = DriveSettings(
     stop_damping_nm_s=10.0,
 )
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 6, 7, 15, 0, 2, 128
-CST = 10
+CSP, CST = 8, 10
 FORMATS = {1: "<B", 2: "<H", 4: "<I"}
 SIZES = {
     0x1003: 1, 0x1006: 4, 0x1014: 4, 0x1016: 4, 0x1017: 2, 0x1029: 1, 0x2000: 2, 0x6007: 2,
     0x6040: 2, 0x605A: 2, 0x605B: 2, 0x605C: 2, 0x605D: 2, 0x605E: 2, 0x6060: 1, 0x606F: 2,
-    0x6071: 2, 0x6072: 2, 0x607D: 4, 0x60B2: 2, 0x1005: 4,
+    0x6066: 2, 0x6071: 2, 0x6072: 2, 0x607D: 4, 0x60B2: 2, 0x1005: 4, 0x2001: 1, 0x6065: 4,
+    0x607A: 4, 0x60B1: 4,
 }  # fmt: skip
 
 
@@ -113,10 +114,10 @@ class Bench:
     def state(self):
         return self.drive.state.name
 
-    def enable(self, torque=0):
-        """Power-on to operation enabled in cyclic synchronous torque mode."""
+    def enable(self, torque=0, mode=CST):
+        """Power-on to operation enabled, in cyclic synchronous torque mode if none is given."""
         self.start()
-        self.write(0x6060, 0, CST)
+        self.write(0x6060, 0, mode)
         for word in (SHUTDOWN, SWITCH_ON, ENABLE):
             self.control(word, torque)
         assert self.state == "OPERATION_ENABLED"

@@ -111,11 +111,9 @@ def test_an_axis_tells_its_address(axis):
 
 
 OTHERS = {
-    "RxSdo": (0x04, "BHBI", 1, 2, 0, 3), "Set_Input_Pos": (0x0C, "fhh", 0.5, 1000, -2000),
-    "Set_Input_Vel": (0x0D, "ff", 1.0, 2.0), "Set_Traj_Vel_Limit": (0x11, "f", 1.0),
+    "RxSdo": (0x04, "BHBI", 1, 2, 0, 3), "Set_Traj_Vel_Limit": (0x11, "f", 1.0),
     "Set_Traj_Accel_Limits": (0x12, "ff", 1.0, 2.0), "Set_Traj_Inertia": (0x13, "f", 1.0),
-    "Set_Absolute_Position": (0x19, "f", 0.0), "Set_Pos_Gain": (0x1A, "f", 20.0),
-    "Set_Vel_Gains": (0x1B, "ff", 0.1, 0.2), "Enter_DFU_Mode": (0x1F, ""),
+    "Enter_DFU_Mode": (0x1F, ""),
 }  # fmt: skip
 
 
@@ -140,16 +138,16 @@ def test_an_empty_frame_asks_as_well(axis):
     assert len(axis.take(NODE << 5 | ESTIMATES)) == 1
 
 
-@pytest.mark.parametrize("mode", [(3, 1), (2, 1), (1, 6)])
-def test_other_modes_than_torque_passed_through_are_bad_configuration(mode):
+@pytest.mark.parametrize("mode", [(0, 1), (4, 1), (1, 6), (2, 2), (3, 3), (3, 5)])
+def test_modes_that_there_are_not_are_bad_configuration(mode):
     axis = Axis()
     axis.tell(SET_MODE, "II", *mode)
     axis.tell(SET_STATE, "I", CLOSED_LOOP)
     assert axis.heartbeat[:2] == (BAD_CONFIG, IDLE)
 
 
-def test_a_mode_change_disarms(axis):
-    axis.tell(SET_MODE, "II", 3, 1)
+def test_a_change_to_a_mode_that_there_is_not_disarms(axis):
+    axis.tell(SET_MODE, "II", 3, 5)
     assert axis.heartbeat[:2] == (BAD_CONFIG, IDLE)
     assert axis.ask(GET_ERROR, "II") == (BAD_CONFIG, BAD_CONFIG)
 
@@ -199,8 +197,11 @@ def test_reboot_forgets_everything(axis):
     axis.tell(ESTOP)
     axis.tell(REBOOT, "B", 0)
     assert axis.heartbeat == (0, IDLE, 0, 0)
+    axis.move(position_rad=0.3)
+    axis.tell(SET_TORQUE, "f", 5.0)
     axis.tell(SET_STATE, "I", CLOSED_LOOP)
-    assert axis.heartbeat[0] == BAD_CONFIG  # a fresh axis is in position control
+    assert axis.heartbeat[0] == 0
+    assert axis.drive.loop().target_rad == pytest.approx(0.3, abs=1e-5)  # a fresh one: position
 
 
 def test_watchdog():

@@ -39,13 +39,13 @@ _CHANNELS = itertools.count()
 class Rig:
     """Drives and physics on a thread, as `funnel-hil drives` runs them."""
 
-    def __init__(self, protocol, **given):
+    def __init__(self, protocol, tuned=None, **given):
         self.channel = f"drives{next(_CHANNELS)}"
         options = {"interface": "virtual", "channel": self.channel, "protocol": protocol, **given}
         configuration = CanConfiguration.model_validate(options)
         self._bus = open_can_bus(configuration)
         self.arm = ArmPlant(PLANT, ROBOT, START, GRID, seed=1)
-        bank = build_bank(configuration, ROBOT, PLANT, self._bus.send)
+        bank = build_bank(configuration, ROBOT, PLANT, self._bus.send, tuned=tuned)
         self.events = []
         self._rig = DriveRig(
             self.arm, bank, self._bus, MonotonicClock(), GRID,

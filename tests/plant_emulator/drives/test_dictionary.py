@@ -47,13 +47,13 @@ def test_access_is_what_the_dictionary_says(variable):
 
 
 def test_mandatory_objects_of_the_profiles_are_there():
-    """CiA 301: 1000, 1001, 1018; CiA 402-2 for cyclic synchronous torque: the rest."""
+    """CiA 301: 1000, 1001, 1018; CiA 402-2 for cyclic synchronous torque and position: the rest."""
     wanted = {0x1000, 0x1001, 0x1018, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071,
-              0x6072, 0x6077, 0x6502}  # fmt: skip
+              0x6072, 0x6077, 0x607A, 0x6502}  # fmt: skip
     assert wanted <= set(DICTIONARY)
     bench = Bench()
     assert bench.read(0x1000) == 0x00020192  # servo drive, profile 402
-    assert bench.read(0x6502) == 1 << 9  # cyclic synchronous torque mode, and no other
+    assert bench.read(0x6502) == 1 << 9 | 1 << 7  # cyclic torque and position alone
 
 
 def test_the_drive_says_how_it_is_commissioned():
@@ -76,9 +76,8 @@ def test_dbc_loads_strictly_and_has_what_an_axis_sends_and_takes():
 
 
 NOT_THERE = {
-    "RxSdo", "TxSdo", "Set_Input_Pos", "Set_Input_Vel", "Set_Traj_Vel_Limit",
-    "Set_Traj_Accel_Limits", "Set_Traj_Inertia", "Set_Absolute_Position", "Set_Pos_Gain",
-    "Set_Vel_Gains", "Enter_DFU_Mode",
+    "RxSdo", "TxSdo", "Set_Traj_Vel_Limit", "Set_Traj_Accel_Limits", "Set_Traj_Inertia",
+    "Enter_DFU_Mode",
 }  # fmt: skip
 """What this axis refuses: see test_cansimple.py."""
 

@@ -161,7 +161,7 @@ def test_an_rpdo_of_wrong_length_is_told_once_and_changes_nothing(bench, length,
 
 def test_a_mode_that_there_is_not_is_refused_in_an_rpdo_too(bench):
     with pytest.raises(InvalidMessageError):
-        bench.hear(0x300 + NODE, 8)
+        bench.hear(0x300 + NODE, 9)
     assert bench.read(0x6061) == 0
 
 

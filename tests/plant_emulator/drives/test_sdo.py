@@ -39,7 +39,7 @@ def request(command, index=0, subindex=0, value=0):
         (0x06090011, 0x6040, 1, 6, 2),  # a variable has sub-index 0 only
         (0x06090011, 0x607D, 3, 6, 4),
         (0x06090011, RPDO_1, 4, 6, 4),  # reserved (CiA 301, 7.5.2.35)
-        (0x06090030, 0x6060, 0, 8, 1),  # a mode that 0x6502 does not name
+        (0x06090030, 0x6060, 0, 9, 1),  # a mode that 0x6502 does not name
         (0x06090030, 0x6060, 0, -1, 1),
         (0x06090030, 0x1003, 0, 1, 1),  # only 0 clears the history
         (0x06090030, TPDO_1, 2, 241, 1),  # reserved transmission type
@@ -78,6 +78,7 @@ def test_writes_that_are_refused(bench, code, index, subindex, value, size):
     ],
 )
 def test_objects_that_cannot_be_mapped_into_an_rpdo(bench, code, entry):
+    bench.write(0x1602, 0, 0)  # it is switched off, but something is mapped
     assert aborted(bench.write, 0x1602, 1, entry) == code
 
 

@@ -1,0 +1,181 @@
+"""Cyclic synchronous position mode (CiA 402-2, mode 8): a drive that closes its own loops.
+
+Target and velocity offset come with every cycle, the torque offset too; the gains are objects
+0x60FB (position loop) and 0x60F9 (velocity loop), whose contents the profile leaves to the maker.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+from canopen.sdo.exceptions import SdoAbortedError
+
+from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
+from plant_emulator.drives.cia402.abort import Abort
+from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.drive import DriveSettings, JointReading
+
+_TARGET, _VELOCITY_OFFSET = 0x607A, 0x60B1
+_POSITION_LOOP, _VELOCITY_LOOP = 0x60FB, 0x60F9
+_WINDOW, _WINDOW_MS, _FAULTS = 0x6065, 0x6066, 0x2001
+_GAINS = ((_POSITION_LOOP, 1), (_VELOCITY_LOOP, 1), (_VELOCITY_LOOP, 2))
+"""In the order of `CascadeGains`."""
+
+_PARAMETERS = (*_GAINS, (_WINDOW, 0), (_WINDOW_MS, 0), (_FAULTS, 0))
+_NO_WINDOW = 0xFFFF_FFFF
+_INT32, _TURNOVER = (-(1 << 31), (1 << 31) - 1), 1 << 32
+_LARGEST_GAIN = 0xFFFF_FFFF
+_MS = 1_000_000
+_MILLI = 1e-3
+
+
+class PositionMode:
+    """What there is of the mode beside the automaton.
+
+    Until a target is written the one is where the joint was when the drive was told to follow.
+
+    Args:
+        node: the drive's dictionary.
+        settings: how it is commissioned.
+
+    Attributes:
+        targets: target positions taken so far.
+        has_following_error: the joint has been outside the window for its time.
+    """
+
+    def __init__(self, node: DriveNode, settings: DriveSettings) -> None:
+        self._node, self._settings = node, settings
+        self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
+        self._reading, self._counts = JointReading(), 0
+        self.targets = 0
+        self._fit()
+        self.restore()
+        node.serve(0x6062, lambda _: self.demanded)
+        node.serve(0x60F4, lambda _: self._error())
+        node.on_write(_TARGET, self._set_target)
+        node.on_write(_VELOCITY_OFFSET, self._set_velocity_offset)
+        node.on_write(0x607D, self._set_limit)
+        for index in (_POSITION_LOOP, _VELOCITY_LOOP, _WINDOW, _WINDOW_MS, _FAULTS):
+            node.on_write(index, partial(self._set_parameter, index))
+
+    def restore(self) -> None:
+        """Take the objects' values from the dictionary."""
+        self._target: int | None = None
+        self._velocity_offset = self._node.value(_VELOCITY_OFFSET)
+        self._parameters = {each: self._node.value(*each) for each in _PARAMETERS}
+        self._gains = self._gains_now()
+        self.limits = (self._node.value(0x607D, 1), self._node.value(0x607D, 2))
+        self.rest()
+
+    def rest(self) -> None:
+        """The drive does not follow."""
+        self._held: int | None = None
+        self._integral = Integral()
+        self._outside_since_ns: int | None = None
+        self.has_following_error = False
+
+    def measure(self, reading: JointReading) -> int:
+        """Take in what the sensors show; the position in increments, as object 0x6064 has it."""
+        self._reading = reading
+        self._counts = round(reading.position_rad * self._counts_per_rad)
+        return self._actual
+
+    @property
+    def demanded(self) -> int:
+        """Object 0x6062: the target within the software limits, increments."""
+        target = self._target
+        if target is None:
+            target = self._actual if self._held is None else self._held
+        return min(max(target, self.limits[0]), self.limits[1])
+
+    @property
+    def is_target_limited(self) -> bool:
+        """Whether the target is beyond the software limits."""
+        return self._target is not None and self.demanded != self._target
+
+    def follow(self) -> None:
+        """The drive has its turn while it follows: watch the window."""
+        if self._held is None:
+            self._held = self._actual
+        window = self._parameters[_WINDOW, 0]
+        if window == _NO_WINDOW or abs(self._error()) <= window:
+            self._outside_since_ns, self.has_following_error = None, False
+            return
+        if self._outside_since_ns is None:
+            self._outside_since_ns = self._node.now_ns
+        outside_ns = self._node.now_ns - self._outside_since_ns
+        self.has_following_error = outside_ns >= self._parameters[_WINDOW_MS, 0] * _MS
+
+    @property
+    def error_is_fault(self) -> bool:
+        """Whether a following error is one that the drive faults for (object 0x2001)."""
+        return self.has_following_error and self._parameters[_FAULTS, 0] == 1
+
+    def loop(self, offset_nm: float, most_nm: float) -> CascadeLoop:
+        """The loop that the drive closes now.
+
+        Args:
+            offset_nm: the torque offset.
+            most_nm: the torque limit in force.
+        """
+        # The encoder counts turns beyond 32 bits, and the target means those nearest to the joint.
+        turns = self._counts - self._actual
+        return CascadeLoop(
+            (self.demanded + turns) / self._counts_per_rad,
+            self._velocity_offset / self._counts_per_rad,
+            offset_nm, self._gains, 1.0 / self._counts_per_rad, math.inf, most_nm,
+            self._integral,
+        )  # fmt: skip
+
+    def is_torque_limited(self, loop: CascadeLoop) -> bool:
+        """Whether the loop has no more torque to give where the joint is."""
+        return loop.is_limited(self._reading.position_rad, self._reading.velocity_rad_s)
+
+    def torque_nm(self, loop: CascadeLoop) -> float:
+        """Torque of the loop where the joint is."""
+        return loop.torque_nm(self._reading.position_rad, self._reading.velocity_rad_s)
+
+    @property
+    def _actual(self) -> int:
+        return _wrapped(self._counts)
+
+    def _error(self) -> int:
+        """Object 0x60F4, increments."""
+        return _wrapped(self.demanded - self._actual)
+
+    def _gains_now(self) -> CascadeGains:
+        return CascadeGains(*(self._parameters[each] * _MILLI for each in _GAINS))
+
+    def _fit(self) -> None:
+        """Objects whose defaults are this drive's own."""
+        settings, fit = self._settings, self._node.fit
+        for subindex, limit_rad in ((1, settings.lower_rad), (2, settings.upper_rad)):
+            if math.isfinite(limit_rad):
+                counts = round(limit_rad * self._counts_per_rad)
+                fit(0x607D, subindex, min(max(counts, _INT32[0]), _INT32[1]))
+        for (index, subindex), gain in zip(_GAINS, settings.gains, strict=True):
+            fit(index, subindex, min(round(gain / _MILLI), _LARGEST_GAIN))
+
+    def _set_parameter(self, index: int, subindex: int, value: int) -> None:
+        self._parameters[index, subindex] = value
+        self._gains = self._gains_now()
+
+    def _set_target(self, _subindex: int, value: int) -> None:
+        self._target = value
+        self.targets += 1
+
+    def _set_velocity_offset(self, _subindex: int, value: int) -> None:
+        self._velocity_offset = value
+
+    def _set_limit(self, subindex: int, value: int) -> None:
+        lowest, highest = self.limits
+        limits = (value, highest) if subindex == 1 else (lowest, value)
+        if limits[0] > limits[1]:
+            raise SdoAbortedError(Abort.MAXIMUM_BELOW_MINIMUM)
+        self.limits = limits
+
+
+def _wrapped(counts: int) -> int:
+    """Increments as 32 bits have them."""
+    return (counts - _INT32[0]) % _TURNOVER + _INT32[0]
