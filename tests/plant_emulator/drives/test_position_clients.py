@@ -11,13 +11,12 @@ import time
 import can
 import canopen
 import cantools
-from canopen.profiles.p402 import BaseNode402
 from odrive_can.odrive import ODriveCAN
 from odrive_can.utils import get_dbc_path
 
-from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
+from bus_schema.link.can_configuration import CANSIMPLE_DBC
 from deploy.scenario.scenario import load_setup
-from tests.plant_emulator.drives.test_clients import PATIENCE_S, START, Rig, until
+from tests.plant_emulator.drives.test_clients import PATIENCE_S, START, Rig, patient_node, until
 
 TUNED = load_setup("paper_arm", []).tuned_drive
 MOVED_RAD = 0.2
@@ -31,7 +30,7 @@ def test_canopens_own_client_moves_a_joint_in_cyclic_synchronous_position():
         network = canopen.Network()
         network.connect(interface="virtual", channel=rig.channel)
         try:
-            node = BaseNode402(1, str(CIA402_EDS))
+            node = patient_node(1)
             network.add_node(node)
             node.nmt.wait_for_heartbeat(PATIENCE_S)
             node.rpdo.read()
