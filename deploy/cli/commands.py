@@ -53,6 +53,10 @@ COMMANDS = {
         "deploy.cli.experiments:report",
         "Judge what was recorded again: summary.json and report.html of what a folder holds.",
     ),
+    "diff": (
+        "deploy.cli.diff:diff",
+        "Set recorded runs side by side: real time and lockstep, two laws, two versions.",
+    ),
     "replay": (
         "deploy.cli.experiments:replay",
         "Feed a recorded run to the law again and compare the torques bit for bit.",

@@ -30,6 +30,8 @@ from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
 from deploy.comparison.comparison import Comparison, LawRun, load_setups
 from deploy.comparison.folder import KIND, ComparisonFolder
+from deploy.comparison.recorded import KIND as DIFF
+from deploy.comparison.recorded import read_again
 from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.program import require_program
@@ -42,7 +44,13 @@ from deploy.reports.terminal import print_table
 from deploy.reports.verdict import PARTIAL, damaged
 from deploy.runs.conditions import conditions_line
 from deploy.runs.replay import replay as replay_run
-from deploy.runs.run_folder import RunFolder, load_run, read_summary
+from deploy.runs.run_folder import (
+    ResultFolder,
+    RunFolder,
+    load_run,
+    read_summary,
+    unrecorded_faults,
+)
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
@@ -151,13 +159,20 @@ def report(
         comparison_folder.lock()
         with comparison_folder:
             _conclude_comparison(comparison_folder.load(), comparison_folder, console)
+    elif read_summary(run_dir).get("kind") == DIFF:
+        from deploy.cli.diff import show_diff  # with all figures
+
+        compared, diff_folder = read_again(run_dir), ResultFolder(run_dir.resolve())
+        diff_folder.lock()
+        with diff_folder:
+            show_diff(compared, diff_folder, console)
     else:
         data, _ = load_run(run_dir)
         folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
         folder.lock()
         with folder:
             with judging(console, folder):
-                summary = conclude(folder, data)
+                summary = conclude(folder, data, unrecorded_faults(folder.path))
             show_summary(console, data, summary, conditions_in(folder, data))
             console.print(f"report: {folder.report}", soft_wrap=True)
         raise typer.Exit(FAULT if data.damage else FINISHED)

@@ -25,6 +25,7 @@ from deploy.runs.run_folder import (
     manifest_of,
     read_manifest,
     read_summary,
+    unrecorded_faults,
 )
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import Simulation
@@ -106,14 +107,24 @@ class ComparisonFolder(ResultFolder):
         laws = summary.get("laws")
         if not isinstance(laws, dict) or not laws:
             raise RunFolderError(f"{self.summary}: names no laws")
-        loaded = {law: load_run(self._law_path(law))[0] for law in laws}
+        paths = {law: self._law_path(law) for law in laws}
         return Comparison(
-            [LawRun(law, data, summarise(data)) for law, data in loaded.items()],
+            [judged_again(law, path) for law, path in paths.items()],
             SETTLING.validate_python(summary.get("settling", [])),
         )
 
     def _law_path(self, law: str) -> Path:
         return self.path / re.sub(r"[^A-Za-z0-9_.-]", "_", law)
+
+
+def judged_again(name: str, path: Path) -> LawRun:
+    """A recorded run; what its recording cannot know is what its folder tells.
+
+    Raises:
+        RunFolderError: it cannot be read.
+    """
+    data, _ = load_run(path)
+    return LawRun(name, data, summarise(data, unrecorded_faults(path)))
 
 
 def _summary(comparison: Comparison) -> dict[str, Any]:

@@ -122,6 +122,12 @@ def read_summary(path: Path) -> dict[str, Any]:
     return _read_json(path / "summary.json")
 
 
+def unrecorded_faults(path: Path) -> list[str]:
+    """What went wrong with a run that its recording cannot know, as its folder tells."""
+    told = read_summary(path).get("unrecorded_faults")
+    return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
+
+
 def read_manifest(path: Path) -> dict[str, Any]:
     """What ``manifest.json`` of a folder says; empty where there is none."""
     return _read_json(path / "manifest.json")

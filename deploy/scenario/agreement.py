@@ -22,14 +22,19 @@ _OF_EACH_HOST = (
 
 
 def agreement_of(setup: Setup) -> Agreement:
-    """Every value in force but for those of the host; files count by what they hold."""
+    """What processes of a run agree on: `values_in_common`."""
+    return Agreement(values_in_common(setup))
+
+
+def values_in_common(setup: Setup) -> dict[str, str]:
+    """Every value in force but for those of the host, as JSON; files count by what they hold."""
     values = dict(_leaves(effective_values(setup)))
     for key in _OF_EACH_HOST:
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)
     for key, file in data_files(setup.scenario).items():
         values[key] = file.read_text()
-    return Agreement(values)
+    return values
 
 
 def _leaves(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""funnel-hil from Python: simulate, compare, sweep, find margins, and read recorded runs.
+"""funnel-hil from Python: simulate, compare, sweep, find margins, read and diff recorded runs.
 
     >>> import funnel_hil
     >>> run = funnel_hil.simulate("paper_arm", {"duration_s": 2, "link.uplink.delay_ms": 4})
@@ -12,13 +12,13 @@ whose message names the key, the value and what is allowed.
 from importlib.metadata import version as _version
 
 from funnel_hil import _own_modules  # noqa: F401  (first: whatever hides them is named)
-from funnel_hil.results import Comparison, Run, Study
-from funnel_hil.runs import compare, load_run, simulate
+from funnel_hil.results import Comparison, Diff, Run, Study
+from funnel_hil.runs import compare, diff, load_run, simulate
 from funnel_hil.scenarios import InputError, Scenario, scenarios
 from funnel_hil.studies import margin, sweep
 
 __version__ = _version("funnel-hil")
 __all__ = [
-    "Comparison", "InputError", "Run", "Scenario", "Study",
-    "compare", "load_run", "margin", "scenarios", "simulate", "sweep",
+    "Comparison", "Diff", "InputError", "Run", "Scenario", "Study",
+    "compare", "diff", "load_run", "margin", "scenarios", "simulate", "sweep",
 ]  # fmt: skip

@@ -10,10 +10,12 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison as LawComparison
+from deploy.comparison.recorded import RecordedRuns
 from deploy.input_error import InputError
 from deploy.reports.page import Panel
 from deploy.reports.run_report import PANELS as RUN_PANELS
 from deploy.reports.studies.compare_report import PANELS as COMPARISON_PANELS
+from deploy.reports.studies.diff_report import PANELS as DIFF_PANELS
 from deploy.reports.studies.study_content import Study as StudyFigures
 from deploy.reports.studies.study_report import content_of
 from deploy.runs.judging.time_series import SERIES, TRACKING, Columns, series
@@ -145,6 +147,45 @@ class Comparison:
     def figure(self, name: str = "errors") -> go.Figure:
         """A figure of the report; errors as `Run.figure`."""
         return _draw(COMPARISON_PANELS, name, self._compared)
+
+
+class Diff:
+    """Recorded runs side by side; the first is what the others are held against.
+
+    Attributes:
+        runs: by label, the shortest ends of their paths that tell them apart.
+        differing: values of the scenarios by run, as JSON, for each key that is not the same.
+        first_different_ticks: by label of each run but the first: the first tick at which position,
+            velocity or torque are not the same bits; None where they are throughout.
+    """
+
+    def __init__(self, compared: RecordedRuns) -> None:
+        self._compared = compared.comparison
+        self.runs = {run.law: Run(run.data, run.summary) for run in compared.runs}
+        self.differing = compared.differing
+        ticks = [None if each is None else each.tick for each in compared.partings]
+        self.first_different_ticks = dict(zip(compared.labels[1:], ticks[1:], strict=True))
+
+    def __getitem__(self, label: str) -> Run:
+        return self.runs[_known(label, list(self.runs), "run")]
+
+    @property
+    def rows(self) -> list[Row]:
+        """A row for each run, with its label as ``run``."""
+        return [{"run": run.law, **row(run.summary, run.seed)} for run in self._compared.runs]
+
+    def frame(self) -> pd.DataFrame:
+        """The rows as a data frame; needs pandas."""
+        return _frame(self.rows)
+
+    @property
+    def figure_names(self) -> list[str]:
+        """The figures of the report."""
+        return _names(DIFF_PANELS)
+
+    def figure(self, name: str = "errors") -> go.Figure:
+        """A figure of the report, with all runs in it; errors as `Run.figure`."""
+        return _draw(DIFF_PANELS, name, self._compared)
 
 
 class Study:

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison as LawComparison
 from deploy.comparison.comparison import LawRun
-from deploy.comparison.folder import ComparisonFolder
+from deploy.comparison.folder import ComparisonFolder, judged_again
+from deploy.comparison.recorded import KIND, recorded_runs
 from deploy.processes.network.links import check_link
 from deploy.reports.conclude import conclude
 from deploy.reports.studies.compare_report import write_comparison_report
+from deploy.reports.studies.diff_report import conclude_diff
 from deploy.runs.judging.metrics import summarise
-from deploy.runs.run_folder import RunFolder
-from deploy.runs.run_folder import load_run as read_run
+from deploy.runs.new_folder import new_folder
+from deploy.runs.run_folder import ResultFolder, RunFolder, provenance
 from deploy.runs.simulate import attempt
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.study_keys import laws_beside
-from funnel_hil.results import Comparison, Run
+from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
 
 
@@ -103,8 +106,29 @@ def load_run(path: str | Path) -> Run:
     Raises:
         InputError: there is no recording of funnel-hil.
     """
-    data, _ = read_run(Path(path))
-    return Run(data, summarise(data))
+    run = judged_again(str(path), Path(path))
+    return Run(run.data, run.summary)
+
+
+def diff(*runs: str | Path, out: str | Path | None = None, overwrite: bool = False) -> Diff:
+    """Set recorded runs side by side, the first as what the others are held against.
+
+    Args:
+        runs: two or more folders or MCAP files; they may differ in everything but their joints.
+        out: folder for summary and report; nothing is written without.
+        overwrite: replace the results that `out` holds.
+
+    Raises:
+        InputError: one of them cannot be read, or they cannot be compared.
+    """
+    compared = recorded_runs([Path(run) for run in runs])
+    if out is not None:
+        folder = ResultFolder(new_folder(KIND, Path(out), overwrite=overwrite))
+        folder.lock()
+        with folder:
+            write_json(folder.manifest, provenance())
+            conclude_diff(compared, folder)
+    return Diff(compared)
 
 
 def _judged(scenario: Scenario) -> LawRun:

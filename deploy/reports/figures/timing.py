@@ -28,9 +28,15 @@ def timing_percentiles(run: RunData) -> go.Figure | None:
         return None
     figure = go.Figure()
     for index, (name, values) in enumerate(quantities.items()):
-        figure.add_trace(_percentile_curve(name, values, style.palette(index)))
+        figure.add_trace(percentile_curve(name, values, style.palette(index)))
     style.apply(figure, 460, legend=True)
-    ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
+    percentile_axes(figure, longest)
+    return figure
+
+
+def percentile_axes(figure: go.Figure, values: int) -> None:
+    """Give a figure of times the axes of `percentile_curve`; its longest has so many values."""
+    ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * values]
     figure.update_xaxes(
         type="log",
         title_text="percentile",
@@ -38,7 +44,6 @@ def timing_percentiles(run: RunData) -> go.Figure | None:
         ticktext=[f"{p:.6g} %" for p in ticks],
     )
     figure.update_yaxes(type="log", title_text="µs", dtick=1, tickformat=",")
-    return figure
 
 
 def deadline_misses(run: RunData) -> go.Figure | None:
@@ -66,13 +71,14 @@ def deadline_misses(run: RunData) -> go.Figure | None:
     return figure
 
 
-def _percentile_curve(name: str, values: Vector, colour: str) -> go.Scatter:
+def percentile_curve(name: str, values: Vector, colour: str) -> go.Scatter:
+    """A time as a curve over its percentiles, spaced by 1 / (1 − p)."""
     one_in = np.geomspace(1.0, max(len(values), 2), _CURVE_POINTS)
     percentiles = 1.0 - 1.0 / one_in
     curve = np.quantile(values, percentiles, method="inverted_cdf")
     return go.Scatter(
         x=one_in, y=np.where(curve > 0.0, curve, np.nan), mode="lines",
-        name=name if curve[-1] > 0.0 else f"{name} (always 0)",
+        name=style.plain(name if curve[-1] > 0.0 else f"{name} (always 0)"),
         line={"color": colour, "width": 2, "shape": "hv"},
         customdata=100.0 * percentiles, hovertemplate="%{customdata:.5g} %: %{y:.4g} µs",
     )  # fmt: skip

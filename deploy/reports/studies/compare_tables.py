@@ -79,7 +79,7 @@ def verdict_table(comparison: Comparison) -> Table:
     """A row per law with what decides; each number is that of the law's worst joint."""
     scenario = comparison.runs[0].data.setup.scenario
     rows = [
-        [Cell(run.law), _status(run), *(Cell(value(run.summary)) for _, value, _ in _NUMBERS)]
+        [Cell(run.law), status_cell(run), *(Cell(value(run.summary)) for _, value, _ in _NUMBERS)]
         for run in comparison.runs
     ]
     ranked = (place for place, (*_, is_ranked) in enumerate(_NUMBERS, start=2) if is_ranked)
@@ -111,7 +111,8 @@ def joint_table(comparison: Comparison, quantity: quantities.JointQuantity) -> T
     )
 
 
-def _status(run: LawRun) -> Cell:
+def status_cell(run: LawRun) -> Cell:
+    """Whether a run kept its bounds, as a cell."""
     if not run.is_whole:
         return Cell("fault", "bad")
     return Cell("kept", "good") if run.kept_bounds else Cell("lost", "bad")

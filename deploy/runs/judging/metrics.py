@@ -51,6 +51,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
         "ticks": ticks,
         "completed": bool(outcome.get("completed", False)) and run.complete and not more_faults,
         "faults": [*more_faults, *run.faults()],
+        "unrecorded_faults": list(more_faults),  # to judge the recording again by
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
         "bounds": judge_bounds(run),
         "tracking": _tracking(run),

@@ -1,0 +1,157 @@
+"""Recorded runs side by side: whatever they differ in, as long as they drive the same joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bus_schema.messages import topics
+from deploy.comparison.comparison import Comparison, LawRun
+from deploy.comparison.folder import KIND as OF_LAWS
+from deploy.comparison.folder import judged_again
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import RunFolderError, read_manifest, read_summary
+from deploy.scenario.agreement import values_in_common
+from deploy.scenario.yaml_files import ScenarioError
+
+KIND = "diff"
+_COMPARED = ("position", "velocity", "torque")
+_FILES = ("robot.urdf", "reference.file", "distribution_file")
+
+
+class Parting(NamedTuple):
+    """Where a run leaves the first one.
+
+    Attributes:
+        tick: the first at which position, velocity or torque of a joint are not the same bits.
+        time_s: of that tick.
+        largest_rad: how far apart a joint's positions are at most, over the ticks that both have;
+            None where they have none.
+    """
+
+    tick: int
+    time_s: float
+    largest_rad: float | None
+
+
+@dataclass(frozen=True)
+class RecordedRuns:
+    """Runs side by side; the first is what the others are held against.
+
+    Attributes:
+        paths: folders or MCAP files of the runs.
+        comparison: the runs, each by its label in place of a law.
+        partings: of each run from the first; None where all ticks are the same bits.
+        differing: values of the scenarios by run, as JSON, for each key that is not the same in
+            all; None where a scenario lacks it. Without what belongs to a host.
+    """
+
+    paths: Sequence[Path]
+    comparison: Comparison
+    partings: Sequence[Parting | None]
+    differing: dict[str, list[str | None]]
+
+    @property
+    def runs(self) -> list[LawRun]:
+        return self.comparison.runs
+
+    @property
+    def labels(self) -> list[str]:
+        return [run.law for run in self.runs]
+
+    @property
+    def manifests(self) -> list[dict[str, object]]:
+        """``manifest.json`` of each run; empty where there is none."""
+        return [read_manifest(path if path.is_dir() else path.parent) for path in self.paths]
+
+
+def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
+    """Read runs to be compared; the recordings may be anybody's, no law of theirs is imported.
+
+    Args:
+        paths: two or more folders or MCAP files of runs.
+
+    Raises:
+        ScenarioError: there are too few, or they cannot be compared.
+        RunFolderError: one cannot be read.
+    """
+    places = [path.resolve() for path in paths]
+    if len(places) < 2:
+        raise ScenarioError("diff: must be given two recorded runs or more")
+    for path, place in zip(paths, places, strict=True):
+        if places.count(place) > 1:
+            raise ScenarioError(f"{path}: is given twice; must be runs that can differ")
+        if read_summary(path).get("kind") == OF_LAWS:
+            raise RunFolderError(
+                f"{path}: is a comparison; must be a run, such as one of the folders inside"
+            )
+    runs = [judged_again(label, path) for label, path in zip(_labels(places), paths, strict=True)]
+    _require_same_joints(paths, runs)
+    first = runs[0].data
+    return RecordedRuns(
+        list(paths), Comparison(runs), [_parting(first, run.data) for run in runs], _differing(runs)
+    )
+
+
+def read_again(path: Path) -> RecordedRuns:
+    """The runs that a folder of `KIND` set side by side; errors as `recorded_runs`."""
+    told = read_summary(path).get("paths")
+    if not isinstance(told, list) or not all(isinstance(each, str) for each in told):
+        raise RunFolderError(f"{path}: names no runs")
+    return recorded_runs([Path(each) for each in told])
+
+
+def _labels(places: Sequence[Path]) -> list[str]:
+    """The shortest ends of the paths that tell them apart."""
+    parts = [(place if place.is_dir() else place.with_suffix("")).parts for place in places]
+    parts = [each[:-1] if each[-1] == "run" else each for each in parts]
+    for length in range(1, max(map(len, parts)) + 1):
+        labels = ["/".join(each[-length:]) for each in parts]
+        if len(set(labels)) == len(labels):
+            return labels
+    return [str(place) for place in places]
+
+
+def _require_same_joints(paths: Sequence[Path], runs: Sequence[LawRun]) -> None:
+    wanted = runs[0].data.setup.robot.joint_names
+    for path, run in zip(paths, runs, strict=True):
+        names = run.data.setup.robot.joint_names
+        if names != wanted:
+            raise ScenarioError(
+                f"{path}: drives {', '.join(names)}: must be the joints of {paths[0]},"
+                f" {', '.join(wanted)}"
+            )
+
+
+def _parting(first: RunData, other: RunData) -> Parting | None:
+    ours, theirs = (run.tables[topics.PLANT_TRUTH.name] for run in (first, other))
+    ticks = min(len(ours), len(theirs))
+    differs = np.zeros(ticks, dtype=bool)
+    for field in _COMPARED:
+        pair = ours[field][:ticks], theirs[field][:ticks]
+        differs |= ~np.equal(*pair).reshape(ticks, -1).all(axis=1)
+    if not differs.any() and len(ours) == len(theirs):
+        return None
+    tick = int(np.argmax(differs)) if differs.any() else ticks
+    apart = np.abs(ours["position"][:ticks] - theirs["position"][:ticks])
+    largest = float(apart.max()) if ticks else None
+    return Parting(tick, tick * first.setup.grid.period_ns * 1e-9, largest)
+
+
+def _differing(runs: Sequence[LawRun]) -> dict[str, list[str | None]]:
+    values = [values_in_common(run.data.setup) for run in runs]
+    keys = dict.fromkeys(key for each in values for key in each)
+    by_key = {key: [each.get(key) for each in values] for key in keys}
+    return {key: _told(key, each) for key, each in by_key.items() if len(set(each)) > 1}
+
+
+def _told(key: str, values: list[str | None]) -> list[str | None]:
+    """Values as they can be shown: of files, which are the same."""
+    if not key.endswith(_FILES):
+        return values
+    known = list(dict.fromkeys(each for each in values if each is not None))
+    return [None if each is None else f"file {known.index(each) + 1}" for each in values]

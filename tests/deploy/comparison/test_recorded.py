@@ -1,0 +1,194 @@
+"""Recorded runs side by side: what is told of them, in the terminal, in files and from Python."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+import funnel_hil as interface
+from deploy.comparison.recorded import recorded_runs
+from deploy.reports.conclude import conclude
+from deploy.reports.studies.diff_tables import (
+    difference_table,
+    joint_tables,
+    run_table,
+    timing_table,
+    verdict_on_runs,
+)
+from deploy.runs.run_folder import RunFolder, read_summary
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+
+SHORT = ("duration_s=0.3", "metrics.from_s=0")
+
+
+def record(folder: Path, *changes: str, name: str = "paper_arm", faults: tuple[str, ...] = ()):
+    """A recorded run in `folder`."""
+    simulation = simulate(load_setup(name, [*SHORT, *changes]))
+    with RunFolder.begin(simulation.setup, folder) as place:
+        simulation.write_log(place.log)
+        conclude(place, simulation.data(), faults, draws_report=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("runs")
+    record(path / "first")
+    record(path / "again")
+    record(
+        path / "pushed",
+        "faults=[{kind: torque_offset, joint: elbow, torque_nm: 5, at_s: 0.1, for_s: 0.1}]",
+    )
+    record(path / "other_law", "controller.law=smc", "duration_s=0.2")
+    record(path / "iiwa", name="iiwa")
+    return path
+
+
+def rows_of(table):
+    return {cells[0].text: [cell.text for cell in cells[1:]] for cells in table.cells}
+
+
+def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
+    compared = recorded_runs([folder / "first", folder / "again"])
+    assert compared.labels == ["first", "again"]
+    assert compared.partings == [None, None]
+    assert compared.differing == {}
+    rows = rows_of(run_table(compared))
+    assert rows["Digest, beside the first"] == ["–", "same"]
+    assert rows["First tick that differs"] == ["–", "never"]
+    assert "the same at every tick" in verdict_on_runs(compared).headline
+
+
+def test_runs_part_at_the_tick_at_which_something_else_happens(folder):
+    compared = recorded_runs([folder / "first", folder / "pushed"])
+    parting = compared.partings[1]
+    # A torque from 0.1 s on is on the joint at tick 100, and in what is told of it a tick later.
+    assert parting.tick in (100, 101)
+    runs = [interface.load_run(path) for path in compared.paths]
+    first, pushed = (run.table("plant_truth")["position"] for run in runs)
+    assert parting.largest_rad == np.abs(first - pushed).max() > 0.0
+    assert list(compared.differing) == ["faults"]
+    assert rows_of(run_table(compared))["Digest, beside the first"] == ["–", "differs"]
+
+
+def test_numbers_are_those_of_each_summary(folder):
+    paths = [folder / "first", folder / "other_law"]
+    compared = recorded_runs(paths)
+    summaries = [read_summary(path) for path in paths]
+    rms, usage, travel = joint_tables(compared)
+    for joint, name in enumerate(summaries[0]["tracking"]["joint_names"]):
+        values = [1e3 * summary["tracking"]["rms_rad"][joint] for summary in summaries]
+        *told, ratio = rms.rows[joint][1:]
+        assert told == pytest.approx(values)
+        assert ratio.startswith("× ")
+        assert travel.rows[joint][0] == name
+    worst = np.array([row[1:3] for row in usage.rows]).max(axis=0) / 100.0
+    margins = [summary["bounds"]["margin_min"] for summary in summaries]
+    np.testing.assert_allclose(1.0 - worst, margins)
+    assert {"clock", "seed"}.isdisjoint(compared.differing)
+    assert compared.differing["duration_s"] == ["0.3", "0.2"]
+    assert compared.differing["controller.law"] == ['"fixed_time_neural"', '"smc"']
+    assert rows_of(difference_table(compared))["duration_s"] == ["0.3", "0.2"]
+    steps = rows_of(timing_table(compared))
+    assert "Control step, p99" in steps
+    assert not any(name.startswith("Round trip") for name in steps)  # 0 in both
+
+
+def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil):
+    out = tmp_path / "diff"
+    code, said = funnel_hil("diff", folder / "first", folder / "pushed", "--out", out)
+    assert code == 0, said
+    for part in ("First tick that differs", "Worst error in % of its bound", "faults", "Timing"):
+        assert part in said
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["kind"] == "diff"
+    assert summary["completed"]
+    assert list(summary["runs"]) == ["first", "pushed"]
+    page = (out / "report.html").read_text()
+    for panel in ("errors", "positions-apart", "torques", "control-step", "tip-paths"):
+        assert f'id="{panel}"' in page
+    assert 'id="round-trip"' not in page  # always 0: there is nothing to draw
+    (out / "report.html").unlink()
+    code, said = funnel_hil("report", out)
+    assert code == 0, said
+    assert (out / "report.html").read_text() == page
+    code, said = funnel_hil("runs", "list", tmp_path)
+    assert "first pushed" in said
+
+
+def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
+    other = record(tmp_path / "elsewhere" / "first")
+    compared = recorded_runs([folder / "first", other / "run.mcap"])
+    assert compared.labels == [f"{folder.name}/first", "elsewhere/first"]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["first"], "must be given two recorded runs or more"),
+        (["first", "first"], "is given twice"),
+        (["first", "iiwa"], "must be the joints of"),
+        (["first", "nowhere"], "holds no run.mcap"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(names, said, folder, tmp_path, funnel_hil):
+    out = tmp_path / "diff"
+    code, told = funnel_hil("diff", *(folder / name for name in names), "--out", out)
+    assert code == 2
+    assert said in told
+    assert not out.exists()
+
+
+def test_a_comparison_is_no_run(folder, tmp_path, funnel_hil):
+    changes = [word for change in SHORT for word in ("--set", change)]
+    funnel_hil("compare", "--laws", "smc,pid", *changes, "--out", tmp_path / "laws")
+    code, told = funnel_hil("diff", folder / "first", tmp_path / "laws")
+    assert code == 2
+    assert "is a comparison; must be a run, such as one of the folders inside" in told
+    compared = recorded_runs([tmp_path / "laws" / "smc", tmp_path / "laws" / "pid"])
+    assert compared.labels == ["smc", "pid"]
+
+
+def test_from_python_it_is_arrays_rows_and_figures(folder, tmp_path):
+    compared = interface.diff(folder / "first", folder / "pushed", out=tmp_path / "diff")
+    assert (tmp_path / "diff" / "report.html").is_file()
+    assert compared.first_different_ticks["pushed"] in (100, 101)
+    assert list(compared.differing) == ["faults"]
+    assert compared["pushed"].errors_rad.shape == (301, 3)
+    assert [row["run"] for row in compared.rows] == ["first", "pushed"]
+    assert list(compared.frame()["run"]) == ["first", "pushed"]
+    figure = compared.figure("errors")
+    assert isinstance(figure, go.Figure)
+    assert {"first", "pushed"} <= {trace.name for trace in figure.data}
+    with pytest.raises(interface.InputError, match="must be one of"):
+        compared["nobody"]
+
+
+def test_what_no_recording_knows_is_kept_when_it_is_judged_again(folder, tmp_path, funnel_hil):
+    path = record(tmp_path / "killed", faults=("the controller was killed by SIGKILL",))
+    before = read_summary(path)
+    code, said = funnel_hil("report", path)
+    assert code == 0, said
+    assert read_summary(path)["faults"] == before["faults"]
+    assert not read_summary(path)["completed"]
+    assert interface.load_run(path).faults == before["faults"]
+    compared = recorded_runs([folder / "first", path])
+    assert rows_of(run_table(compared))["Bounds"] == ["kept", "fault"]
+
+
+def test_a_comparison_reported_later_keeps_how_the_process_ended(tmp_path, funnel_hil):
+    out = tmp_path / "laws"
+    words = ["--set", "controller.process=[sh, -c, 'echo no such robot >&2; exit 3']"]
+    words += [word for change in SHORT for word in ("--set", change)]
+    code, _ = funnel_hil("compare", "--laws", "process", *words, "--out", out)
+    assert code == 1
+    (faults,) = (run["faults"] for run in read_summary(out)["laws"].values())
+    assert "no such robot" in faults[0]
+    funnel_hil("report", out)
+    assert [run["faults"] for run in read_summary(out)["laws"].values()] == [faults]
+    assert "no such robot" in (out / "report.html").read_text()
