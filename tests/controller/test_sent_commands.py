@@ -1,0 +1,135 @@
+"""What the control loop sends: torques within limits, targets, and how the law came to them."""
+
+import numpy as np
+from loop_bench import MS, NAMES, OFFSET, SWING, Bench, Spectator, predicting, state, status
+
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import RUN_EVENTS
+from bus_schema.messages.types import JOINT_STATE, TYPESTORE
+from bus_schema.runtime.modes import Mode, mode_in
+from controller.reference import CartesianPath
+from controller.torque_guard import InvalidTorqueError
+
+
+def test_control_status_tells_what_the_law_thought():
+    bench = Bench("fixed_time_neural")
+    bench.send(0)
+    ((_, _, sequence),) = bench.send(100 * MS, 0.5 * OFFSET)
+    record = bench.last(topics.CONTROL_STATUS)
+    fields = record.fields
+    rows = np.empty((3, 3))
+    SWING.evaluate(0.1, *rows)
+    upper, lower = bench.funnel.bounds(np.array([0.1]))
+    assert record.stamp_ns == 100 * MS
+    assert fields["sequence"][0] == sequence == 2
+    np.testing.assert_array_equal(fields["reference_position"], rows[0])
+    np.testing.assert_array_equal(fields["reference_velocity"], rows[1])
+    np.testing.assert_allclose(fields["error"], 0.5 * OFFSET, atol=1e-15)
+    np.testing.assert_array_equal(fields["error_rate"], -rows[1])
+    np.testing.assert_allclose(fields["upper_bound"], upper[0], rtol=1e-14)
+    np.testing.assert_allclose(fields["lower_bound"], lower[0], rtol=1e-14)
+    error, above, below = fields["error"], fields["upper_bound"], -fields["lower_bound"]
+    expected = 0.5 * np.log((1 + error / below) / (1 - error / above))
+    np.testing.assert_allclose(fields["transformed_error"], expected, rtol=1e-12)
+    for name in ("sliding_variable", "network_output", "network_norm"):
+        assert np.isfinite(fields[name]).all()
+        assert fields[name].any()  # a joint whose torque was saturated has learned nothing yet
+
+
+def test_what_a_law_has_not_is_nan():
+    bench = Bench("pid")
+    bench.send(0)
+    fields = bench.last(topics.CONTROL_STATUS).fields
+    for name in ("transformed_error", "sliding_variable", "network_output", "network_norm"):
+        assert np.isnan(fields[name]).all()
+
+
+def test_each_cycle_sends_command_then_status_with_its_timing():
+    bench = Bench()
+    for tick in range(3):
+        bench.send(tick * MS)
+    bench.send(0)  # late: a command alone
+    sent = [topic.name for topic, _ in bench.heard if topic.sender == "controller"]
+    cycle = ["joint_commands", "control_status"]
+    assert sent == [*cycle * 3, "joint_commands"]
+    timing = bench.last(topics.CONTROL_STATUS)
+    assert timing.stamp_ns == 2 * MS
+    assert timing.fields["timing.cycle"][0] == 2
+    assert timing.fields["timing.step_ns"][0] > 0
+
+
+def test_sent_torques_are_limited():
+    bench = Bench()
+    ((_, torque, _),) = bench.send(0, error=np.array([100.0, -100.0, 100.0]))
+    assert torque == [-400.0, 700.0, -300.0]
+
+
+def test_rate_limit_uses_the_time_between_stamps():
+    bench = Bench(rate_limit=1000.0)
+    ((_, first, _),) = bench.send(0)
+    ((_, second, _),) = bench.send(20 * MS, -OFFSET)
+    # 1000 N m/s over 20 ms.
+    np.testing.assert_allclose(np.abs(np.subtract(second, first)), 20.0, rtol=1e-12)
+
+
+def test_law_that_returns_nan_is_told_by_name_and_cycle():
+    leaving = np.array([[0.9, 1.0, 0, 0, 0], [0.1, 0, 0, 0, 0], [0.5, 0, 0, 0, 0]])
+    bench = Bench("pid", CartesianPath(leaving, 0.25, 0.70, 0.60))
+    bench.send(0)
+    bench.plant.send_state(state(1000 * MS, np.zeros(3)), status(0))
+    failure = bench.bus.failure
+    assert isinstance(failure, InvalidTorqueError)
+    assert "law pid" in str(failure)
+    assert failure.tick == 1
+    ((stamp_ns, torque, _),) = bench.answers()  # the torque of stopping, and nothing after it
+    assert (stamp_ns, torque) == (1000 * MS, [0.0, 0.0, 0.0])
+    bench.loop.cycle(state(1001 * MS, np.zeros(3)), status(0))
+    assert bench.answers() == []
+    assert bench.loop.mode is Mode.FAULT
+    told = [RunEvent.decode(payload) for topic, payload in bench.heard if topic is RUN_EVENTS]
+    assert [mode_in(event.detail) for event in told if event.kind == EventKind.MODE] == [
+        Mode.READY, Mode.TRACKING, Mode.STOPPING, Mode.FAULT,
+    ]  # fmt: skip
+    assert [event.detail for event in told if event.kind == EventKind.FAULT] == [str(failure)]
+
+
+def test_targets_without_foresight_are_the_reference():
+    bench = Bench(sends_targets=True)
+    bench.send(100 * MS, start_ns=0)
+    rows = np.empty((3, 3))
+    SWING.evaluate(0.1, *rows)
+    np.testing.assert_array_equal(bench.targets, [rows[:2]])
+
+
+def test_targets_with_foresight_lead_to_the_state_foreseen():
+    bench = Bench(compensation=predicting(20 * MS), sends_targets=True)
+    bench.send(0)
+    ((position, velocity),) = bench.targets
+    seen = bench.compensation.predicted
+    np.testing.assert_allclose(position + 0.020 * velocity, seen.position, rtol=1e-14)
+    np.testing.assert_array_equal(velocity, seen.velocity)
+
+
+def test_commands_without_targets_have_none():
+    bench = Bench(compensation=predicting())
+    bench.send(0)
+    assert bench.targets == []
+    payload = next(payload for topic, payload in bench.heard if topic is topics.JOINT_COMMANDS)
+    types = TYPESTORE.types
+    message = TYPESTORE.deserialize_cdr(payload, JOINT_STATE)
+    assert (message.position.size, message.velocity.size, message.effort.size) == (0, 0, 3)
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    same = types[JOINT_STATE](header, list(NAMES), np.zeros(0), np.zeros(0), message.effort)
+    assert payload == bytes(TYPESTORE.serialize_cdr(same, JOINT_STATE))
+
+
+def test_a_controller_that_stops_sends_no_target():
+    bench = Bench(own_law=Spectator(), compensation=predicting(), sends_targets=True)
+    bench.send(0)
+    assert np.isfinite(bench.targets).all()
+    bench.law.fails = True
+    bench.plant.send_state(state(MS, bench.at(MS)), status(MS))
+    ((stamp_ns, torque, _),) = bench.answers()
+    assert (stamp_ns, torque) == (MS, [0.0, 0.0, 0.0])
+    assert np.isnan(bench.targets).all()
