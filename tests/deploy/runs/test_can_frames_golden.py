@@ -50,7 +50,7 @@ def digest(lines: list[str]) -> str:
 @pytest.mark.parametrize(
     ("scenario", "overrides", "start", "cycles"),
     [
-        ("paper_arm_can", [], "c2d30c3d0d7356f5", "e027c8181c8b5b29"),
+        ("paper_arm_can", [], "03d7fc45dd037306", "e027c8181c8b5b29"),
         ("paper_arm_can", ["link.can.protocol=cansimple"], "9c4c1533ab971bba", "e128a8668c39e975"),
         ("paper_arm_mit", [], "9abd708122f30be9", "fe559e0c931eceff"),
         ("paper_arm_mit", [FEEDBACK], "9abd708122f30be9", "bc930cfb469e7e3d"),
