@@ -21,6 +21,7 @@ from bus_schema.urdf_resolved import (
     drop_shapes,
     long_axes,
     missing_meshes,
+    name_files,
     name_meshes,
     resolve_inertias,
     resolve_joints,
@@ -74,6 +75,12 @@ class RobotDescription:
         if root.find(".//mesh") is None:
             return self.text
         name_meshes(root, self.path.parent)
+        return ET.tostring(root, encoding="unicode")
+
+    def viewer_urdf(self) -> str:
+        """The URDF for 3-D viewers: mesh files as ``file://`` and absolute path, where they are."""
+        root = ET.fromstring(self.resolved_urdf(shapes="drawable"))
+        name_files(root)
         return ET.tostring(root, encoding="unicode")
 
     def resolved_urdf(self, payload_kg: float = 0.0, shapes: Shapes = "named") -> str:

@@ -63,6 +63,14 @@ def name_meshes(root: ET.Element, base: Path) -> None:
         mesh.set("filename", _absolute(mesh.get("filename", ""), base))
 
 
+def name_files(root: ET.Element) -> None:
+    """Name mesh files that have an absolute path by its URI, which RViz and Foxglove ask for."""
+    for mesh in root.iter("mesh"):
+        name = mesh.get("filename", "")
+        if Path(name).is_absolute():
+            mesh.set("filename", Path(name).as_uri())
+
+
 def missing_meshes(root: ET.Element, base: Path) -> list[str]:
     """Names of mesh files that are not there, or of a kind that cannot be drawn; each once."""
     names = dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh"))

@@ -21,6 +21,7 @@ class Rate(StrEnum):
     """When a topic is sent."""
 
     TICK = "every tick"
+    PICTURE = "as often as a viewer draws"
     EVENT = "when something happens"
 
 
@@ -33,9 +34,9 @@ class Topic:
         type_name: ROS 2 interface name.
         sender: the only role that may send it; None where controller and plant both may.
         rate: when it is sent.
-        urgent: whether the loop waits for it; what only recorders want may be sent in batches.
-        qos: QoS as rmw_zenoh writes it into liveliness tokens (the ROS 2 default profile:
-            reliable, volatile, keep last 10).
+        urgent: whether it is sent at once; what only recorders want may be sent in batches.
+        depth: how many messages are kept (QoS: reliable, keep last).
+        latched: whether who comes late gets them too (ROS 2: transient local).
     """
 
     name: str
@@ -43,7 +44,13 @@ class Topic:
     sender: Role | None
     rate: Rate
     urgent: bool = False
-    qos: str = "::,10:,:,:,,"
+    depth: int = 10
+    latched: bool = False
+
+    @property
+    def qos(self) -> str:
+        """QoS as rmw_zenoh writes it into liveliness tokens."""
+        return f":{1 if self.latched else ''}:,{self.depth}:,:,:,,"
 
     @property
     def dds_type(self) -> str:
@@ -77,9 +84,19 @@ TOPICS = (
     RUN_EVENTS,
 )
 
+ROBOT_DESCRIPTION = Topic(
+    "robot_description", message_types.STRING, Role.RECORDER, Rate.EVENT, depth=1, latched=True
+)
+TF_STATIC = Topic(
+    "tf_static", message_types.TF_MESSAGE, Role.RECORDER, Rate.EVENT, depth=1, latched=True
+)
+TF = Topic("tf", message_types.TF_MESSAGE, Role.RECORDER, Rate.PICTURE, urgent=True, depth=100)
+VIEW_TOPICS = (ROBOT_DESCRIPTION, TF_STATIC, TF)
+"""What 3-D viewers need: it follows from the arm and from `JOINT_STATES`, and no run reads it."""
+
 
 def topics_of(role: Role) -> list[Topic]:
-    """What a role may send; a recorder listens, and sends nothing."""
+    """What a role may send to the loops; a recorder listens, and sends them nothing."""
     if role is Role.RECORDER:
         return []
     return [topic for topic in TOPICS if topic.sender in (role, None)]

@@ -10,6 +10,8 @@ from rosbags.typesys.store import Typestore
 
 PACKAGE = "funnel_hil_msgs"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 PLANT_STATUS = f"{PACKAGE}/msg/PlantStatus"
 PLANT_TRUTH = f"{PACKAGE}/msg/PlantTruth"
 CONTROL_STATUS = f"{PACKAGE}/msg/ControlStatus"
@@ -22,6 +24,14 @@ _STANDARD = {
     "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     JOINT_STATE: "std_msgs/Header header\nstring[] name\n"
     "float64[] position\nfloat64[] velocity\nfloat64[] effort",
+    STRING: "string data",
+    "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/msg/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
+    "geometry_msgs/msg/Transform": "geometry_msgs/Vector3 translation\n"
+    "geometry_msgs/Quaternion rotation",
+    "geometry_msgs/msg/TransformStamped": "std_msgs/Header header\n"
+    "string child_frame_id\ngeometry_msgs/Transform transform",
+    TF_MESSAGE: "geometry_msgs/TransformStamped[] transforms",
 }
 
 

@@ -30,16 +30,15 @@ _LARGEST_CHUNK_BYTES = 256 * 1024
 _RESERVE_BYTES = 64 * 1024
 _SHOWN_DAMAGE = 10
 _OFFERED_QOS = """- history: keep_last
-  depth: 10
+  depth: {depth}
   reliability: reliable
-  durability: volatile
-  deadline: {sec: 2147483647, nsec: 4294967295}
-  lifespan: {sec: 2147483647, nsec: 4294967295}
+  durability: {durability}
+  deadline: {{sec: 2147483647, nsec: 4294967295}}
+  lifespan: {{sec: 2147483647, nsec: 4294967295}}
   liveliness: automatic
-  liveliness_lease_duration: {sec: 2147483647, nsec: 4294967295}
+  liveliness_lease_duration: {{sec: 2147483647, nsec: 4294967295}}
   avoid_ros_namespace_conventions: false
 """
-"""As rosbag2 writes the ROS 2 default profile, which all topics have (`Topic.qos`)."""
 
 
 class McapLog:
@@ -54,7 +53,7 @@ class McapLog:
             so that a kill costs no more than that.
 
     Attributes:
-        messages: messages that are in the recording, or in the chunk that is still open.
+        written: messages that are in the recording, or in the chunk that is still open, by topic.
         lost: messages that could not be written, by topic.
         failure: what ended the recording before its time, if anything did.
 
@@ -79,9 +78,14 @@ class McapLog:
         self._writer.start(profile="ros2", library="funnel-hil")
         self._channels: dict[str, int] = {}
         self._in_open_chunk: Counter[str] = Counter()
-        self.messages = 0
+        self.written: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
         self.failure: OSError | None = None
+
+    @property
+    def messages(self) -> int:
+        """Messages that are in the recording, or in the chunk that is still open."""
+        return self.written.total()
 
     def write(
         self, topic: Topic, sequence: int, stamp_ns: int, source_time_ns: int, payload: bytes
@@ -101,7 +105,7 @@ class McapLog:
         if self.failure is not None:
             self.lost[topic.name] += 1
             return
-        self.messages += 1
+        self.written[topic.name] += 1
         self._in_open_chunk[topic.name] += 1
         self._attempt(
             lambda: self._writer.add_message(
@@ -149,7 +153,7 @@ class McapLog:
         if failure is not None and self.failure is None:
             self.failure = failure
             self.lost.update(self._in_open_chunk)
-            self.messages -= self._in_open_chunk.total()
+            self.written -= self._in_open_chunk
             logger.error("%s: %s: the recording ends here", self._path, failure.strerror)
 
     def _register(self, topic: Topic) -> None:
@@ -157,8 +161,14 @@ class McapLog:
             topic.type_name, "ros2msg", schema_text(topic.type_name).encode()
         )
         self._channels[topic.name] = self._writer.register_channel(
-            f"/{topic.name}", "cdr", schema, {"offered_qos_profiles": _OFFERED_QOS}
+            f"/{topic.name}", "cdr", schema, {"offered_qos_profiles": _offered_qos(topic)}
         )
+
+
+def _offered_qos(topic: Topic) -> str:
+    """QoS of a topic, as rosbag2 writes it into the metadata of its channel."""
+    durability = "transient_local" if topic.latched else "volatile"
+    return _OFFERED_QOS.format(depth=topic.depth, durability=durability)
 
 
 @dataclass

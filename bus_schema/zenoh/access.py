@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from bus_schema.link.key_files import KeyFolder
-from bus_schema.messages.topics import Role, topics_of
+from bus_schema.messages.topics import VIEW_TOPICS, Role, topics_of
 from bus_schema.zenoh.ros_graph import graph_key_expression, node_tokens
 
 
@@ -56,6 +56,8 @@ def access_control(role: Role, domain: int) -> dict[str, Any]:
     for peer in Role:
         own = [*_rules(f"{role} from {peer}", "ingress", peer, domain),
                *_rules(f"{role} to {peer}", "egress", role, domain)]  # fmt: skip
+        if role is Role.RECORDER:
+            own += _rules_for_viewers(f"{role} for viewers behind {peer}", domain)
         rules += own
         policies.append({"subjects": [peer], "rules": [rule["id"] for rule in own]})
     return {
@@ -84,13 +86,36 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
         allowed["liveliness_token"].append(recorded_key_expression(domain))
     allowed["liveliness_query"] = allowed["declare_liveliness_subscriber"]
     return [
-        {
-            "id": f"{name}: {message}",
-            "messages": [message],
-            "flows": [flow],
-            "permission": "allow",
-            "key_exprs": keys,
-        }
+        _rule(f"{name}: {message}", message, [flow], keys)
         for message, keys in allowed.items()
         if keys
     ]
+
+
+def _rules_for_viewers(name: str, domain: int) -> list[dict[str, Any]]:
+    """What a recorder shows to viewers, who are behind a router of whatever certificate.
+
+    Messages that are kept for those who come late are found, asked for and answered with in keys of
+    their own, which begin with the topic's.
+    """
+    keys = [topic.key_expression(domain) for topic in VIEW_TOPICS]
+    kept = [f"{key}/@adv/**" for key in keys]
+    allowed = {
+        "put": keys,
+        "liveliness_token": kept, "declare_liveliness_subscriber": kept, "liveliness_query": kept,
+        "declare_queryable": kept, "query": [*keys, *kept], "reply": [*keys, *kept],
+    }  # fmt: skip
+    return [
+        _rule(f"{name}: {message}", message, ["ingress", "egress"], keys)
+        for message, keys in allowed.items()
+    ]
+
+
+def _rule(name: str, message: str, flows: list[str], keys: list[str]) -> dict[str, Any]:
+    return {
+        "id": name,
+        "messages": [message],
+        "flows": flows,
+        "permission": "allow",
+        "key_exprs": keys,
+    }

@@ -102,7 +102,8 @@ class ZenohNode:
 
     def advertise(self, topic: Topic) -> ZenohPublisher:
         """Declare a publisher and announce it, which is after `sends_on` has become true."""
-        publisher = self._session.publisher(topic.key_expression(self._domain))
+        kept = topic.depth if topic.latched else 0
+        publisher = self._session.publisher(topic.key_expression(self._domain), kept)
         token = self._token(EntityKind.PUBLISHER, topic)
         self._publishers[topic.name] = (publisher, endpoint_gid(token))
         self._session.announce(token)

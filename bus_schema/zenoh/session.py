@@ -26,6 +26,7 @@ os.environ.setdefault(
 )
 
 import zenoh
+import zenoh.ext
 
 from bus_schema.errors import BusError
 
@@ -69,7 +70,7 @@ class Mailbox:
 class ZenohPublisher:
     """Sends on one key."""
 
-    def __init__(self, publisher: zenoh.Publisher) -> None:
+    def __init__(self, publisher: zenoh.Publisher | zenoh.ext.AdvancedPublisher) -> None:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes) -> None:
@@ -83,7 +84,7 @@ class ZenohPublisher:
         What is sent at once may still miss them: in a session of zenoh 1.10, routes follow a few
         milliseconds later. Whoever has announced a token *after* subscribing gets everything.
         """
-        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
+        return bool(self._publisher.matching_status.matching)  # type: ignore[union-attr]
 
 
 class ZenohSession:
@@ -131,15 +132,30 @@ class ZenohSession:
         self._connected: set[str] = set()
         self._watch_transports()
 
-    def publisher(self, key: str) -> ZenohPublisher:
-        """Declare a publisher.
+    def publisher(self, key: str, kept: int = 0) -> ZenohPublisher:
+        """Declare a publisher, which keeps so many messages for subscribers that come late.
+
+        Those ask for them as rmw_zenoh does, which calls such topics transient local.
 
         Messages are never dropped for congestion: with zenoh 1.10, a queue that has once dropped
         one may never send again. Nor are they marked express: the low-latency transport sends each
         at once anyway, and in the queue to a recorder each would take a whole batch for itself.
         """
+        congestion = zenoh.CongestionControl.BLOCK
+        if not kept:
+            return ZenohPublisher(
+                self._session.declare_publisher(key, congestion_control=congestion)
+            )
+        numbers = zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None)
         return ZenohPublisher(
-            self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+            zenoh.ext.declare_advanced_publisher(
+                self._session,
+                key,
+                congestion_control=congestion,
+                cache=zenoh.ext.CacheConfig(kept),
+                sample_miss_detection=numbers,  # the cache's, as there are no timestamps
+                publisher_detection=True,
+            )
         )
 
     def subscribe(self, key: str, on_delivery: Callable[[Delivery], None]) -> None:

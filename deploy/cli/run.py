@@ -138,9 +138,9 @@ def simulate(
         with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
             watch = watching(progress, setup, name, stop)
             simulation = simulate_setup(setup, watch, folder.can_log)
-        simulation.write_log(folder.log)
+        data = simulation.data(simulation.write_log(folder.log))
         outcome = RunOutcome(interrupted=stop.is_set())
         finish(
             console, folder, outcome,
-            data=simulation.data(), require_bounds=require_bounds, draws_report=not no_report,
+            data=data, require_bounds=require_bounds, draws_report=not no_report,
         )  # fmt: skip

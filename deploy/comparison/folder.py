@@ -69,8 +69,7 @@ class ComparisonFolder(ResultFolder):
         setup = simulation.setup
         law = setup.scenario.controller.name
         folder = RunFolder.begin(setup, self._law_path(law), overwrite=True)
-        simulation.write_log(folder.log)
-        data = simulation.data()
+        data = simulation.data(simulation.write_log(folder.log))
         run = LawRun(law, data, summarise(data))
         write_json(folder.summary, run.summary)
         if (record := fault_record(data)) is not None:

@@ -20,6 +20,7 @@ from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
 from controller import reference_file
+from deploy.processes.logged_view import LoggedView
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import DELAY_KEYS, data_files
 from deploy.scenario.setup import Setup
@@ -143,6 +144,10 @@ class Recorder:
             agreement=agreement_of(setup),
         )
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG, lossless=lossless)
+        for topic in topics.VIEW_TOPICS:
+            self._node.advertise(topic)
+        sent_ns = 0 if self._is_virtual else time.time_ns()
+        self._view = LoggedView(self._log, setup.robot, self._node.publish, sent_ns)
         self._node.announce()
 
     @property
@@ -220,6 +225,8 @@ class Recorder:
         # In virtual time, when a message was sent by the wall says nothing of the run.
         sent_ns = self._last_stamp_ns if self._is_virtual else attachment.source_time_ns
         self._log.write(topic, attachment.sequence, self._last_stamp_ns, sent_ns, delivery.payload)
+        if topic is topics.JOINT_STATES:
+            self._view.show(delivery.payload, self._last_stamp_ns, sent_ns)
         if topic is topics.RUN_EVENTS and attachment.gid:
             self._read_event(delivery.payload, attachment.gid)
 

@@ -6,16 +6,17 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import RUN_EVENTS, Role, Topic
+from bus_schema.messages.topics import JOINT_STATES, RUN_EVENTS, Role, Topic
 from bus_schema.runtime.clock import VirtualClock
 from controller.control_loop import ControlLoop, reason_of
+from deploy.processes.logged_view import LoggedView
 from deploy.processes.recorder import close_log, open_log
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.setup import Setup
@@ -45,29 +46,38 @@ class Simulation:
     payloads: list[bytes]
     failure: Exception | None
 
-    def data(self) -> RunData:
-        """The data of the run."""
+    def data(self, messages: int | None = None) -> RunData:
+        """The data of the run.
+
+        Args:
+            messages: how many its recording holds, where it has one.
+        """
         by_topic: defaultdict[str, list[bytes]] = defaultdict(list)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             by_topic[topic.name].append(payload)
         link = self.setup.link_kind.simulated_as
-        return build_run_data(self.setup, by_topic, clock=CLOCK, link=link)
+        data = build_run_data(self.setup, by_topic, clock=CLOCK, link=link)
+        return data if messages is None else replace(data, messages=messages)
 
-    def write_log(self, path: Path) -> None:
-        """Write the recording that a recorder would have made.
+    def write_log(self, path: Path) -> int:
+        """Write the recording that a recorder would have made; how many messages it holds.
 
         Raises:
             OSError: the disk does not take it.
         """
         log = open_log(self.setup, path, clock=CLOCK, link=self.setup.link_kind.simulated_as)
         sequences: Counter[str] = Counter()
+        view = LoggedView(log, self.setup.robot)
         for topic, payload in zip(self.topics, self.payloads, strict=True):
             sequences[topic.name] += 1
             stamp_ns = stamp_of(payload) or 0
             log.write(topic, sequences[topic.name], stamp_ns, stamp_ns, payload)
+            if topic is JOINT_STATES:
+                view.show(payload, stamp_ns, stamp_ns)
         close_log(log, Counter())
         if log.failure is not None:
             raise log.failure
+        return log.messages
 
 
 def simulate(

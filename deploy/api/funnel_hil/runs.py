@@ -53,8 +53,7 @@ def simulate(
             return Run(data, summarise(data))
         with RunFolder.begin(given.setup, Path(out), overwrite=overwrite) as folder:
             simulation = simulate_setup(given.setup, can_log=folder.can_log)
-            simulation.write_log(folder.log)
-            data = simulation.data()
+            data = simulation.data(simulation.write_log(folder.log))
             return Run(data, conclude(folder, data))
 
 

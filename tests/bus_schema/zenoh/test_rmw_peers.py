@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import queue
+import threading
+from collections import defaultdict
 from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
 
 import pytest
 import zenoh
+import zenoh.ext
+from rosbags.typesys import Stores, get_typestore
 
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH, layout
+from bus_schema.messages.topics import (
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    PLANT_TRUTH,
+    ROBOT_DESCRIPTION,
+    TF,
+    TF_STATIC,
+    layout,
+)
+from bus_schema.messages.types import STRING, TF_MESSAGE
+from bus_schema.recording.mcap_log import read_log
 from bus_schema.zenoh.link import ZenohPlantLink
 from bus_schema.zenoh.ros_graph import Attachment
+from deploy.processes.recorder import Recorder
+from deploy.scenario.scenario import load_setup
 from tests.bus_schema.zenoh.rmw_sessions import rmw_node, rmw_router
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
@@ -113,3 +131,48 @@ def test_node_commands_the_plant(plant: ZenohPlantLink, node: zenoh.Session) -> 
         assert plant.take_commands()[-1].payload == command.payload()
     subscriber.undeclare()
     publisher.undeclare()
+
+
+def test_node_that_comes_late_gets_the_arm_and_sees_it_move(
+    link: LinkConfiguration, plant: ZenohPlantLink, node: zenoh.Session, tmp_path: Path
+) -> None:
+    """As RViz subscribes: transient local for robot_description and tf_static, volatile for tf."""
+    places = {key: str(value) for key, value in link.model_dump(exclude_unset=True).items()}
+    overrides = [f"link.{key}={value}" for key, value in places.items()]
+    recorder = Recorder(load_setup("paper_arm", overrides), tmp_path / "run.mcap")
+    is_over = threading.Event()
+    thread = threading.Thread(target=recorder.run, args=(is_over.is_set,))
+    thread.start()
+    heard: defaultdict[str, list[bytes]] = defaultdict(list)
+
+    def hear(sample: zenoh.Sample) -> None:
+        assert sample.attachment is not None
+        assert Attachment.decode(sample.attachment.to_bytes()) is not None
+        heard[str(sample.key_expr).split("/")[1]].append(sample.payload.to_bytes())
+
+    late = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+    ears = [
+        zenoh.ext.declare_advanced_subscriber(node, topic.key_expression(0), hear, history=late)
+        for topic in (ROBOT_DESCRIPTION, TF_STATIC)
+    ]
+    ear = node.declare_subscriber(TF.key_expression(0), hear)
+    stamps_ns = count(0, 20_000_000)
+
+    def is_seen() -> bool:
+        plant.send_state(state(next(stamps_ns)), status())
+        return heard.keys() == {"robot_description", "tf_static", "tf"}
+
+    await_true(is_seen)
+    is_over.set()
+    thread.join(HANG_S)
+    recorder.close()
+    ros = get_typestore(Stores.ROS2_JAZZY)
+    (description,) = heard["robot_description"]
+    assert "<robot" in ros.deserialize_cdr(description, STRING).data
+    moving = ros.deserialize_cdr(heard["tf"][-1], TF_MESSAGE).transforms
+    assert [each.child_frame_id for each in moving] == ["column", "upper_arm", "forearm"]
+    kept = read_log(tmp_path / "run.mcap").payloads
+    assert kept["robot_description"] == [description]
+    assert set(heard["tf"]) <= set(kept["tf"])
+    for declared in (*ears, ear):
+        declared.undeclare()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
+import zenoh.ext
 
 from bus_schema.link.configuration import LinkConfiguration, SecurityConfiguration
 from bus_schema.link.key_files import KeyFolder
@@ -22,6 +25,7 @@ from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import node_name, node_token
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes.network.keys import create_authority, issue
+from tests.bus_schema.zenoh.zenoh_pair import await_true
 
 HANG_S = 60.0
 MINUTE_DAYS = 1 / 1440
@@ -186,6 +190,49 @@ def test_recorder_says_nothing_but_that_it_has_everything(keys: KeyFolder) -> No
         plant.await_recorded()
         assert plant._acknowledged.is_set()
         recorder.close()
+
+
+def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
+    keys: KeyFolder,
+) -> None:
+    router = f"tls/127.0.0.1:{free_port()}"
+    link = LinkConfiguration(
+        security=SecurityConfiguration(enabled=True, folder=str(keys.path)),
+        router_endpoint=router,
+    )
+    heard: dict[str, bytes] = {}
+    late = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+    key = topics.ROBOT_DESCRIPTION.key_expression(0)
+    with session_as(Role.PLANT, keys, mode="router", listen__endpoints=[router]):
+        recorder = ZenohNode(link, Role.RECORDER, lossless=True)
+        for topic in topics.VIEW_TOPICS:
+            recorder.advertise(topic)
+        recorder.publish(topics.ROBOT_DESCRIPTION, b"the arm")
+        with session_as(Role.RECORDER, keys, mode="client", connect__endpoints=[router]) as viewer:
+            ear = zenoh.ext.declare_advanced_subscriber(
+                viewer, key, lambda s: heard.update(arm=s.payload.to_bytes()), history=late
+            )
+            tf = viewer.declare_subscriber(
+                topics.TF.key_expression(0), lambda s: heard.update(tf=s.payload.to_bytes())
+            )
+
+            def is_seen() -> bool:
+                recorder.publish(topics.TF, b"where it is")
+                return heard == {"arm": b"the arm", "tf": b"where it is"}
+
+            await_true(is_seen)
+            ear.undeclare()
+            tf.undeclare()
+        recorder.close()
+
+
+def session_as(role: Role, keys: KeyFolder, **settings: Any) -> zenoh.Session:
+    """A session of somebody else's, with a role's certificate and no rules of its own."""
+    configuration = zenoh.Config()
+    unseen = {"scouting__multicast__enabled": False}
+    for name, value in {**tls(keys, role), **unseen, **settings}.items():
+        configuration.insert_json5(name.replace("__", "/"), json.dumps(value))
+    return zenoh.open(configuration)
 
 
 def test_rules_follow_the_table_of_topics() -> None:

@@ -23,8 +23,8 @@ FAULT = ["faults=[{kind: encoder_stuck, joint: elbow, at_s: 0.2, for_s: 0.1}]"]
 )
 def test_recording_is_what_was_in_memory(scenario, overrides, tmp_path):
     simulation = simulate(load_setup(scenario, ["duration_s=0.5", *overrides]))
-    simulation.write_log(tmp_path / "run.mcap")
-    here, (read, _) = simulation.data(), load_run(tmp_path / "run.mcap")
+    here = simulation.data(simulation.write_log(tmp_path / "run.mcap"))
+    read, _ = load_run(tmp_path / "run.mcap")
     assert here.tables.keys() == read.tables.keys()
     for name, table in here.tables.items():
         assert table.dtype == read.tables[name].dtype

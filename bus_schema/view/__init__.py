@@ -1,0 +1,1 @@
+"""What 3-D viewers need of a run: the arm, and where its links are."""

@@ -1,0 +1,134 @@
+"""Where each link of an arm is, as seen from the link that carries it."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.robot_description import RobotDescription
+from bus_schema.urdf_checks import MOVING_TYPES
+
+Poses = NDArray[np.float64]
+"""Translation (m) and unit quaternion x y z w in the last axis, of length 7."""
+
+
+@dataclass(frozen=True)
+class CarriedLink:
+    """A link and the one that carries it, by their names, which are the names of their frames."""
+
+    parent: str
+    child: str
+
+
+class LinkPoses:
+    """Poses of all links but the root, each in its parent's frame.
+
+    Args:
+        robot: the arm.
+
+    Attributes:
+        root: the link that nothing carries, the arm's base.
+        fixed: links that do not move against their parents.
+        moving: links that do, in the order of the URDF.
+        fixed_poses: shape (fixed, 7).
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        joints = ET.fromstring(robot.resolved_urdf(shapes="none")).findall("joint")
+        moving = [joint for joint in joints if joint.get("type") in MOVING_TYPES]
+        fixed = [joint for joint in joints if joint.get("type") not in MOVING_TYPES]
+        self.fixed = tuple(map(_carried, fixed))
+        self.moving = tuple(map(_carried, moving))
+        attached = {each.child for each in (*self.fixed, *self.moving)}
+        self.root = next(
+            each.parent for each in (*self.moving, *self.fixed) if each.parent not in attached
+        )
+        self.fixed_poses = _origins(fixed)
+        origins = _origins(moving)
+        axes = np.array([_numbers(joint, "axis", "xyz", "1 0 0") for joint in moving])
+        self._slides = np.array([joint.get("type") == "prismatic" for joint in moving])
+        # A pose is a sum: what a link has when its joint is at zero, and what travel adds to it.
+        self._places, self._untravelled, self._turned = np.zeros((3, len(moving), 7))
+        self._places[:, :3], self._untravelled[:, 3:] = origins[:, :3], origins[:, 3:]
+        self._turned[:, 3:] = _product(origins[:, 3:], axes)
+        self._slid = np.zeros((len(moving), 7))
+        self._slid[:, :3] = _rotated(origins[:, 3:], axes)
+        self._gains, self._offsets = _couplings(robot, [joint.get("name", "") for joint in moving])
+
+    def moving_poses(self, position: Vector) -> Poses:
+        """Poses of the moving links, shape (moving, 7).
+
+        Args:
+            position: of the driven joints, shape (joints,), rad or m.
+        """
+        travel = self._gains @ position + self._offsets
+        slide = np.where(self._slides, travel, 0.0)[:, None]
+        half = 0.5 * (travel[:, None] - slide)
+        poses: Poses = (
+            self._places
+            + slide * self._slid
+            + np.cos(half) * self._untravelled
+            + np.sin(half) * self._turned
+        )
+        return poses
+
+
+def _couplings(robot: RobotDescription, moving: list[str]) -> tuple[Matrix, Vector]:
+    """Positions of moving joints as a matrix times those of the driven ones, plus an offset."""
+    gains, offsets = np.zeros((len(moving), robot.joints)), np.zeros(len(moving))
+    for place, name in enumerate(robot.joint_names):
+        gains[moving.index(name), place] = 1.0
+    for follower in robot.followers:
+        row = moving.index(follower.name)
+        gains[row, robot.joint_names.index(follower.leader)] = follower.multiplier
+        offsets[row] = follower.offset
+    return gains, offsets
+
+
+def _carried(joint: ET.Element) -> CarriedLink:
+    ends = {end.tag: end.get("link", "") for end in joint if end.tag in ("parent", "child")}
+    return CarriedLink(ends["parent"], ends["child"])
+
+
+def _origins(joints: list[ET.Element]) -> Poses:
+    poses = [
+        (*_numbers(joint, "origin", "xyz"), *_quaternion(*_numbers(joint, "origin", "rpy")))
+        for joint in joints
+    ]
+    return np.array(poses).reshape(-1, 7)
+
+
+def _numbers(joint: ET.Element, tag: str, attribute: str, default: str = "0 0 0") -> list[float]:
+    element = joint.find(tag)
+    text = default if element is None else element.get(attribute, default)
+    return [float(part) for part in text.split()]
+
+
+def _quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Turned about x, then y, then z of the parent: x y z w."""
+    (sr, cr), (sp, cp), (sy, cy) = (
+        (math.sin(0.5 * angle), math.cos(0.5 * angle)) for angle in (roll, pitch, yaw)
+    )
+    return (
+        sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy,
+    )  # fmt: skip
+
+
+def _product(quaternions: Poses, vectors: Matrix) -> Matrix:
+    """Products of quaternions and vectors as quaternions, row by row: x y z w."""
+    a, w = quaternions[:, :3], quaternions[:, 3:]
+    scalar = -np.sum(a * vectors, axis=1, keepdims=True)
+    return np.hstack([w * vectors + np.cross(a, vectors), scalar])
+
+
+def _rotated(quaternions: Poses, vectors: Matrix) -> Matrix:
+    """Vectors turned by quaternions, row by row."""
+    a, w = quaternions[:, :3], quaternions[:, 3:]
+    twice = 2.0 * np.cross(a, vectors)
+    return np.asarray(vectors + w * twice + np.cross(a, twice))
