@@ -11,7 +11,7 @@ import pytest
 
 from bus_schema.arrays import Vector
 from bus_schema.messages.run_event import EventKind
-from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, Role
+from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, TOPICS, Role
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.runtime.modes import TRANSITIONS, Mode, mode_in
 from deploy.processes.recorder import GapCounter
@@ -99,7 +99,7 @@ def assert_recording_is_whole_and_losses_are_known(attacked, tmp_path):
     simulation.write_log(tmp_path / "run.mcap")
     log = read_log(tmp_path / "run.mcap")
     assert log.complete
-    assert sum(map(len, log.payloads.values())) == len(bus.payloads)
+    assert sum(len(log.payloads[topic.name]) for topic in TOPICS) == len(bus.payloads)
     assert_losses_are_known(bus, attacked.outcome)
 
 
