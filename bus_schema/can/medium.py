@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.frame_timing import WireBits, arbitration_key, wire_bits
+from bus_schema.can.frame_timing import WireBits, arbitration_key, classical_bits, wire_bits
 from bus_schema.link.can_configuration import CanConfiguration
 
 _ERROR_FLAG_BITS = (6, 12)
@@ -43,7 +43,7 @@ class CanMedium:
         self._data_bitrate = configuration.data_bitrate or configuration.bitrate
         self._error_probability = configuration.faults.frame_error_probability
         self._random = random.Random(seed)
-        self._durations_ns: dict[WireBits, int] = {}
+        self._durations_ns: dict[int, int] = {}
         self._counts: dict[int, int] = {}
         self._busy_ns = 0
         self._window, self._window_busy_ns, self._peak_busy_ns = 0, 0, 0
@@ -93,12 +93,7 @@ class CanMedium:
 
     def _time_on_wire_ns(self, frame: CanFrame) -> int:
         """With all that is destroyed on the way: error frames cut a frame off at a random bit."""
-        bits = wire_bits(frame)
-        duration_ns = self._durations_ns.get(bits)
-        if duration_ns is None:
-            duration_ns = bits.duration_ns(self._bitrate, self._data_bitrate)
-            self._durations_ns[bits] = duration_ns
-        total_ns = duration_ns
+        duration_ns = total_ns = self._duration_ns(frame)
         while self._error_probability and self._random.random() < self._error_probability:
             self.error_frames += 1
             flag = self._random.randint(*_ERROR_FLAG_BITS)
@@ -106,6 +101,17 @@ class CanMedium:
             after = 1e9 * (flag + _ERROR_DELIMITER_AND_SPACE_BITS) / self._bitrate
             total_ns += math.ceil(wasted + after)
         return total_ns
+
+    def _duration_ns(self, frame: CanFrame) -> int:
+        """How long the frame is on the wire if nothing happens to it."""
+        if frame.is_fd:
+            return wire_bits(frame).duration_ns(self._bitrate, self._data_bitrate)
+        bits = classical_bits(frame)
+        duration_ns = self._durations_ns.get(bits)
+        if duration_ns is None:
+            duration_ns = WireBits(bits, 0).duration_ns(self._bitrate, self._data_bitrate)
+            self._durations_ns[bits] = duration_ns
+        return duration_ns
 
     def _note(self, name: int, start_ns: int, latency_ns: int) -> None:
         if name not in self._counts:

@@ -51,7 +51,7 @@ class PythonCanBus:
             CanSessionError: the interface is down, or its queue stays full for a second.
         """
         try:
-            self._bus.send(_message(frame), timeout=_SEND_TIMEOUT_S)
+            self._bus.send(to_message(frame), timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:
             raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
 
@@ -85,7 +85,8 @@ class PythonCanBus:
             self._bus.shutdown()
 
 
-def _message(frame: CanFrame) -> can.Message:
+def to_message(frame: CanFrame) -> can.Message:
+    """A frame as python-can has it."""
     return can.Message(
         arbitration_id=frame.identifier,
         data=frame.data,
@@ -121,12 +122,18 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
             f"must be one that python-can knows: {', '.join(sorted(can.VALID_INTERFACES))}",
         )  # fmt: skip
     try:
-        bus = can.Bus(interface=interface, channel=channel, **_arguments(configuration))
+        bus = open_python_can(configuration)
         if interface == "udp_multicast":
             return _over_socket_of(bus, configuration)
     except Exception as error:
         raise _explained(error, interface, channel) from error
     return PythonCanBus(bus, channel)
+
+
+def open_python_can(configuration: CanConfiguration) -> can.BusABC:
+    """python-can's own bus, for those who want nothing else; raises whatever it raises."""
+    interface, channel = configuration.interface, configuration.resolved_channel
+    return can.Bus(interface=interface, channel=channel, **_arguments(configuration))
 
 
 def _over_socket_of(bus: can.BusABC, configuration: CanConfiguration) -> CanBus:
@@ -135,7 +142,7 @@ def _over_socket_of(bus: can.BusABC, configuration: CanConfiguration) -> CanBus:
     def pack(frame: CanFrame) -> bytes:
         if frame.is_fd and not configuration.fd:
             raise ValueError("cannot send FD frames with link.can.fd = false")
-        return pack_message(_message(frame))
+        return pack_message(to_message(frame))
 
     def unpack(datagram: bytes) -> CanFrame | None:
         try:

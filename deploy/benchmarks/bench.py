@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bus_schema.recording.atomic_files import write_json
+from deploy.benchmarks.can_cycle import measure_can_cycles
 from deploy.benchmarks.control_step import measure_control_steps
 from deploy.benchmarks.loop_costs import measure_loop_costs
 from deploy.benchmarks.measure import Costs, Section
@@ -93,6 +94,7 @@ def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
         "control step": lambda: measure_control_steps(round(2000 * seconds), repetitions),
         "ticks": lambda: measure_loop_costs(_SCENARIO, seconds, repetitions),
         "real time": lambda: measure_round_trips(_SCENARIO, seconds, repetitions),
+        "cycles over CAN": lambda: measure_can_cycles(round(200 * seconds), repetitions),
         "recorder": lambda: measure_recorder(_SCENARIO, seconds, repetitions),
         "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 30, 1)),
     }

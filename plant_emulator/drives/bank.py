@@ -44,10 +44,7 @@ class _Axis:
         self.targets_taken = 0
         self._faults: set[DriveFault] = set()
         self._position_rad = 0.0
-
-    @property
-    def is_silent(self) -> bool:
-        return DriveFault.SILENT in self._faults
+        self.is_silent = False
 
     def measure(self, position_rad: float, velocity_rad_s: float, torque_nm: float) -> None:
         position_rad, velocity_rad_s = self.seen(position_rad, velocity_rad_s)
@@ -66,12 +63,14 @@ class _Axis:
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         if fault in _OUTSIDE:
             self._faults.add(fault)
+            self.is_silent = DriveFault.SILENT in self._faults
         else:
             self.drive.inject(fault, now_ns)
 
     def heal(self, fault: DriveFault, now_ns: int) -> None:
         if fault in _OUTSIDE:
             self._faults.discard(fault)
+            self.is_silent = DriveFault.SILENT in self._faults
         else:
             self.drive.heal(fault, now_ns)
 

@@ -65,10 +65,11 @@ class DrivesOnBus:
         self.answers.clear()
         if self.is_off:
             return
-        if not frame.is_error:  # else it never was on the bus
-            self._note([frame], now_ns)
         self.bank.receive(frame, self._began_ns + now_ns)
-        self._answer(now_ns)
+        self._send_answers()
+        if not frame.is_error:  # else it never was on the bus
+            self._note((frame,), now_ns)
+        self._note(self.answers, now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Let happen to the drives what is planned, and let them do what is due."""
@@ -76,7 +77,8 @@ class DrivesOnBus:
         if self._is_running:
             self._faults.run_due(self._began_ns + now_ns)
         self.bank.advance(self._began_ns + now_ns)
-        self._answer(now_ns)
+        self._send_answers()
+        self._note(self.answers, now_ns)
 
     def lose_bus(self, now_ns: int) -> None:
         """The drives' side goes bus-off."""
@@ -93,14 +95,15 @@ class DrivesOnBus:
         if not self.is_off:
             self.answers.append(frame)
 
-    def _answer(self, now_ns: int) -> None:
-        """Send what the drives have to say; only then is there time to write it down."""
+    def _send_answers(self) -> None:
+        """Nobody who waits for them has to wait for them to be timed and written down."""
         if self.answers:
             self._bus.send_all(self.answers)
-            self._note(self.answers, now_ns)
 
     def _note(self, frames: Sequence[CanFrame], now_ns: int) -> None:
         """Frames become ready together, when what they answer is through."""
+        if not frames:
+            return
         passed = self.medium.transmit(frames, max(now_ns, self.medium.free_ns))
         if self._log is not None:
             for time_ns, frame in passed:

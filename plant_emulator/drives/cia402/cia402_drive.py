@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cia402.describe import describe
@@ -14,7 +17,7 @@ from plant_emulator.drives.cia402.network_state import (
     NmtState,
 )
 from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
-from plant_emulator.drives.cia402.process_data import ProcessData
+from plant_emulator.drives.cia402.process_data import ProcessData, ReceivedPdo
 from plant_emulator.drives.cia402.state_machine import State
 from plant_emulator.drives.drive import (
     DriveFault,
@@ -48,6 +51,7 @@ class Cia402Drive:
         self._process_data = ProcessData(
             self._node, self._errors, self._send_if_on_bus, self._on_rpdo_timeout
         )
+        self._set_up()
 
     @property
     def targets(self) -> int:
@@ -97,6 +101,7 @@ class Cia402Drive:
         self._node.now_ns = now_ns
         if self._network.state is NmtState.INITIALISING:
             self._network.boot()
+            self._set_up()
             if self.state is State.NOT_READY_TO_SWITCH_ON:
                 self._motor.automaton.power_on()
                 if self._is_hot:
@@ -137,24 +142,38 @@ class Cia402Drive:
         return describe(frame, self._node, self._process_data)
 
     def _take(self, frame: CanFrame) -> bool:
-        identifier, data = frame.identifier, frame.data
         if frame.is_remote:
-            return self._answer_remote(identifier)
-        if identifier == _NMT:
-            self._obey_master(data)
-        elif identifier == self._process_data.sync_identifier:
-            if self._is_operational():
-                self._process_data.sync(data)
-        elif identifier == self._node.sdo.rx_cobid:
-            self._serve_sdo(data)
-        elif (pdo := self._process_data.receiving(identifier)) is not None:
-            if self._is_operational():
-                self._process_data.receive(pdo, data)
-        elif identifier - HEARTBEAT in self._network.watched:
-            self._network.note_heartbeat(identifier - HEARTBEAT)
-        else:
+            return self._answer_remote(frame.identifier)
+        take = self._takers.get(frame.identifier)
+        if take is None:
             return False
+        take(frame.data)
         return True
+
+    def _set_up(self) -> None:
+        """Note who takes the data of which identifier, as the dictionary has it now."""
+        self._process_data.note_set_up()
+        takers: dict[int, Callable[[bytes], None]] = {
+            HEARTBEAT + node_id: partial(self._take_heartbeat, node_id)
+            for node_id in self._network.watched
+        }
+        for identifier, pdo in self._process_data.received_by().items():
+            takers[identifier] = partial(self._take_pdo, pdo)
+        takers[self._node.sdo.rx_cobid] = self._serve_sdo
+        takers[self._process_data.sync_identifier] = self._take_sync
+        takers[_NMT] = self._obey_master
+        self._takers = takers
+
+    def _take_sync(self, data: bytes) -> None:
+        if self._is_operational():
+            self._process_data.sync(data)
+
+    def _take_pdo(self, pdo: ReceivedPdo, data: bytes) -> None:
+        if self._is_operational():
+            self._process_data.receive(pdo, data)
+
+    def _take_heartbeat(self, node_id: int, _data: bytes) -> None:
+        self._network.note_heartbeat(node_id)
 
     def _answer_remote(self, identifier: int) -> bool:
         pdo = self._process_data.sending(identifier)
@@ -168,6 +187,7 @@ class Cia402Drive:
             raise InvalidMessageError("sdo_length", f"an SDO request has 8 bytes: {data!r}")
         if self._network.has_sdo:
             self._node.sdo.on_request(self._node.sdo.rx_cobid, data, 0.0)
+            self._set_up()
 
     def _obey_master(self, data: bytes) -> None:
         if len(data) != _NMT_BYTES:
@@ -199,6 +219,7 @@ class Cia402Drive:
     def _reset(self, last: int) -> None:
         self._node.restore_defaults(0x1000, last)
         self._process_data.load()
+        self._set_up()
         self._network.state = NmtState.INITIALISING
 
     def _send_events(self) -> None:

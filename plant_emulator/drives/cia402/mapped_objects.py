@@ -43,6 +43,9 @@ def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
     if layout is None or len(served) < len(entries):
         return lambda: b"".join(node.get_data(index, sub) for index, sub, _ in entries)
     pack = layout.pack
+    if len(served) == 1:  # a statusword alone, looked at after every frame
+        read_alone, only = served[0]
+        return lambda: pack(read_alone(only))
     return lambda: pack(*[read(subindex) for read, subindex in served])
 
 

@@ -25,7 +25,8 @@ _ABORT_FAULT, _ABORT_DISABLE, _ABORT_QUICK_STOP = 1, 2, 3
 
 def clamp(value: int, limits: tuple[int, int]) -> int:
     """The value, or the limit it is beyond."""
-    return min(max(value, limits[0]), limits[1])
+    lowest, highest = limits
+    return lowest if value < lowest else min(value, highest)
 
 
 class Motor:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable
 
 from canopen.sdo.exceptions import SdoAbortedError
 
@@ -14,8 +13,6 @@ from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog, check_ident
 from plant_emulator.drives.cia402.node import DriveNode
 from plant_emulator.drives.cia402.pdo import Pdo
 from plant_emulator.drives.drive import Send
-
-AnyPdo = TypeVar("AnyPdo", bound=Pdo)
 
 _PDOS = 4
 _PRODUCES_SYNC = 1 << 30
@@ -87,6 +84,7 @@ class ProcessData:
         for pdo in self._pdos:
             pdo.load()
         self.rest()
+        self.note_set_up()
 
     def rest(self) -> None:
         """The node is not operational: nothing is pending or awaited."""
@@ -95,11 +93,25 @@ class ProcessData:
 
     def receiving(self, identifier: int) -> ReceivedPdo | None:
         """The RPDO with this identifier."""
-        return _with_identifier(self._received, identifier)
+        return self.received_by().get(identifier)
+
+    def received_by(self) -> dict[int, ReceivedPdo]:
+        """The RPDOs as they are set up now, by identifier; of several with one, the first."""
+        return {pdo.identifier: pdo for pdo in reversed(self._received) if pdo.is_valid}
+
+    def note_set_up(self) -> None:
+        """PDOs may have been set up anew."""
+        self._on_sync = [pdo for pdo in self._sent if pdo.is_valid and pdo.is_synchronous]
+        self._on_event = [
+            pdo for pdo in self._sent if pdo.is_valid and pdo.entries and not pdo.is_synchronous
+        ]
 
     def sending(self, identifier: int) -> SentPdo | None:
         """The TPDO with this identifier."""
-        return _with_identifier(self._sent, identifier)
+        for pdo in self._sent:
+            if pdo.identifier == identifier and pdo.is_valid:
+                return pdo
+        return None
 
     def sync(self, data: bytes) -> None:
         """SYNC: what is pending comes into force, what is due is sampled and sent."""
@@ -112,9 +124,8 @@ class ProcessData:
             if received.pending is not None:
                 data, received.pending = received.pending, None
                 _unpack(received, data)
-        for sent in self._sent:
-            if sent.is_valid and sent.is_synchronous:
-                self._send_on_sync(sent)
+        for sent in self._on_sync:
+            self._send_on_sync(sent)
 
     def receive(self, pdo: ReceivedPdo, data: bytes) -> None:
         """Data for an RPDO has come."""
@@ -132,9 +143,7 @@ class ProcessData:
 
     def send_events(self) -> None:
         """Send event-driven TPDOs that have changed or whose timers have run out."""
-        for pdo in self._sent:
-            if pdo.is_synchronous or not pdo.is_valid or not pdo.entries:
-                continue
+        for pdo in self._on_event:
             age_ns = self._node.now_ns - pdo.sent_ns
             if pdo.data is not None and age_ns < pdo.inhibit_ns:
                 continue
@@ -174,13 +183,6 @@ class ProcessData:
             raise SdoAbortedError(Abort.INVALID_VALUE)
         check_identifier(value, value)
         self.sync_identifier = value & 0x7FF
-
-
-def _with_identifier(pdos: Sequence[AnyPdo], identifier: int) -> AnyPdo | None:
-    for pdo in pdos:
-        if pdo.identifier == identifier and pdo.is_valid:
-            return pdo
-    return None
 
 
 def _unpack(pdo: Pdo, data: bytes) -> None:
