@@ -1,7 +1,8 @@
 """The frames of every shipped CAN scenario, byte for byte and bit time by bit time.
 
 However fast frames are packed, carried and logged: which ones there are, and when they are through
-on the wire, is fixed. The digests are those of the first, plain way of doing it.
+on the wire, is fixed. The digests of cycles are those of the first, plain way of doing it; those of
+start-up change with what drives say of themselves.
 """
 
 from __future__ import annotations
