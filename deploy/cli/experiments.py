@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from controller.laws import LAWS
 from controller.laws.custom import custom_laws_left_out, is_custom
 from deploy.cli.common import (
     Out,
@@ -83,12 +84,13 @@ def compare(
     with folder:
         console, stop = Console(), threading.Event()
         comparison = Comparison(_run_all(setups, folder, console, stop))
-        interrupted = stop.is_set()
+        interrupted, earlier = stop.is_set(), folder.earlier_settling()
         if settling and not interrupted:
             for setup in setups:
                 if setup.scenario.controller.process is not None:
                     continue  # it has no bound, and each of its starts would be a run of its own
-                test = settling_test(setup)
+                law = setup.scenario.controller.law
+                test = (law in LAWS and earlier.get(law)) or settling_test(setup)
                 comparison.settling.append(test)
                 console.print(settling_sentence(test), markup=False, highlight=False)
         _conclude_comparison(comparison, folder, console)
@@ -202,12 +204,16 @@ def _run_all(
     with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
             law = setup.scenario.controller.name
-            if setup.scenario.controller.process is None:
+            known = folder.known(setup)
+            if known is not None:
+                runs.append(known)
+            elif setup.scenario.controller.process is None:
                 watch = watching(progress, setup, law, stop, before_s)
                 runs.append(folder.add(attempt(setup, watch)))
             else:
                 runs.append(folder.add_process(setup, partial(_stop_by, stop)))
-            progress.say(f"{law}: {bounds_sentence(runs[-1])}")
+            before = "" if known is None else " (from before)"
+            progress.say(f"{law}: {bounds_sentence(runs[-1])}{before}")
             before_s += setup.scenario.duration_s
             if stop.is_set():
                 break

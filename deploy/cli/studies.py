@@ -158,6 +158,7 @@ def _conduct(
         folder = StudyFolder(path or create_folder(study, out, overwrite=overwrite), study)
         folder.lock()
         with folder:
+            folder.become()
             on_stop(stop.set)
             name = study.definition.name
             with CommandProgress(console, name, study.expected, "runs") as progress:

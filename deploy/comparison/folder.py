@@ -10,12 +10,14 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from bus_schema.recording.atomic_files import write_json
+from controller.laws import LAWS
+from controller.laws.custom import custom_laws_left_out
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
 from deploy.runs.conditions import Conditions, conditions_of_runs
 from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
-from deploy.runs.new_folder import new_folder
+from deploy.runs.new_folder import new_folder, resolved_out
 from deploy.runs.process_run import lockstep_setup, run_process
 from deploy.runs.run_folder import (
     ResultFolder,
@@ -29,15 +31,24 @@ from deploy.runs.run_folder import (
 )
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import Simulation
+from deploy.scenario.agreement import values_in_common
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import portable_scenario
+from deploy.scenario.yaml_files import ScenarioError
 
 KIND = "comparison"
+_SHOWN_KEYS = 8
 SETTLING = TypeAdapter(list[SettlingTest])
 """From and to what ``summary.json`` has of settling tests."""
 
 
 class ComparisonFolder(ResultFolder):
-    """The files of a comparison, with a folder for each law's run inside."""
+    """The files of a comparison, with a folder for each law's run inside.
+
+    A comparison of the same scenario may be made in the folder of an earlier one: it grows by laws,
+    and runs of shipped laws that came to their end are not made again.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -47,7 +58,7 @@ class ComparisonFolder(ResultFolder):
     def begin(
         setups: Sequence[Setup], out: Path | None, *, overwrite: bool = False
     ) -> ComparisonFolder:
-        """The folder of a new comparison, locked, with a manifest.
+        """The folder of a new comparison, or of one that grows, locked, with a manifest.
 
         Args:
             setups: the scenario under each law.
@@ -55,14 +66,59 @@ class ComparisonFolder(ResultFolder):
             overwrite: remove results that are there.
 
         Raises:
-            ScenarioError: as `new_folder`.
+            ScenarioError: as `new_folder`, or the folder has a comparison of something else.
         """
         name = f"compare-{setups[0].scenario.name}"
-        folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
+        if out is not None and not overwrite and read_summary(out).get("kind") == KIND:
+            folder = ComparisonFolder(resolved_out(out))
+            folder._require_same_scenario(setups)
+        else:
+            folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
         folder.lock()
         laws = [setup.scenario.controller.name for setup in setups]
         write_json(folder.manifest, {**manifest_of(setups), "laws": laws})
         return folder
+
+    def known(self, setup: Setup) -> LawRun | None:
+        """The whole run that is there already of a shipped law; others may have changed since."""
+        law = setup.scenario.controller.name
+        folder = RunFolder(self._law_path(law))
+        if law not in LAWS or not read_summary(folder.path).get("completed"):
+            return None
+        try:
+            same = folder.scenario.read_text() == portable_scenario(setup)
+            return judged_again(law, folder.path) if same else None
+        except (OSError, RunFolderError):
+            return None
+
+    def earlier_settling(self) -> dict[str, SettlingTest]:
+        """Settling tests that are there already, by law."""
+        told = SETTLING.validate_python(read_summary(self.path).get("settling", []))
+        return {test.law: test for test in told}
+
+    def _require_same_scenario(self, setups: Sequence[Setup]) -> None:
+        """Check that what the folder compares is the same but for laws, all of which are asked for.
+
+        Raises:
+            ScenarioError: it is not; keys that differ are named.
+        """
+        laws = read_summary(self.path).get("laws")
+        asked = {setup.scenario.controller.name: setup for setup in setups}
+        for law in laws if isinstance(laws, dict) else {}:
+            if law not in asked:
+                raise ScenarioError(
+                    f"--out {self.path}: holds a comparison with {law}: must be among --laws, or"
+                    " give --overwrite"
+                )
+            with custom_laws_left_out():
+                there = load_setup(str(RunFolder(self._law_path(law)).scenario))
+            found, wanted = (values_in_common(each) for each in (there, asked[law]))
+            keys = sorted(key for key in found | wanted if found.get(key) != wanted.get(key))
+            if set(keys) - {"clock"}:  # of a process, which runs in lockstep
+                raise ScenarioError(
+                    f"--out {self.path}: holds a comparison of another scenario ({law}):"
+                    f" {', '.join(keys[:_SHOWN_KEYS])}: must be the same, or give --overwrite"
+                )
 
     def add(self, simulation: Simulation) -> LawRun:
         """Write the run of one law to its folder, and judge it."""

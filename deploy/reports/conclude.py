@@ -58,7 +58,7 @@ def conclude_study(study: Study, folder: StudyFolder) -> dict[str, Any]:
 
     summary = study.summary(folder.rows)
     summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
-    folder.put_together(summary["conditions"])
+    folder.put_together(summary["conditions"], completed=summary["completed"])
     write_json(folder.summary, {**summary, "completed": False})  # until all is written
     write_study_report(summary, folder)
     write_json(folder.summary, summary)

@@ -20,8 +20,8 @@ from deploy.study.margins.quantities import Direction, Quantity, build_quantity
 from deploy.study.study import Different, StudyDefinition, scenario_name
 
 CASE_COLUMNS = {
-    "arm": "string", "compensation": "bool", "drive_feedback": "bool", "running": "bool",
-    "quantity": "string", "value": "double",
+    "law": "string", "arm": "string", "compensation": "bool", "drive_feedback": "bool",
+    "running": "bool", "quantity": "string", "value": "double",
 }  # fmt: skip
 """Names and Parquet types of what tells a run of margins from others, but for its start."""
 
@@ -76,8 +76,9 @@ class Setting:
 
     @property
     def tags(self) -> dict[str, Any]:
-        """What tells it from the others, but for the law, which every row has anyway."""
+        """What tells it from the others."""
         return {
+            "law": self.law,
             "arm": self.base.scenario.name,
             "compensation": self.compensation,
             "drive_feedback": self.drive_feedback,

@@ -62,6 +62,7 @@ def carry_out(
                 workers.submit(run)
                 in_flight += 1
             else:
+                folder.keep_scenario(run)
                 wanted.extend(study.follow(run, known))
                 progress.done(known, study.expected, before=True)
         finished = workers.finished(_POLL_S) if in_flight else None
@@ -71,12 +72,17 @@ def carry_out(
             folder.add(run, values)
             wanted.extend(study.follow(run, values))
             progress.done(values, study.expected, before=False)
+    if stop.is_set():
+        _take_known(study, folder, wanted)
     return not stop.is_set()
 
 
 def retrace(study: Study, folder: StudyFolder) -> None:
     """Take a study through all of its runs that its folder has."""
-    wanted = deque(study.first())
+    _take_known(study, folder, deque(study.first()))
+
+
+def _take_known(study: Study, folder: StudyFolder, wanted: deque[Run]) -> None:
     while wanted:
         run = wanted.popleft()
         known = folder.find(run)

@@ -1,7 +1,10 @@
-"""What a study leaves, and goes on from: its definition, its rows, and the scenario of every point.
+"""What a study leaves, goes on from and grows from: definition, rows, the scenario of every point.
 
 Rows are written in parts soon after their runs are done, and put together in order at the end. A
 part appears as a whole or not at all, so whenever a study is killed, what lies there can be used.
+
+Rows are known by what was varied and the seed: points are named by their place in a study,
+and so take other names once it has grown.
 """
 
 from __future__ import annotations
@@ -19,13 +22,16 @@ from deploy.runs.run_folder import (
     ResultFolder,
     RunFolderError,
     provenance,
+    read_manifest,
     read_summary,
 )
 from deploy.runs.run_rows import Row, read_rows, write_rows
+from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
+from deploy.study.growth import hindrances
 from deploy.study.margins.margin import Margin
 from deploy.study.robustness import Robustness
 from deploy.study.study import Run, Study
@@ -34,6 +40,7 @@ from deploy.study.sweep import Sweep
 STUDY_FILE = "study.yaml"
 KINDS: dict[str, type[Study]] = {kind.kind: kind for kind in (Sweep, Margin, Robustness)}
 _FLUSH_S = 1.0
+_SHOWN_HINDRANCES = 3
 _PART = "?" * 6 + ".parquet"
 """Finished parts; one that a kill interrupted has a longer name."""
 
@@ -50,12 +57,14 @@ class StudyFolder(ResultFolder):
         super().__init__(path)
         self.rows_file = path / f"{study.kind}.parquet"
         self.scenarios = path / "scenarios"
-        self._seed = study.definition.seeds[0]
+        self._study, self._seed = study, study.definition.seeds[0]
         self._parts = path / "rows"
         self._columns = {"point": "string", **study.columns}
         files = [self.rows_file, *sorted(self._parts.glob(_PART))]
-        kept = [row for file in files if file.exists() for row in read_rows(file)]
-        self._rows = {(row["point"], row["seed"]): row for row in kept}
+        self._earlier: dict[tuple[Any, ...], list[Row]] = {}
+        for row in (row for file in files if file.exists() for row in read_rows(file)):
+            self._earlier.setdefault(self._identity(row), []).append(row)
+        self._rows: dict[tuple[str, int], Row] = {}
         self._unwritten: list[Row] = []
         self._flushed_s = time.monotonic()
 
@@ -64,13 +73,40 @@ class StudyFolder(ResultFolder):
         """All rows so far, in the order of points, then seeds."""
         return [self._rows[key] for key in sorted(self._rows)]
 
+    def become(self) -> None:
+        """Have the folder hold this study, where it held one that this one has grown from.
+
+        The lock has to be held. Scenarios go, as their names have changed; rows can be found.
+        """
+        wanted, file = _identity(self._study), self.path / STUDY_FILE
+        if read_yaml(file) == wanted:
+            return
+        shutil.rmtree(self.scenarios, ignore_errors=True)
+        before = read_manifest(self.path)
+        earlier = [*before.pop("grown_from", []), before]
+        write_json(self.manifest, {**provenance(), "study": wanted, "grown_from": earlier})
+        write_whole(file, to_yaml(wanted))
+
     def find(self, run: Run) -> Row | None:
         """The row of a run, if it was done before."""
-        return self._rows.get(run.key)
+        if run.key not in self._rows:
+            known = self._earlier.get(self._identity({**run.columns, "seed": run.seed}), [])
+            if not known:
+                return None
+            same_name = (row for row in known if row["point"] == run.point)
+            row = next(same_name, known[0])
+            known.remove(row)
+            self._rows[run.key] = {**row, "point": run.point}
+        return self._rows[run.key]
+
+    def _identity(self, values: Row) -> tuple[Any, ...]:
+        """What tells a run or its row from all others of the study."""
+        told = (values.get(name) for name in (*self._study.columns, "seed"))
+        return tuple(tuple(each) if isinstance(each, list) else each for each in told)
 
     def add(self, run: Run, values: Row) -> None:
         """Keep the row of a run, and the scenario of its point."""
-        self._write_scenario(run)
+        self.keep_scenario(run)
         self._rows[run.key] = values
         self._unwritten.append(values)
         if time.monotonic() - self._flushed_s >= _FLUSH_S:
@@ -86,21 +122,28 @@ class StudyFolder(ResultFolder):
             self._unwritten = []
         self._flushed_s = time.monotonic()
 
-    def put_together(self, conditions: Conditions | None = None) -> None:
+    def put_together(self, conditions: Conditions | None = None, *, completed: bool = True) -> None:
         """Make one table of all rows, in order, of the parts.
 
         Args:
             conditions: what the rows are to be quoted with.
+            completed: whether rows that were not asked for so far will never be: those of a search
+                that has grown and took another way.
         """
         self.flush()
         write_rows(self.rows, self.rows_file, self._columns, conditions)
         shutil.rmtree(self._parts, ignore_errors=True)
+        left = [row for rows in self._earlier.values() for row in rows]
+        if left and not completed:
+            self._unwritten = left
+            self.flush()
 
     def rerun_command(self, point: str) -> str:
         """The command that runs a point again."""
         return f"funnel-hil simulate {self.scenarios / point}.yaml"
 
-    def _write_scenario(self, run: Run) -> None:
+    def keep_scenario(self, run: Run) -> None:
+        """Write the scenario of a run's point, unless it is there."""
         file = self.scenarios / f"{run.point}.yaml"
         if file.exists():
             return
@@ -110,7 +153,7 @@ class StudyFolder(ResultFolder):
 
 
 def find_folder(study: Study, out: Path | None) -> Path | None:
-    """The folder in which a study is to go on; None if it has to begin.
+    """The folder in which a study is to go on, or to grow; None if it has to begin.
 
     Args:
         study: the study.
@@ -118,7 +161,7 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
             end.
 
     Raises:
-        ScenarioError: the folder asked for holds another study.
+        ScenarioError: the folder asked for holds another study, and not one that this adds to.
     """
     wanted = _identity(study)
     if out is None:
@@ -128,10 +171,11 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     file = path / STUDY_FILE
     if not is_file(file):
         return None
-    if read_yaml(file) != wanted:
+    why = hindrances(read_yaml(file), wanted)
+    if why:
         raise ScenarioError(
-            f"--out {path}: must be without a study, or hold this one with the same scenario; see"
-            f" {file}"
+            f"--out {path}: must be without a study, or hold this one, or one that this one adds"
+            f" to; see {file}: {'; '.join(why[:_SHOWN_HINDRANCES])}"
         )
     return path
 
@@ -186,5 +230,6 @@ def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
 
 
 def _digest(setup: Setup) -> str:
-    contents = effective_scenario(setup).encode() + setup.robot.path.read_bytes()
-    return hashlib.sha256(contents).hexdigest()[:16]
+    contents = [effective_scenario(setup).encode(), setup.robot.path.read_bytes()]
+    contents += [file.read_bytes() for file in data_files(setup.scenario).values()]
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]

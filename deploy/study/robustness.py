@@ -190,7 +190,6 @@ class Robustness(Study):
                 lost.append([not _is_kept(rows) for rows in judged])
         quantities = measured(case.uncertainty, case.plants, case.setting.base)
         return {
-            "law": case.setting.law,
             **case.setting.tags,
             "kept_up_to": self._kept_up_to(found),
             "held_arm_ceiling_ms": min(_known(case.ceilings_ms), default=None),

@@ -101,7 +101,8 @@ class Run:
         scenario: a scenario file, or the name of a shipped one.
         overrides: what is set in it, as ``dotted.key=value``, but for the seed.
         seed: the scenario's seed.
-        columns: what the study varies, by column of its table.
+        columns: what the study varies, by column of its table; with the seed, it tells a run from
+            all others.
     """
 
     point: str
@@ -123,7 +124,7 @@ def execute(run: Run) -> Row:
         values = row(_summary(setup), setup.scenario.seed)
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
         return failed(run, f"{type(error).__name__}: {error}")
-    return {"point": run.point, **run.columns, **values}
+    return {**values, **run.columns, "point": run.point}
 
 
 def _summary(setup: Setup) -> dict[str, Any]:
@@ -135,7 +136,7 @@ def _summary(setup: Setup) -> dict[str, Any]:
 
 def failed(run: Run, error: str) -> Row:
     """The row of a run that left nothing to judge."""
-    return {"point": run.point, **run.columns, **failed_row(run.seed, error)}
+    return {**failed_row(run.seed, error), **run.columns, "point": run.point}
 
 
 class Study(ABC):

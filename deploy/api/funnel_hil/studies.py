@@ -180,6 +180,7 @@ def _conducted(
         study, path = _begun(given, build, place)
         folder = stack.enter_context(StudyFolder(path, study))
         folder.lock()
+        folder.become()
         workers = stack.enter_context(team(study))
         try:
             carry_out(study, workers, folder, _Counter(told), threading.Event())

@@ -174,7 +174,6 @@ def _case_summary(case: Case) -> dict[str, Any]:
         return None if steps is None else case.steps.value(steps)
 
     return {
-        "law": case.setting.law,
         **case.setting.tags,
         "margin": value(search.margin),
         "first_failure": value(search.first_failure),

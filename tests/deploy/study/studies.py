@@ -44,7 +44,7 @@ def made_up(run, **values):
     """A row without a simulation."""
     fraction = values.pop("violation_fraction", 0.0)
     return {
-        "point": run.point, **run.columns, "scenario": "made_up", "law": "pid", "seed": run.seed,
+        "law": "pid", "point": run.point, **run.columns, "scenario": "made_up", "seed": run.seed,
         "completed": True, "error": None, "bounds_kept": fraction == 0.0,
         "violation_fraction": fraction, "margin_min": 0.5, "rms_rad": [1e-3, 2e-3, 1e-3],
         "total_variation_nm_per_s": [1.0, 1.0, 1.0], "joint_names": ["a", "b", "c"], **values,
