@@ -28,6 +28,11 @@ plant, listen = sys.argv[1:] or [
     os.environ[f"FUNNEL_HIL_{role}_ENDPOINT"] for role in ("PLANT", "CONTROLLER")
 ]
 config = zenoh.Config()
+if keys := os.environ.get("FUNNEL_HIL_SECURITY_FOLDER"):  # link.security: mutual TLS
+    ends = {"certificate": f"{keys}/controller.crt", "private_key": f"{keys}/controller.key"}
+    own = {f"{way}_{what}": file for way in ("listen", "connect") for what, file in ends.items()}
+    tls = {"root_ca_certificate": f"{keys}/authority.crt", "enable_mtls": True, **own}
+    config.insert_json5("transport/link/tls", json.dumps(tls))
 for path, value in {
     "connect/endpoints": [plant],
     "listen/endpoints": [listen],  # link.controller_endpoint, where recorders connect to
@@ -74,7 +79,8 @@ with zenoh.open(config) as session:
         ),
         # Once all is ready: from here on the plant knows of a publisher of commands, and starts.
         session.liveliness().declare_token(
-            f"@ros2_lv/{DOMAIN}/{session_id}/0/1/MP/%/%/my_controller/%joint_commands"
+            os.environ.get("FUNNEL_HIL_COMMAND_TOKEN")
+            or f"@ros2_lv/{DOMAIN}/{session_id}/0/1/MP/%/%/my_controller/%joint_commands"
             f"/{type_and_hash}/::,10:,:,:,,"
         ),
     ]

@@ -14,6 +14,9 @@ from pathlib import Path
 import pytest
 from running import Finished, free_endpoint, funnel_hil_here, settings
 
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages.topics import Role
+from deploy.processes.network.keys import create_authority, issue
 from tests.warm_process import WarmProcess
 
 CLIENTS = Path(__file__).resolve().parents[2] / "bus_schema" / "clients"
@@ -57,8 +60,8 @@ def assert_it_commanded(run: Finished) -> None:
     assert len(run.data.tables["joint_reference"]) >= TICKS
 
 
-def assert_it_commands_as_a_process(command: list[str], folder: Path) -> None:
-    process = settings(controller__process=command)
+def assert_it_commands_as_a_process(command: list[str], folder: Path, **more: object) -> None:
+    process = settings(controller__process=command, **more)
     ended = funnel_hil_here("run", "paper_arm", *SHORT, *process, out=folder / "run")
     assert ended.code == 0, ended.output
     assert_it_commanded(ended)
@@ -72,6 +75,17 @@ def test_python_client(tmp_path: Path) -> None:
 
 def test_python_client_as_a_process(tmp_path: Path) -> None:
     assert_it_commands_as_a_process([sys.executable, str(CLIENTS / "controller.py")], tmp_path)
+
+
+def test_python_client_as_a_process_under_tls(tmp_path: Path) -> None:
+    keys = KeyFolder.at(tmp_path / "keys")
+    create_authority(keys, 1)
+    for role in Role:
+        issue(keys, role, ["127.0.0.1"], 1)
+    assert_it_commands_as_a_process(
+        [sys.executable, str(CLIENTS / "controller.py")], tmp_path,
+        link__security__enabled=True, link__security__folder=str(keys.path),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
