@@ -100,7 +100,7 @@ def run(
         ) as progress:
             if await_controller:
                 progress.say(waiting_sentence(setup, delay))
-            outcome = launcher.run(status_handler(progress))
+            outcome = launcher.run(status_handler(progress, setup.robot.joint_names))
         held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
         folder.write_manifest(setup, outcome.realtime, held_back)
         folder.write_scenario(as_given)

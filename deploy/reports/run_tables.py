@@ -43,22 +43,29 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
 
 
 def timing_table(summary: dict[str, Any]) -> Table:
-    """Percentiles of every timing quantity; a stall of the host too, where there was a long one."""
+    """Percentiles of every timing quantity; a stall of the host too, where there was a long one.
+
+    What was always 0, as in virtual time, is told in a word.
+    """
     stall_ms = summary["timing"]["longest_stall_ms"]
     stalls: list[list[Value]] = (
         [["Stall of the host", *[None] * (len(PERCENTILES) - 1), 1e3 * stall_ms]]
         if stall_ms is not None and stall_ms > STALL_MS
         else []
     )
+    times = {
+        title: [summary["timing"][key][name] for name in _PERCENTILES]
+        for key, title in quantities.TIMES.items()
+    }
+    always_0 = [title for title, values in times.items() if not any(v != 0 for v in values)]
+    note = "Control step and wake-up lateness are wall time, the others are on the run's clock."
+    if always_0:
+        note += f" Always 0: {', '.join(always_0).lower()}."
     return Table(
         "Timing",
         [Column("Time", is_text=True), *(Column(title, "µs") for title in _PERCENTILES.values())],
-        [
-            [title, *(summary["timing"][key][name] for name in _PERCENTILES)]
-            for key, title in quantities.TIMES.items()
-        ]
-        + stalls,
-        "Control step and wake-up lateness are wall time, the others are on the run's clock.",
+        [[title, *values] for title, values in times.items() if title not in always_0] + stalls,
+        note,
     )
 
 

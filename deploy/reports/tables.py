@@ -60,6 +60,21 @@ def scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else factor * value
 
 
+def short_names(names: Sequence[str]) -> list[str]:
+    """Names without the words that all begin with, such as ``…joint_3`` for ``lbr_iiwa_joint_3``.
+
+    What is left begins with a letter, so that it says something alone.
+    """
+    words = [name.split("_") for name in names]
+    shared = 0
+    while len(names) > 1 and all(
+        rest[:1] == words[0][shared : shared + 1] and rest[1:] and rest[1][:1].isalpha()
+        for rest in (each[shared:] for each in words)
+    ):
+        shared += 1
+    return [("…" if shared else "") + "_".join(each[shared:]) for each in words]
+
+
 @dataclass(frozen=True)
 class Column:
     """What a column of a table holds.

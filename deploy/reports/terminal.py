@@ -31,8 +31,10 @@ def print_table(console: Console, table: Table) -> None:
     for row in cells:
         shown.add_row(*(Text(cell.text, STYLES[cell.status]) for cell in row))
     if console.measure(shown, options=console.options.update(width=10_000)).maximum > console.width:
-        shown.padding = 0
+        shown.padding, shown.show_edge = 0, False
     console.print(shown)
+    if not shown.show_edge:  # which is a blank line, too
+        console.print()
 
 
 def _heading(column: Column) -> Text:

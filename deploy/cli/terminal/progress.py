@@ -8,9 +8,13 @@ from collections.abc import Callable
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Column
+from rich.text import Text
 
 _POLL_S = 0.1
 _PLAIN_LINE_S = 3.0
+_BAR_WIDTH = 12
+_WHOLE = Column(no_wrap=True, overflow="ellipsis")
 
 
 class CommandProgress:
@@ -27,9 +31,9 @@ class CommandProgress:
         self._console, self._unit, self._note = console, unit, ""
         self._total, self._done, self._done_before = total, 0.0, 0.0
         self._bar = Progress(
-            TextColumn("{task.description}", style="bold", markup=False),
-            BarColumn(bar_width=20),
-            TextColumn("{task.fields[line]}", markup=False),
+            TextColumn("{task.description}", style="bold", markup=False, table_column=_WHOLE),
+            BarColumn(bar_width=_BAR_WIDTH),
+            TextColumn("{task.fields[line]}", markup=False, table_column=_WHOLE),
             console=console,
             transient=True,
             disable=not console.is_terminal,
@@ -65,14 +69,14 @@ class CommandProgress:
         self._done = done
         self._total = self._total if total is None else total
         self._note = self._note if note is None else note
-        self._bar.update(self._task, completed=done, total=self._total, line=self._line())
+        self._bar.update(self._task, completed=done, total=self._total, line=self._fitting_line())
         self._is_printed = False
         if time.monotonic() - self._printed_s >= _PLAIN_LINE_S:
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:
-        """So much was done before this command, which says nothing of its speed."""
-        self._done_before = done
+        """So much was done before what has a speed begins, which is now."""
+        self._done_before, self._started_s = done, time.monotonic()
 
     def follow(self, position: Callable[[], float], name: str) -> None:
         """Ask again and again how much is done, until the end or until this is called again."""
@@ -94,6 +98,16 @@ class CommandProgress:
         self._printed_s, self._is_printed = time.monotonic(), True
         if not self._console.is_terminal:
             self.say(self._line())
+
+    def _fitting_line(self) -> str:
+        """The line beside name and bar; where there is little room, its end is left out.
+
+        So name, bar and the time that is left stay, however long the note is.
+        """
+        name = self._bar.tasks[self._task].description
+        line = Text(self._line())
+        line.truncate(self._console.width - len(name) - _BAR_WIDTH - 2, overflow="ellipsis")
+        return line.plain
 
     def _line(self) -> str:
         elapsed_s = max(time.monotonic() - self._started_s, 1e-9)

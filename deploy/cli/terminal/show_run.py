@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rich.console import Console
@@ -12,7 +12,7 @@ from deploy.cli.terminal.progress import CommandProgress
 from deploy.processes.lacking import lacking
 from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table
-from deploy.reports.tables import number, percent
+from deploy.reports.tables import number, percent, short_names
 from deploy.reports.terminal import print_table
 from deploy.reports.verdict import verdict_on_run
 from deploy.runs.conditions import Conditions, conditions_line
@@ -21,19 +21,24 @@ from deploy.runs.run_data import RunData
 _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
 
 
-def status_handler(progress: CommandProgress) -> Callable[[StatusMessage], None]:
-    """A function that shows on `progress` what the processes of a run report."""
+def status_handler(
+    progress: CommandProgress, joint_names: Sequence[str] = ()
+) -> Callable[[StatusMessage], None]:
+    """A function that shows on `progress` what the processes of a run report, joints by name."""
+    names = short_names(joint_names)
     state: dict[str, Any] = {}
     settings: list[dict[str, Any]] = []
 
     def handle(message: StatusMessage) -> None:
         if message.kind == "progress":
+            if "time_s" in message.values and "time_s" not in state:
+                progress.skip_to(message.values["time_s"])  # starting up is over
             state.update(message.values)
             if settings:  # of all processes, as they are at work now
                 if text := lacking(settings):
                     progress.say(text)
                 settings.clear()
-            progress.update(state.get("time_s", 0.0), note=_note(state))
+            progress.update(state.get("time_s", 0.0), note=_note(state, names))
         elif message.kind == "fault":
             progress.say(f"{message.role}: {message.values['text']}")
         elif message.kind == "realtime":
@@ -85,12 +90,13 @@ def show_relay(console: Console, held_back: dict[str, Any]) -> None:
     )
 
 
-def _note(state: dict[str, Any]) -> str:
+def _note(state: dict[str, Any], names: Sequence[str]) -> str:
+    """The joint that is nearest to its bound, and deadlines missed, in few letters."""
     parts = []
     if "error_mrad" in state:
-        parts.append(
-            "joint {joint}: error {error_mrad:+.3f} of {bound_mrad:.1f} mrad".format(**state)
-        )
+        number = state["joint"]
+        joint = names[number - 1] if number <= len(names) else f"joint {number}"
+        parts.append(f"{joint} {state['error_mrad']:+.3f} of {state['bound_mrad']:.1f} mrad")
     if "deadline_misses" in state:
         parts.append(f"deadline misses {state['deadline_misses']}")
     return ", ".join(parts)

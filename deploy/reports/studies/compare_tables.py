@@ -16,6 +16,7 @@ from deploy.reports.tables import (
     margin_text,
     number,
     scaled,
+    short_names,
 )
 from deploy.reports.verdict import Verdict
 
@@ -103,10 +104,14 @@ def joint_table(comparison: Comparison, quantity: quantities.JointQuantity) -> T
     tracking = comparison.runs[0].summary["tracking"]
     from_s = comparison.runs[0].data.setup.scenario.metrics.from_s
     rows = [[Cell(run.law), *map(Cell, quantity.of_joints(run.summary))] for run in comparison.runs]
-    _mark_best(comparison, rows, range(1, len(tracking["joint_names"]) + 1))
+    names = tracking["joint_names"]
+    _mark_best(comparison, rows, range(1, len(names) + 1))
+    columns = [
+        Column(name, brief=brief) for name, brief in zip(names, short_names(names), strict=True)
+    ]
     return Table(
         f"{quantity.heading}{f' from {from_s:g} s on' if quantity.late else ''} ({quantity.unit})",
-        [Column("Law", is_text=True), *map(Column, tracking["joint_names"])],
+        [Column("Law", is_text=True), *columns],
         rows,
     )
 

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import io
+import re
 import threading
+import time
 
 import pytest
 from rich.console import Console
@@ -86,3 +88,29 @@ def test_what_processes_say_is_shown(console):
     assert fault == "controller: [it] broke"
     assert last.startswith("1.5 of 8 s")
     assert last.endswith("deadline misses 3")
+
+
+def test_at_80_columns_name_bar_time_left_and_joint_stay():
+    console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system=None)
+    names = tuple(f"lbr_iiwa_joint_{number}" for number in range(1, 8))
+    with CommandProgress(console, "iiwa", 20, "s") as progress:
+        handle = status_handler(progress, names)
+        handle(StatusMessage("plant", "progress", {"time_s": 1.0, "deadline_misses": 12345}))
+        time.sleep(0.01)  # for a speed
+        worst = {"joint": 3, "error_mrad": 0.123, "bound_mrad": 10.0}
+        handle(StatusMessage("controller", "progress", worst))
+        handle(StatusMessage("plant", "progress", {"time_s": 1.5, "deadline_misses": 12345}))
+    said = re.split(r"[\r\n]|\x1b\[2K", console.file.getvalue())
+    last = [line for line in said if "of 20 s" in line][-1]
+    assert re.match(r"iiwa .* 1\.5 of 20 s, \S+ s/s, \d+ s left, …joint_3", last)
+    assert len(last.rstrip()) <= 80
+
+
+def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
+    with CommandProgress(console, "arm", 8, "s") as progress:
+        handle = status_handler(progress)
+        for now_s[0], time_s in ((100.0, 0.0), (102.0, 2.0)):
+            handle(StatusMessage("plant", "progress", {"time_s": time_s}))
+    assert lines(console)[-1] == "2 of 8 s, 1 s/s, 6 s left"

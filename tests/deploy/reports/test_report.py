@@ -21,6 +21,7 @@ from deploy.reports.figures.timing import deadline_misses
 from deploy.reports.figures.torque import torques
 from deploy.reports.page import Panel
 from deploy.reports.run_report import write_report
+from deploy.reports.run_tables import timing_table
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
@@ -170,6 +171,12 @@ def test_every_deadline_missed_fills_its_figure(run, late_run):
     assert deadline_misses(run) is None
     figure = deadline_misses(late_run)
     assert max(figure.data[0].y) == pytest.approx(100.0)
+
+
+def test_times_that_are_always_0_take_no_row(run):
+    table = timing_table(summarise(run))
+    assert [row[0] for row in table.rows] == ["Command age", "Control step"]
+    assert table.note.endswith("Always 0: round trip, state age, wake-up lateness.")
 
 
 def test_the_network_learns_what_the_report_compares_it_with(run):

@@ -5,7 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
-from deploy.reports.tables import Cell, Column, Table, as_markdown, number, percent
+from deploy.reports.tables import Cell, Column, Table, as_markdown, number, percent, short_names
 from deploy.reports.terminal import print_table
 
 TABLE = Table(
@@ -73,3 +73,20 @@ def test_numbers_have_three_digits_or_all_before_the_point(value, text):
 def test_all_deadlines_are_met_only_if_every_single_one_was():
     assert percent(1.0) == "100 %"
     assert percent(1.0 - 1e-9) == "99.999 %"
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["lbr_iiwa_joint_1", "lbr_iiwa_joint_2"], ["…joint_1", "…joint_2"]),
+        (["panda_joint1", "panda_joint2"], ["…joint1", "…joint2"]),
+        (["base_yaw", "shoulder", "elbow"], ["base_yaw", "shoulder", "elbow"]),
+        (["left_arm", "left_arm"], ["…arm", "…arm"]),
+        (["a_b", "a_b_c"], ["…b", "…b_c"]),
+        (["_1", "_2"], ["_1", "_2"]),
+        (["only_one"], ["only_one"]),
+        ([], []),
+    ],
+)
+def test_names_are_told_apart_by_what_they_do_not_share(names, short):
+    assert short_names(names) == short
