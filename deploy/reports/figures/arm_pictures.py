@@ -17,7 +17,8 @@ from deploy.runs.run_data import RunData
 from plant_emulator.arm.pybullet_arm import PybulletArm
 
 _WIDTH_PX, _HEIGHT_PX = 480, 420
-_OVERSAMPLING = 2
+_OVERSAMPLING = 1.5
+_RENDERED_PX = round(_OVERSAMPLING * _WIDTH_PX), round(_OVERSAMPLING * _HEIGHT_PX)
 _ANY_STEP_S = 1e-3
 
 
@@ -31,11 +32,10 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    size_px = (_OVERSAMPLING * _WIDTH_PX, _OVERSAMPLING * _HEIGHT_PX)
     with closing(PybulletArm(run.setup.robot, run.setup.grid.substep_s)) as arm:
         extent = arm.extent(positions)
         return [
-            Picture(float(times_s[tick]), _png(arm.render(position, *size_px, extent)))
+            Picture(float(times_s[tick]), _png(arm.render(position, *_RENDERED_PX, extent)))
             for tick, position in zip(ticks, positions, strict=True)
         ]
 
@@ -43,11 +43,12 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
 def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
     """A PNG file of the arm in one posture, shape (joints,)."""
     with closing(PybulletArm(robot, _ANY_STEP_S)) as arm:
-        return _png(arm.render(position_rad, _OVERSAMPLING * _WIDTH_PX, _OVERSAMPLING * _HEIGHT_PX))
+        return _png(arm.render(position_rad, *_RENDERED_PX))
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:
-    """A PNG file of the average of each few pixels, which smooths the renderer's edges."""
+    """A PNG file with fewer pixels than were rendered, which smooths the renderer's edges."""
     file = io.BytesIO()
-    Image.fromarray(pixels).reduce(_OVERSAMPLING).save(file, "PNG")
+    size = (_WIDTH_PX, _HEIGHT_PX)
+    Image.fromarray(pixels).resize(size, Image.Resampling.HAMMING).save(file, "PNG")
     return file.getvalue()

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
 from deploy.comparison.comparison import Comparison
 from deploy.reports.figures import style
-from deploy.runs.run_data import RunData
+from deploy.runs.run_data import RunData, stamps_s
 from plant_emulator.faults.arm_faults import payload_steps
+
+_POINTS = 4000
 
 
 def network_output(run: RunData) -> go.Figure | None:
@@ -19,7 +21,7 @@ def network_output(run: RunData) -> go.Figure | None:
     figure = style.joint_series(run, topics.CONTROL_STATUS, "network_output", "N m")
     if figure is None:
         return None
-    times_s, truth = run.times_s(topics.PLANT_TRUTH), unknown_dynamics_nm(run)
+    times_s, truth = unknown_dynamics_nm(run, _POINTS)
     late = times_s >= run.setup.scenario.metrics.from_s
     for row, values in enumerate(truth.T, start=1):
         trace = style.line(times_s, values, "rgba(123,135,148,0.55)", "true dynamics", 4.5)
@@ -38,17 +40,25 @@ def first_network_output(comparison: Comparison) -> go.Figure | None:
     return next((figure for figure in drawings if figure is not None), None)
 
 
-def unknown_dynamics_nm(run: RunData) -> Matrix:
-    """M(q) q̈_d + C(q, q̇) q̇ + G(q) + friction + disturbance at every tick, shape (ticks, joints).
+def unknown_dynamics_nm(run: RunData, points: int) -> tuple[Vector, Matrix]:
+    """M(q) q̈_d + C(q, q̇) q̇ + G(q) + friction + disturbance at evenly spaced ticks.
 
     With the true arm's M, C and G, what it carries included, and the reference acceleration q̈_d.
+
+    Args:
+        run: the run.
+        points: how many at most; a tick costs as much as all else that is drawn of it.
+
+    Returns:
+        Times (s), shape (ticks,), and torques, shape (ticks, joints).
     """
     setup = run.setup
+    table = run.tables[topics.PLANT_TRUTH.name]
+    truth = table[:: max(1, -(-len(table) // points))]
     steps = payload_steps(setup.scenario.plant.payload_kg, setup.scenario.faults)
     models = [ManipulatorModel(setup.robot, payload_kg=payload_kg) for _, payload_kg in steps]
-    times_s = run.times_s(topics.PLANT_TRUTH)
+    times_s = stamps_s(truth)
     carried = np.searchsorted([at_s for at_s, _ in steps], times_s, side="right") - 1
-    truth = run.tables[topics.PLANT_TRUTH.name]
     position, velocity = truth["position"], truth["velocity"]
     torque = truth["friction"] + truth["disturbance"]
     wanted, rate, acceleration = np.empty((3, setup.robot.joints))
@@ -56,4 +66,4 @@ def unknown_dynamics_nm(run: RunData) -> Matrix:
         setup.reference.evaluate(float(time_s), wanted, rate, acceleration)
         model = models[carried[tick]]
         torque[tick] += model.inverse_dynamics(position[tick], velocity[tick], acceleration)
-    return np.asarray(torque)
+    return times_s, np.asarray(torque)

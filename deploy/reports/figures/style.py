@@ -26,7 +26,7 @@ DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
 def _template() -> go.layout.Template:
     """The looks of every figure: set once, as Plotly takes a long time to apply them to one."""
     axis = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
-    template = go.layout.Template(pio.templates["plotly_white"])
+    template = go.layout.Template(layout=pio.templates["plotly_white"].layout)
     template.layout.update(
         margin={"l": 62, "r": 14, "t": _TOP_PX, "b": _BOTTOM_PX},
         font={"family": FONT, "size": 12, "color": INK},

@@ -180,9 +180,17 @@ def test_times_that_are_always_0_take_no_row(run):
 
 
 def test_the_network_learns_what_the_report_compares_it_with(run):
-    truth = unknown_dynamics_nm(run)
+    _, truth = unknown_dynamics_nm(run, 2000)
     status = run.tables["control_status"]["network_output"]
     assert np.abs(status[-100:] - truth[-101:-1]).max() < 0.1 * np.abs(truth[-100:]).max()
+
+
+def test_fewer_points_of_the_dynamics_are_some_of_all_of_them(run):
+    all_times_s, of_all = unknown_dynamics_nm(run, 2000)
+    times_s, of_some = unknown_dynamics_nm(run, 400)
+    assert len(all_times_s) == len(run.tables["plant_truth"])
+    assert 300 < len(times_s) <= 400
+    np.testing.assert_array_equal(of_some, of_all[np.isin(all_times_s, times_s)])
 
 
 @pytest.mark.parametrize("points", [3, 4000, 4001, 20_001])

@@ -70,7 +70,8 @@ def test_what_is_carried_over_a_run():
 def test_true_dynamics_are_those_of_what_is_carried():
     overrides = ["duration_s=0.2", f"faults=[{{{PICK_UP}, at_s: 0.1}}]"]
     run = simulate(load_setup("paper_arm", overrides)).data()
-    shoulder = unknown_dynamics_nm(run)[:, 1]
+    _, torques_nm = unknown_dynamics_nm(run, 1000)
+    shoulder = torques_nm[:, 1]
     late = np.abs(np.diff(shoulder))[50:]  # friction leaps when the brakes let go
     assert np.argmax(late) == 49
     assert late[49] > 5.0 * np.delete(late, 49).max()
