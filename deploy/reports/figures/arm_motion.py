@@ -18,7 +18,7 @@ _FRAMES = 400
 _HEIGHT_PX = 480
 _ROOM_M = 0.05
 _GHOST = {"color": style.MUTED, "width": 18}
-_CAMERA = {"eye": {"x": 1.75, "y": 1.5, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.1}}
+_CAMERA = {"eye": {"x": 2.0, "y": 1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
 def arm_motion(run: RunData) -> Motion | None:
@@ -34,10 +34,9 @@ def arm_motion(run: RunData) -> Motion | None:
     wanted = sample_positions(run.setup.reference, times_s, robot.joints)
     model = ManipulatorModel(robot)
     ghost, arm = (_skeletons(model, each) for each in (wanted, truth["position"][shown]))
-    names = [f"at {name}" for name in ("reference", "true position")]
     figure = go.Figure([
-        _skeleton(ghost[0], names[0], "lines", line=_GHOST, opacity=0.35),
-        _skeleton(arm[0], names[1], "lines+markers", line={"color": style.palette(0), "width": 7},
+        _skeleton(ghost[0], "reference", "lines", line=_GHOST, opacity=0.35),
+        _skeleton(arm[0], "true", "lines+markers", line={"color": style.palette(0), "width": 7},
                   marker={"size": 4, "color": style.INK}),
     ])  # fmt: skip
     style.apply(figure, _HEIGHT_PX, legend=True)
