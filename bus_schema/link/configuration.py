@@ -65,6 +65,8 @@ class LinkConfiguration(StrictModel, validate_default=True):
             its gossip, processes and nodes find one another.
         publish_reference: have the plant send `joint_reference` with every state, for controllers
             on the bus that do not know the scenario.
+        publish_clock: have the plant send `clock`, the stamp of each state, before it, for ROS 2
+            nodes with ``use_sim_time``.
         uplink: plant to controller.
         downlink: controller to plant.
         playout_ms: a command comes into force no earlier than this after the stamp of the state it
@@ -83,6 +85,7 @@ class LinkConfiguration(StrictModel, validate_default=True):
     controller_endpoint: Endpoint = "tcp/127.0.0.1:7452"
     router_endpoint: Endpoint | None = None
     publish_reference: bool = False
+    publish_clock: bool = False
     uplink: ChannelConfiguration = ChannelConfiguration()
     downlink: ChannelConfiguration = ChannelConfiguration()
     playout_ms: NonNegative = 0.0

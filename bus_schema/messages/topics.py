@@ -84,6 +84,8 @@ TOPICS = (
     RUN_EVENTS,
 )
 
+CLOCK = Topic("clock", message_types.CLOCK, Role.PLANT, Rate.TICK, urgent=True, depth=1)
+"""Beside every state, for nodes with ``use_sim_time``; no recording needs it."""
 ROBOT_DESCRIPTION = Topic(
     "robot_description", message_types.STRING, Role.RECORDER, Rate.EVENT, depth=1, latched=True
 )
@@ -99,7 +101,7 @@ def topics_of(role: Role) -> list[Topic]:
     """What a role may send to the loops; a recorder listens, and sends them nothing."""
     if role is Role.RECORDER:
         return []
-    return [topic for topic in TOPICS if topic.sender in (role, None)]
+    return [topic for topic in (*TOPICS, CLOCK) if topic.sender in (role, None)]
 
 
 def layout(

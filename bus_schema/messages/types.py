@@ -12,6 +12,7 @@ PACKAGE = "funnel_hil_msgs"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+CLOCK = "rosgraph_msgs/msg/Clock"
 PLANT_STATUS = f"{PACKAGE}/msg/PlantStatus"
 PLANT_TRUTH = f"{PACKAGE}/msg/PlantTruth"
 CONTROL_STATUS = f"{PACKAGE}/msg/ControlStatus"
@@ -25,6 +26,7 @@ _STANDARD = {
     JOINT_STATE: "std_msgs/Header header\nstring[] name\n"
     "float64[] position\nfloat64[] velocity\nfloat64[] effort",
     STRING: "string data",
+    CLOCK: "builtin_interfaces/Time clock",
     "geometry_msgs/msg/Vector3": "float64 x\nfloat64 y\nfloat64 z",
     "geometry_msgs/msg/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
     "geometry_msgs/msg/Transform": "geometry_msgs/Vector3 translation\n"

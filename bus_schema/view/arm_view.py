@@ -14,10 +14,16 @@ from bus_schema.messages.topics import JOINT_STATES, ROBOT_DESCRIPTION, TF_STATI
 from bus_schema.messages.types import STRING, TYPESTORE
 from bus_schema.robot_description import RobotDescription
 from bus_schema.view.link_poses import LinkPoses
+from bus_schema.view.ros2_control import with_ros2_control
 from bus_schema.view.transforms import TransformLayout
 
 _PERIOD_NS = NANOSECONDS // 60
 """Between two pictures: more often no screen shows them."""
+
+
+def description(robot: RobotDescription) -> str:
+    """The URDF as `ROBOT_DESCRIPTION` has it: for viewers, and for ros2_control."""
+    return with_ros2_control(robot.viewer_urdf(), robot.joint_names)
 
 
 class ArmView:
@@ -37,7 +43,7 @@ class ArmView:
 
     def first(self) -> list[tuple[Topic, bytes]]:
         """What is sent once: the URDF, and where links are that do not move."""
-        text = TYPESTORE.types[STRING](self._robot.viewer_urdf())
+        text = TYPESTORE.types[STRING](description(self._robot))
         static = TransformLayout(self._poses.fixed)
         return [
             (ROBOT_DESCRIPTION, bytes(TYPESTORE.serialize_cdr(text, STRING))),

@@ -65,6 +65,8 @@ class ZenohPlantLink(ZenohNode, PlantLink):
             self.advertise(topic)
         if link.publish_reference:
             self.advertise(topics.JOINT_REFERENCE)
+        if link.publish_clock:
+            self.advertise(topics.CLOCK)
         self.subscribe(topics.JOINT_COMMANDS, self._on_command)
         self.announce()
 
@@ -237,7 +239,7 @@ def open_telemetry(
         SessionError: an endpoint cannot be served.
     """
     node = ZenohNode(link, role, lossless=lossless, agreement=agreement)
-    for topic in topics.TOPICS:
+    for topic in (*topics.TOPICS, topics.CLOCK):
         # Commands are told of by the plant's side, since it is there that they take effect.
         sender = Role.PLANT if topic is topics.JOINT_COMMANDS else topic.sender
         if sender in (role, None):

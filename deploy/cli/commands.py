@@ -97,6 +97,10 @@ COMMANDS = {
         "deploy.cli.ros_package:ros_package",
         "Write our message types as a ROS 2 package, for colcon to build.",
     ),
+    "ros2-control": (
+        "deploy.cli.ros2_control:ros2_control",
+        "Write the arm's URDF with its ros2_control element, and a controllers.yaml for it.",
+    ),
     "includes": (
         "deploy.cli.includes:includes",
         "Print the C compiler's option for the header of controller.law: external.",

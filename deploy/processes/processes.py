@@ -31,6 +31,7 @@ from controller.errors import ControllerError
 from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
 from deploy.processes.lacking import lacking
+from deploy.processes.network.clock_link import ClockLink
 from deploy.processes.network.delay_relay import DelayRelay
 from deploy.processes.network.reference_link import ReferenceLink
 from deploy.processes.recorder import Recorder
@@ -75,6 +76,8 @@ def run_plant(
         if setup.scenario.link.publish_reference:
             joint_names = setup.robot.joint_names
             link = cast("PlantLink", ReferenceLink(link, setup.reference, joint_names))
+        if setup.scenario.link.publish_clock:
+            link = cast("PlantLink", ClockLink(link))
         request = partial(reporter.request, await_execution=lockstep)
         actions = process_actions(setup.scenario.faults, request)
         task = setup.plant_task(lockstep=lockstep, process_actions=actions)
