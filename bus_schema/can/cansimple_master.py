@@ -15,6 +15,7 @@ from bus_schema.can.cansimple_codec import (
     HEARTBEAT,
     SET_AXIS_STATE,
     SET_CONTROLLER_MODE,
+    SET_INPUT_POS,
     SET_INPUT_TORQUE,
     CanSimpleCodec,
     identifier,
@@ -29,7 +30,8 @@ _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _BEAT = struct.Struct("<IBB")
 _COMMANDS = {
     SET_AXIS_STATE: "Set_Axis_State", SET_CONTROLLER_MODE: "Set_Controller_Mode",
-    SET_INPUT_TORQUE: "Set_Input_Torque", CLEAR_ERRORS: "Clear_Errors",
+    SET_INPUT_POS: "Set_Input_Pos", SET_INPUT_TORQUE: "Set_Input_Torque",
+    CLEAR_ERRORS: "Clear_Errors",
 }  # fmt: skip
 _POLL_S = 0.05
 _AGAIN_S = 0.3
@@ -39,7 +41,12 @@ class CanSimpleMaster(CanMaster):
     """The master; the arguments are those of `CanMaster`.
 
     What an axis is doing, its heartbeats report; they can be requested.
+
+    Attributes:
+        mode: what the axes are to control.
     """
+
+    mode = _TORQUE_CONTROL
 
     def __init__(
         self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: CanSimpleCodec
@@ -72,7 +79,7 @@ class CanSimpleMaster(CanMaster):
         self._states = [0] * len(self._node_ids)
         self._is_powered = [False] * len(self._node_ids)
         self._send_to_all(CLEAR_ERRORS, b"\0")
-        self._send_to_all(SET_CONTROLLER_MODE, _TWO_U32.pack(_TORQUE_CONTROL, _PASSTHROUGH))
+        self._send_to_all(SET_CONTROLLER_MODE, _TWO_U32.pack(self.mode, _PASSTHROUGH))
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
         until_s = time.monotonic() + _AGAIN_S

@@ -41,14 +41,20 @@ _TO_DRIVES = {
 _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD, _EMERGENCY = struct.Struct("<H"), struct.Struct("<HB5s")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
-_MODE = "CYCLIC SYNCHRONOUS TORQUE"
 _POLL_S = 0.005
 _BOOT_S = 1.0
 
 
 class Cia402Master(CanMaster):
-    """The master; the arguments are those of `CanMaster`."""
+    """The master; the arguments are those of `CanMaster`.
 
+    Attributes:
+        mode: what the drives are to do, as canopen calls it.
+        command_pdo: number of the RPDO with the controlword.
+    """
+
+    mode = "CYCLIC SYNCHRONOUS TORQUE"
+    command_pdo = 1
     _codec: Cia402Codec
 
     def __init__(
@@ -84,8 +90,9 @@ class Cia402Master(CanMaster):
                     raise DriveError(f"drive {node.id} does not follow: {error}") from error
             for node in self._nodes:
                 # From now on torques must keep coming; the last one came long ago.
-                node.rpdo[1].transmit()
-                self._set(node, 0x1400, 5, self._can.command_timeout_ms)
+                node.rpdo[self.command_pdo].transmit()
+                communication = 0x1400 + self.command_pdo - 1
+                self._set(node, communication, 5, self._can.command_timeout_ms)
         self._is_powered = [True] * len(self._nodes)
         return True
 
@@ -131,22 +138,30 @@ class Cia402Master(CanMaster):
         for what, (found, expected) in wanted.items():
             if found != expected:
                 raise DriveError(f"drive {node.id}: {what} is {found}, not {expected}")
-        if not node.is_op_mode_supported(_MODE):
-            raise DriveError(f"drive {node.id} has no cyclic synchronous torque mode (0x6502)")
+        if not node.is_op_mode_supported(self.mode):
+            raise DriveError(f"drive {node.id} has no {self.mode.lower()} mode (0x6502)")
 
     def _enable(self, node: BaseNode402) -> None:
         """From pre-operational to operation enabled, as canopen's documentation shows it."""
         self._set(node, 0x1016, 1, MASTER_NODE << 16 | self._can.heartbeat_timeout_ms)
         self._set(node, 0x1017, 0, self._can.heartbeat_ms)
         node.nmt.state = "PRE-OPERATIONAL"
+        self._prepare(node)
         node.setup_402_state_machine()
         node.nmt.state = "OPERATIONAL"
         if node.state == "FAULT":
             node.reset_from_fault()
-        node.op_mode = _MODE
-        if node.op_mode != _MODE:
+        node.op_mode = self.mode
+        if node.op_mode != self.mode:
             raise DriveError(f"drive {node.id} stays in mode {node.op_mode}")
+        self._before_enabling(node)
         node.state = "OPERATION ENABLED"
+
+    def _prepare(self, node: BaseNode402) -> None:
+        """Set what the mode needs, in a drive that is pre-operational: here all is as delivered."""
+
+    def _before_enabling(self, node: BaseNode402) -> None:
+        """Set what must be there when the drive begins to follow: torques are 0."""
 
     def _set(self, node: BaseNode402, index: int, subindex: int, value: int) -> None:
         entry = node.sdo[index]

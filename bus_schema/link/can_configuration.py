@@ -76,6 +76,18 @@ class MitConfiguration(StrictModel):
     reply_bytes: Literal[6, 8] = 8
 
 
+class CanSimpleConfiguration(StrictModel):
+    """ODrive axes; both sides of the bus must agree.
+
+    Attributes:
+        input_vel_scale: steps of a turn per second in the velocity feed-forward of a position.
+        input_torque_scale: steps of a N m in its torque feed-forward, of which 16 bits hold 32767.
+    """
+
+    input_vel_scale: Positive = 1000.0
+    input_torque_scale: Positive = 1000.0
+
+
 class CanConfiguration(StrictModel):
     """The CAN bus between controller and drives.
 
@@ -102,6 +114,7 @@ class CanConfiguration(StrictModel):
         heartbeat_timeout_ms: silence after which a node counts as lost.
         command_timeout_ms: time without a torque after which a drive stops by itself.
         mit: the drives of protocol ``mit``.
+        cansimple: the axes of protocol ``cansimple``.
         answer_timeout_s: how long the master waits for the answer to a request, wall time.
         faults: what goes wrong on an emulated bus, and with the drives on it.
     """
@@ -123,6 +136,7 @@ class CanConfiguration(StrictModel):
     command_timeout_ms: Annotated[Whole, Field(ge=2, le=65_000)] = 50
     answer_timeout_s: Positive = 2.0
     mit: MitConfiguration = MitConfiguration()
+    cansimple: CanSimpleConfiguration = CanSimpleConfiguration()
     faults: CanFaults = CanFaults()
 
     @property

@@ -10,11 +10,12 @@ from weakref import WeakKeyDictionary
 
 from bus_schema.arrays import Vector
 from bus_schema.can.candump import CandumpLog
-from bus_schema.can.codec import as_delivered
+from bus_schema.can.codec import CanCodec, as_delivered
 from bus_schema.can.exchange import ExchangeNode, FrameExchange
 from bus_schema.can.frame import CanBus
 from bus_schema.can.frame_timing import check_cycle_fits
 from bus_schema.can.link import CanControllerLink, CanRun
+from bus_schema.can.master import CanMaster
 from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
@@ -54,14 +55,14 @@ class CanKind(LinkKind[DrivenArm]):
         can, robot = run.link.can, run.robot
         protocol = PROTOCOLS.build(can.protocol)
         node_ids = protocol.node_ids(can, robot.joints)
-        codec = protocol.codec(can, robot)
+        codec = _codec(run)
         check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_unimpaired(run.link)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
             raise ConfigurationError(
                 f"{side}.drive_feedback.enabled", True,
-                "false over CAN: these drives take torques alone",
+                f"false over CAN with {protocol.title}: these drives take torques alone",
             )  # fmt: skip
         if run.drive is not None:
             protocol.check_gains(can, run.drive)
@@ -92,8 +93,7 @@ class CanKind(LinkKind[DrivenArm]):
         return link.model_copy(update={"can": can.model_copy(update=place)})
 
     def wire_rounding(self, run: LinkRun) -> Callable[[Vector], Vector]:
-        can = run.link.can
-        return partial(as_delivered, PROTOCOLS.build(can.protocol).codec(can, run.robot))
+        return partial(as_delivered, _codec(run))
 
     def open_plant(self, run: LinkRun, arm: DrivenArm, clock: Clock) -> PlantLink:
         can, robot = run.link.can, run.robot
@@ -102,21 +102,33 @@ class CanKind(LinkKind[DrivenArm]):
         drives = DrivesOnBus(
             bus,
             [parse_fault(text, node_ids) for text in can.faults.drives],
-            lambda send: build_bank(can, robot, run.plant, send, polled=True),
+            lambda send: build_bank(can, robot, run.plant, send, polled=True, tuned=run.drive),
             CanMedium(can, run.seed),
             None if run.can_log is None else CandumpLog(run.can_log, can.log_channel),
         )
         arm.attach(drives.bank)
-        codec = PROTOCOLS.build(can.protocol).codec(can, robot)
-        return CanPlantLink(_can_run(run), drives, codec, clock, telemetry)
+        return CanPlantLink(_can_run(run), drives, _codec(run), clock, telemetry)
 
     def open_controller(self, run: LinkRun) -> ControllerLink:
-        can = run.link.can
         bus, telemetry = _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
-        master = PROTOCOLS.build(can.protocol).master(bus, can, run.robot)
+        master = _master(run, bus)
         clock: Clock = VirtualClock() if run.lockstep else MonotonicClock()
         link = partial(CanControllerLink, _can_run(run), master, bus, clock, telemetry)
         return link(bus.leave_turns) if isinstance(bus, ExchangeNode) else link()
+
+
+def _codec(run: LinkRun) -> CanCodec:
+    protocol, can = PROTOCOLS.build(run.link.can.protocol), run.link.can
+    if run.drive is None or not protocol.takes_targets:
+        return protocol.codec(can, run.robot)
+    return protocol.target_codec(can, run.robot, run.drive)
+
+
+def _master(run: LinkRun, bus: CanBus) -> CanMaster:
+    protocol, can = PROTOCOLS.build(run.link.can.protocol), run.link.can
+    if run.drive is None or not protocol.takes_targets:
+        return protocol.master(bus, can, run.robot)
+    return protocol.target_master(bus, can, run.robot, run.drive)
 
 
 def _can_run(run: LinkRun) -> CanRun:

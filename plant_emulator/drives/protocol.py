@@ -49,6 +49,29 @@ class DriveProtocol(ABC):
         node_ids = self.node_ids(can, robot.joints)
         return self.drive_master(bus, can, node_ids, self.codec(can, robot))
 
+    def target_codec(
+        self,
+        can: CanConfiguration,
+        robot: RobotDescription,
+        gains: DriveGains,  # noqa: ARG002 (frames of this protocol may carry none)
+    ) -> CanCodec:
+        """The frames of a control cycle with targets, where `takes_targets`.
+
+        Raises:
+            ConfigurationError: a value does not fit the robot, or gains cannot be had.
+        """
+        return self.codec(can, robot)
+
+    def target_master(
+        self,
+        bus: CanBus,
+        can: CanConfiguration,
+        robot: RobotDescription,
+        gains: DriveGains,  # noqa: ARG002 (likewise)
+    ) -> CanMaster:
+        """A master that sends targets too."""
+        return self.master(bus, can, robot)
+
     def check(self, can: CanConfiguration) -> None:  # noqa: B027 (a protocol may have none)
         """Check values that concern this protocol alone.
 

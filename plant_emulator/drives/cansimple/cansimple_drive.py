@@ -17,7 +17,7 @@ from cantools.database.errors import Error as CantoolsError
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
-from bus_schema.link.can_configuration import CANSIMPLE_DBC
+from bus_schema.link.can_configuration import CANSIMPLE_DBC, CanSimpleConfiguration
 from plant_emulator.drives.cansimple.axis import Axis, AxisError
 from plant_emulator.drives.drive import Cycle, DriveSettings, Send
 
@@ -52,13 +52,16 @@ class CanSimpleDrive(Axis):
         self._heartbeats = Cycle(HEARTBEAT_MS * _MS)
         self._unasked_estimates = Cycle(settings.estimates_ms * _MS)
         self.samplings = 0
-        controller = self.controller
+        controller, own = self.controller, settings.own
+        scales = own if isinstance(own, CanSimpleConfiguration) else CanSimpleConfiguration()
+        # The DBC has the feed-forwards in thousandths, as an axis is delivered.
+        steps_s, steps_nm = 1e3 / scales.input_vel_scale, 1e3 / scales.input_torque_scale
         self._takers: dict[str, Callable[[dict[str, Any]], None]] = {
             "Estop": lambda _: self._disarm(AxisError.ESTOP_REQUESTED),
             "Set_Axis_State": lambda v: self.request(v["Axis_Requested_State"]),
             "Set_Controller_Mode": lambda v: self.set_mode(v["Control_Mode"], v["Input_Mode"]),
             "Set_Input_Pos": lambda v: controller.set_position(
-                v["Input_Pos"], v["Vel_FF"], v["Torque_FF"]
+                v["Input_Pos"], v["Vel_FF"] * steps_s, v["Torque_FF"] * steps_nm
             ),
             "Set_Input_Vel": lambda v: controller.set_velocity(
                 v["Input_Vel"], v["Input_Torque_FF"]

@@ -4,19 +4,55 @@ from __future__ import annotations
 
 from bus_schema.can.cansimple_codec import CanSimpleCodec
 from bus_schema.can.cansimple_master import CanSimpleMaster
-from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.can.frame import CanBus
+from bus_schema.can.position.cansimple import CanSimplePositionCodec, CanSimplePositionMaster
+from bus_schema.configuration import ConfigurationError
+from bus_schema.drive_feedback import DriveGains
+from bus_schema.link.can_configuration import CanConfiguration, CanSimpleConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
 from plant_emulator.drives.protocol import DriveProtocol
 
+_LARGEST_WORD = 32_767
+
 
 class CanSimpleProtocol(DriveProtocol):
-    """CANSimple."""
+    """CANSimple in torque control; with targets, in position control."""
 
     title = "CANSimple"
     largest_node_id = 63
+    takes_targets = True
     drive = CanSimpleDrive
     drive_master = CanSimpleMaster
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> CanSimpleCodec:
         return CanSimpleCodec(self.node_ids(can, robot.joints))
+
+    def target_codec(
+        self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains
+    ) -> CanSimplePositionCodec:
+        scale = can.cansimple.input_torque_scale
+        most_nm = float(robot.effort_limits_nm.max())
+        if most_nm * scale > _LARGEST_WORD:
+            raise ConfigurationError(
+                "link.can.cansimple.input_torque_scale", scale,
+                f"must be at most {_LARGEST_WORD / most_nm:.4g} for the torque feed-forward of"
+                f" {most_nm:g} N m to go with a position, which has 16 bits for it",
+            )  # fmt: skip
+        if not (gains.damping_nm_s > 0.0).all():
+            raise ConfigurationError(
+                "plant.drive_feedback.damping_nm_s", gains.damping_nm_s.tolist(),
+                "must be more than 0 with CANSimple: the position loop is around the velocity loop",
+            )  # fmt: skip
+        return CanSimplePositionCodec(self.node_ids(can, robot.joints), can.cansimple)
+
+    def target_master(
+        self, bus: CanBus, can: CanConfiguration, robot: RobotDescription, gains: DriveGains
+    ) -> CanSimplePositionMaster:
+        codec = self.target_codec(can, robot, gains)
+        return CanSimplePositionMaster(bus, can, self.node_ids(can, robot.joints), codec, gains)
+
+    def own_settings(
+        self, can: CanConfiguration, joints: int
+    ) -> tuple[CanSimpleConfiguration, ...]:
+        return (can.cansimple,) * joints

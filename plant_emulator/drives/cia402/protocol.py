@@ -6,7 +6,14 @@ import canopen
 
 from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.frame import CanBus
+from bus_schema.can.position.cia402 import (
+    Cia402PositionCodec,
+    Cia402PositionMaster,
+    loop_gains,
+)
 from bus_schema.configuration import ConfigurationError
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
@@ -20,15 +27,29 @@ _NEEDED = (
 
 
 class Cia402Protocol(DriveProtocol):
-    """CiA 402 in cyclic synchronous torque mode."""
+    """CiA 402 in cyclic synchronous torque mode; with targets, in position mode."""
 
     title = "CiA 402"
+    takes_targets = True
     drive = Cia402Drive
     drive_master = Cia402Master
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> Cia402Codec:
         node_ids = self.node_ids(can, robot.joints)
         return Cia402Codec(node_ids, can.counts_per_turn, rated_torque_nm(can, robot))
+
+    def target_codec(
+        self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains
+    ) -> Cia402PositionCodec:
+        loop_gains(gains)
+        node_ids = self.node_ids(can, robot.joints)
+        return Cia402PositionCodec(node_ids, can.counts_per_turn, rated_torque_nm(can, robot))
+
+    def target_master(
+        self, bus: CanBus, can: CanConfiguration, robot: RobotDescription, gains: DriveGains
+    ) -> Cia402PositionMaster:
+        codec = self.target_codec(can, robot, gains)
+        return Cia402PositionMaster(bus, can, self.node_ids(can, robot.joints), codec, gains)
 
     def check(self, can: CanConfiguration) -> None:
         if can.eds is None:

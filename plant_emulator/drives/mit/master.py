@@ -5,12 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.master import CanMaster, DriveError
-from bus_schema.drive_feedback import DriveGains
+from bus_schema.can.master import DriveError
+from bus_schema.can.position.aiming import AimingMaster
 from bus_schema.link.can_configuration import CanConfiguration
 from plant_emulator.drives.mit.codec import MitCodec
 from plant_emulator.drives.mit.wire import Special
@@ -71,7 +69,7 @@ class Replies:
         return is_owed
 
 
-class MitMaster(CanMaster):
+class MitMaster(AimingMaster):
     """The master; the arguments are those of `CanMaster`.
 
     Drives are found by leaving motor mode, which also takes what a former master said out of force;
@@ -85,7 +83,6 @@ class MitMaster(CanMaster):
     ) -> None:
         self._replies = Replies(bus, codec, len(node_ids))
         super().__init__(self._replies, can, node_ids, codec)
-        self._target: tuple[Matrix, DriveGains] | None = None
         self._is_leaving = False
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
@@ -109,9 +106,6 @@ class MitMaster(CanMaster):
         is_command = frame.identifier in self._joint_of and not frame.is_remote
         return "commands" if is_command and self._codec.reply(frame) is None else None
 
-    def aim(self, target: Matrix, gains: DriveGains) -> None:
-        self._target = None if np.isnan(target).any() else (target, gains)
-
     def sample(self, now_ns: int) -> None:
         if self._awaited:  # a reply was lost, and those that come would be taken for one another
             self._replies.settle()
@@ -131,10 +125,7 @@ class MitMaster(CanMaster):
 
     def command(self, torque_nm: Vector) -> None:
         self._replies.owed = [owed + 1 for owed in self._replies.owed]
-        if self._target is None or self._is_stopping:
-            super().command(torque_nm)
-        else:
-            self._send(self._codec.command_frames(torque_nm, *self._target))
+        super().command(torque_nm)
 
     def leave(self) -> None:
         self._send(self._codec.special_frames(Special.EXIT))
