@@ -93,6 +93,14 @@ def test_same_run_gives_the_same_bits_on_another_interface(done) -> None:  # typ
     assert again.digest == data.digest
 
 
+def test_torques_without_targets_keep_bounds_too() -> None:
+    """The drives could take targets, and the controller sends none."""
+    data = run("duration_s=0.4", "controller.drive_feedback.enabled=false",
+               "plant.drive_feedback.enabled=true")  # fmt: skip
+    assert summarise(data)["bounds"]["kept"]
+    assert data.faults() == []
+
+
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_all_joints_come_to_rest_when_one_drive_fails(protocol: str) -> None:
     data = run("duration_s=2", *PROTOCOLS[protocol], "link.can.faults.drives=['drive:2@300ms']")

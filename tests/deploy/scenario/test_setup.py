@@ -101,12 +101,14 @@ def test_bad_settings_of_drives_are_refused_by_their_key(override, key):
 
 
 @pytest.mark.parametrize("side", ["controller", "plant"])
-def test_drives_over_can_are_refused_before_anything_starts(funnel_hil, nothing_starts, side):
-    key = f"{side}.drive_feedback.enabled"
-    code, output = funnel_hil("simulate", "paper_arm_can", "--set", f"{key}=true")
+def test_axes_whose_feed_forward_is_too_small_are_refused_before_anything_starts(
+    funnel_hil, nothing_starts, side
+):
+    given = (f"{side}.drive_feedback.enabled=true", "link.can.protocol=cansimple")
+    words = [word for each in given for word in ("--set", each)]
+    code, output = funnel_hil("simulate", "paper_arm_can", *words)
     assert code == 2
-    assert f"{key} = True" in output
-    assert "over CAN" in output
+    assert "link.can.cansimple.input_torque_scale = 1000" in output
 
 
 def test_what_drives_are_told_is_written_out(tmp_path):
