@@ -25,7 +25,7 @@ from deploy.processes.launcher import RunOutcome
 from deploy.reports.conclude import conclude, conditions_in
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
-from deploy.scenario.oddities import oddities
+from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, parse_override
 from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
@@ -90,9 +90,9 @@ def parse_laws(text: str | None) -> list[str] | None:
     return named
 
 
-def say_oddities(setup: Setup) -> None:
-    """Warn, on standard error, of what the arm's file leaves open or has odd."""
-    for said in oddities(setup):
+def say_oddities(*setups: Setup) -> None:
+    """Warn once, on standard error, of what the arms' files leave open or have odd."""
+    for said in oddities_of_all(setups):
         typer.echo(f"warning: {said}", err=True)
 
 

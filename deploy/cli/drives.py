@@ -13,7 +13,7 @@ from bus_schema.can.session import open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.cli.common import Overrides, ScenarioArgument
+from deploy.cli.common import Overrides, ScenarioArgument, say_oddities
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -52,6 +52,7 @@ def drives(
 ) -> None:
     """Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code."""
     setup = load_setup(scenario, overrides or [])
+    say_oddities(setup)
     can = setup.scenario.link.can
     with naming(setup.source):
         node_ids = PROTOCOLS.build(can.protocol).node_ids(can, setup.robot.joints)

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from deploy.cli.common import Out, Overrides, Overwrite, judging, show_places
+from deploy.cli.common import Out, Overrides, Overwrite, judging, say_oddities, show_places
 from deploy.cli.margin_options import (
     MarginOptions,
     Plants,
@@ -149,6 +149,7 @@ def _conduct(
             require_program(base)
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
+    say_oddities(*study.bases)
     stop, console, lost = threading.Event(), Console(), None
     path = None if overwrite else find_folder(study, out)
     with DaskWorkers(workers, scheduler, study.laws) as team:

@@ -33,6 +33,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         "seeds": str(scenario.seed),
         "set": set_text(manifest.get("set")),
         **host_of(manifest),
+        **warnings_of(manifest),
     }
 
 
@@ -43,6 +44,12 @@ def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
         "version": f"funnel-hil {version or _UNKNOWN}",
         "date": str(manifest.get("started", _UNKNOWN)),
     }
+
+
+def warnings_of(manifest: Mapping[str, Any]) -> Conditions:
+    """What the arm's file leaves open or has odd, where it does."""
+    told = manifest.get("warnings")
+    return {"warnings": "; ".join(map(str, told))} if told and isinstance(told, list) else {}
 
 
 def host_of(manifest: Mapping[str, Any]) -> Conditions:

@@ -30,6 +30,7 @@ from deploy.processes.recorder import (
 )
 from deploy.runs.new_folder import FolderLock, new_folder
 from deploy.runs.run_data import RunData, build_run_data
+from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import write_scenario
@@ -208,6 +209,7 @@ def manifest_of(
     return {
         **provenance(),
         "realtime": dict(grants),
+        "warnings": oddities_of_all(setups),
         "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
         "gains": {setup.scenario.controller.name: plain(setup.gains) for setup in setups},
         "scenario": plain(setups[0].scenario),

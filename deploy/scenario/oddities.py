@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from deploy.scenario.setup import Setup
+
+
+def oddities_of_all(setups: Iterable[Setup]) -> list[str]:
+    """Those of several scenarios, each sentence once."""
+    return list(dict.fromkeys(said for setup in setups for said in oddities(setup)))
 
 
 def oddities(setup: Setup) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from deploy.runs.conditions import Conditions, host_of, provenance_of, set_text
+from deploy.runs.conditions import Conditions, host_of, provenance_of, set_text, warnings_of
 from deploy.scenario.yaml_files import override
 from deploy.study.study import Study
 
@@ -35,6 +35,7 @@ def conditions_of_study(
         "seeds": ", ".join(map(str, summary["seeds"])),
         "set": set_text([override(key, value) for key, value in fixed.items()]),
         **host_of(manifest),
+        **warnings_of(manifest),
     }
 
 

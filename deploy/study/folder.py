@@ -26,6 +26,7 @@ from deploy.runs.run_folder import (
     read_summary,
 )
 from deploy.runs.run_rows import Row, read_rows, write_rows
+from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.setup import Setup
@@ -84,7 +85,7 @@ class StudyFolder(ResultFolder):
         shutil.rmtree(self.scenarios, ignore_errors=True)
         before = read_manifest(self.path)
         earlier = [*before.pop("grown_from", []), before]
-        write_json(self.manifest, {**provenance(), "study": wanted, "grown_from": earlier})
+        write_json(self.manifest, {**_manifest(self._study), "grown_from": earlier})
         write_whole(file, to_yaml(wanted))
 
     def find(self, run: Run) -> Row | None:
@@ -187,7 +188,7 @@ def create_folder(study: Study, out: Path | None, *, overwrite: bool = False) ->
         ScenarioError: as `new_folder`.
     """
     path, identity = new_folder(_folder_name(study), out, overwrite=overwrite), _identity(study)
-    write_json(path / "manifest.json", {**provenance(), "study": identity})
+    write_json(path / "manifest.json", _manifest(study))
     write_whole(path / STUDY_FILE, to_yaml(identity))
     return path
 
@@ -218,6 +219,11 @@ def _identity(study: Study) -> dict[str, Any]:
         "definition": study.definition.model_dump(by_alias=True),
         "scenario_digests": {base.scenario.name: _digest(base) for base in study.bases},
     }
+
+
+def _manifest(study: Study) -> dict[str, Any]:
+    warnings = oddities_of_all(study.bases)
+    return {**provenance(), "warnings": warnings, "study": _identity(study)}
 
 
 def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:

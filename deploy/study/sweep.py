@@ -251,8 +251,10 @@ def _check_keys(axes: Mapping[tuple[str, ...], list[Any]], given: SweepDefinitio
     own = {SEED: "under seeds, not in grid or set"}
     if given.plants is None:
         own[UNCERTAINTY] = "beside plants (--plants)"
-        for key in given.model_fields_set & {"plant_seed", UNCERTAINTY}:
-            raise ConfigurationError(key, getattr(given, key), "must be left out without plants")
+        for key in ("plant_seed", UNCERTAINTY):
+            value = getattr(given, key)
+            if value != type(given).model_fields[key].default:  # which study.yaml has
+                raise ConfigurationError(key, value, "must be left out without plants")
     elif given.uncertainty is not None:
         own[UNCERTAINTY] = "as uncertainty of the sweep (--uncertainty)"
     require_effect(given.fixed, own | dict.fromkeys(keys, once))

@@ -1,0 +1,64 @@
+"""What an arm's file leaves open is said once by every command, and stands in its results."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+ARM = """
+<robot name="one">
+  <link name="base"/>
+  <joint name="shoulder" type="revolute">
+    <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="0" velocity="0"/>
+  </joint>
+  <link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="3"/>
+    <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>
+"""
+SCENARIO = """
+name: unlimited
+duration_s: 0.1
+robot: {urdf: arm.urdf, initial_offset_rad: 0.02}
+reference: {kind: joint_sinusoids, centre_rad: 0.1, terms: [{amplitude_rad: 0.1, frequency_rad_s: 2}]}
+controller: {law: smc}
+metrics: {from_s: 0}
+link: {can: {interface: virtual, rated_torque_nm: 10}}
+"""  # noqa: E501
+SWEEP = "{name: two, scenario: arm.yaml, grid: {controller.model_scale: [1.0, 1.1]}, seeds: 2}"
+TOLD = "no effort limit in the URDF for shoulder: torques are UNLIMITED there"
+COMMANDS = {
+    "simulate": ["simulate", "arm.yaml"],
+    "compare": ["compare", "arm.yaml", "--laws", "smc,pid"],
+    "sweep": ["sweep", "sweep.yaml", "--workers", 1],
+    "margin": ["margin", "arm.yaml", "--laws", "smc,pid", "--limit", 8, "--resolution", 8,
+               "--workers", 1],
+}  # fmt: skip
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    for name, text in (("arm.urdf", ARM), ("arm.yaml", SCENARIO), ("sweep.yaml", SWEEP)):
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_missing_limit_is_said_once_and_stands_in_the_results(command, here, funnel_hil):
+    code, said = funnel_hil(*COMMANDS[command], "--out", here / "out")
+    assert code == 0, said
+    assert said.count(f"warning: {TOLD}") == 1
+    manifest = json.loads((here / "out" / "manifest.json").read_text())
+    assert [each for each in manifest["warnings"] if each.startswith(TOLD)]
+    for _ in range(2):  # and once it has been reported again
+        page = (here / "out" / "report.html").read_text()
+        assert page.count(TOLD) == 1
+        assert funnel_hil("report", here / "out")[0] == 0
+
+
+def test_drives_say_it_too(here, funnel_hil):
+    code, said = funnel_hil("drives", "arm.yaml", "--duration", 0.05)
+    assert code == 0, said
+    assert said.count(f"warning: {TOLD}") == 1
