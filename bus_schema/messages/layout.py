@@ -156,7 +156,7 @@ class MessageLayout:
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
         """Messages as rows of one table, shape (messages,); what `decode` refuses is left out."""
-        if all(len(payload) == self.size for payload in payloads):
+        if set(map(len, payloads)) <= {self.size}:
             joined = b"".join(payloads)
             block = np.frombuffer(joined, np.uint8).reshape(-1, self.size)
             table = np.frombuffer(joined, self.dtype)

@@ -17,6 +17,7 @@ from rich.table import Table
 from bus_schema.recording.atomic_files import write_json
 from deploy.benchmarks.can_cycle import measure_can_cycles
 from deploy.benchmarks.control_step import measure_control_steps
+from deploy.benchmarks.finishing import measure_finishing
 from deploy.benchmarks.loop_costs import measure_loop_costs
 from deploy.benchmarks.measure import Costs, Section
 from deploy.benchmarks.recorder_throughput import measure_recorder
@@ -96,6 +97,7 @@ def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
         "real time": lambda: measure_round_trips(_SCENARIO, seconds, repetitions),
         "cycles over CAN": lambda: measure_can_cycles(round(200 * seconds), repetitions),
         "recorder": lambda: measure_recorder(_SCENARIO, seconds, repetitions),
+        "after a run": lambda: measure_finishing(_SCENARIO, 4.0 * seconds, repetitions),
         "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 30, 1)),
     }
 

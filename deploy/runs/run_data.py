@@ -123,8 +123,7 @@ def digest(states: Sequence[bytes], commands: Sequence[bytes]) -> str:
     hasher = hashlib.sha256()
     for payloads in (states, commands):
         repetitions = sum(1 for _ in takewhile(payloads[0].__eq__, payloads[1:])) if payloads else 0
-        for payload in payloads[repetitions:]:
-            hasher.update(payload)
+        hasher.update(b"".join(payloads[repetitions:]))
     return hasher.hexdigest()
 
 

@@ -40,15 +40,18 @@ PANELS: list[Panel[Comparison]] = [
         "Joint errors", "errors", "True errors inside their bounds", errors_in_funnel,
         "The shaded band is the funnel, the same for all laws. The scale is that of its steady"
         " state. A click in the legend hides a law.",
+        is_over_time=True,
     ),
     Panel(
         "Joint errors", "errors-first-second", "The first second", errors_first_second,
         "Who overshoots the far bound, and who is still outside when the bounds have closed?",
+        is_over_time=True,
     ),
     Panel(
         "Joint errors", "error-envelopes", "Size of the errors", error_envelopes,
         "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
         " ones can be told apart. Dotted: the bounds' steady state.",
+        is_over_time=True,
     ),
     Panel(
         "End effector", "tip-paths", "Path of the end effector", tip_paths,
@@ -59,6 +62,7 @@ PANELS: list[Panel[Comparison]] = [
         "End effector", "tip-errors", "Cartesian errors", tip_error_envelopes,
         "Size of the true minus the reference position along each axis of the base frame: the"
         " largest in each twentieth of a second.",
+        is_over_time=True,
     ),
     Panel(
         "Torque", "torques", "Commanded torques", torques_by_law,
@@ -86,6 +90,7 @@ PANELS: list[Panel[Comparison]] = [
         "Network output and the dynamics it stands in for", first_network_output,
         "Of the first law that has a network. Coloured: its output. Grey: M q̈ + C q̇ + G of the"
         " true arm at the reference acceleration, plus friction and disturbance.",
+        is_over_time=True,
     ),
 ]  # fmt: skip
 """The figures of the report, in order; another one is another entry."""
@@ -105,6 +110,7 @@ def write_comparison_report(
         "comparison.html",
         PANELS,
         comparison,
+        end_s=max(run.summary["duration_s"] for run in comparison.runs),
         title=f"{comparison.runs[0].summary['scenario']} · {verdict.headline}",
         verdict=verdict,
         facts=_facts(comparison),

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from deploy.benchmarks import bench, cyclictest, echo
 from deploy.benchmarks.control_step import measure_control_steps
+from deploy.benchmarks.finishing import measure_finishing
 from deploy.benchmarks.long_arm import write_long_arm
 from deploy.benchmarks.measure import Section, Spread, cost_us, interleave, ratio
 from deploy.benchmarks.recorder_throughput import measure_recorder
@@ -135,6 +136,12 @@ def test_control_steps_are_measured_for_all_arms():
 def test_the_recorder_is_measured():
     section = measure_recorder("paper_arm", 0.01, 1)
     assert section.ratios[0].value.lowest > 0
+
+
+def test_what_comes_after_a_run_is_measured():
+    section = measure_finishing("paper_arm", 0.05, 1)
+    assert [len(section.costs_us), len(section.ratios)] == [4, 2]
+    assert all(cost.lowest > 0 for cost in section.costs_us.values())
 
 
 @pytest.mark.parametrize("transport", ["zenoh", "udp", "pyzmq", "lcm_udp", "cyclone"])

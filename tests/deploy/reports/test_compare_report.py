@@ -96,6 +96,14 @@ def test_the_page_needs_nothing_from_outside(comparison, page_of):
     assert "default-src 'none'" in page
 
 
+def test_figures_over_time_share_an_instant(comparison, page_of):
+    page = page_of(comparison)
+    marked = re.findall(r'data-plot="([\w-]+)-plot" data-time="">', page)
+    assert {"errors", "errors-first-second", "error-envelopes", "tip-errors"} <= set(marked)
+    assert "torques" not in marked  # its laws stand side by side
+    assert re.search(r'type="range" min="0" max="1\.2\d*"', page)
+
+
 def test_every_law_is_in_every_figure_in_its_own_colour(comparison):
     figures = [partial(joint_bars, quantity=RMS_ERROR), errors_in_funnel, tip_paths,
                error_envelopes, torque_spectra]  # fmt: skip
