@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.mjcf.as_urdf import as_urdf, is_mjcf
 from bus_schema.urdf_checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf_inertia import check_moved_masses, judge_inertias
 from bus_schema.urdf_joints import Follower, HeldJoint, joint_roles
@@ -106,7 +107,7 @@ class RobotDescription:
 def load_robot(
     path: Path, driven: Sequence[str] | None = None, *, repair: bool = False
 ) -> RobotDescription:
-    """Read a URDF file.
+    """Read a URDF file, or an MJCF file as a URDF.
 
     Args:
         path: the file.
@@ -114,11 +115,16 @@ def load_robot(
         repair: mend inertias that no body has, however far off they are.
 
     Raises:
-        RobotDescriptionError: it cannot be read, or is no URDF of an arm with a joint to drive.
+        RobotDescriptionError: it cannot be read, or is of no arm with a joint to drive.
     """
     text, root = _parse(path)
+    left_out: list[str] = []
     try:
-        return _described(path, text, root, driven, repair=repair)
+        if is_mjcf(root):
+            root, left_out = as_urdf(root, path.parent)
+            text = ET.tostring(root, encoding="unicode")
+        robot = _described(path, text, root, driven, repair=repair)
+        return replace(robot, warnings=(*left_out, *robot.warnings))
     except RobotDescriptionError as error:
         raise RobotDescriptionError(f"{path}: {error}") from error
 
@@ -185,8 +191,10 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
         raise RobotDescriptionError(f"{path} does not exist") from error
     except (OSError, UnicodeDecodeError, ET.ParseError) as error:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
-    if root.tag != "robot":
-        raise RobotDescriptionError(f"{path} is no URDF: its root element is <{root.tag}>")
+    if root.tag != "robot" and not is_mjcf(root):
+        raise RobotDescriptionError(
+            f"{path} is neither URDF nor MJCF: its root element is <{root.tag}>"
+        )
     return text, root
 
 

@@ -25,6 +25,8 @@ def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> N
             _normalise_axis(joint)
         else:
             joint.set("type", "fixed")
+            for limit in joint.findall("limit"):  # which urdfdom refuses where it is not whole
+                joint.remove(limit)
         for mimic in joint.findall("mimic"):  # who reads this decides what follows
             joint.remove(mimic)
 

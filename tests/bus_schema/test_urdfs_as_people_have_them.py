@@ -166,3 +166,10 @@ def test_as_many_links_as_bullet_answers_for(load, links):
         robot = load(text)
         with closing(PybulletArm(robot, 1e-3, payload_kg=1.0)) as arm:
             arm.step(np.zeros(2))
+
+
+def test_limit_of_a_held_joint_need_not_be_whole(load):
+    """urdfdom refuses one without effort or velocity, whatever the joint's type."""
+    partial = joint("second", "b", "c", inside='<limit lower="-1" upper="2"/>')
+    robot = load(two_links(second=partial), ["first"])
+    assert ManipulatorModel(robot).joints == 1

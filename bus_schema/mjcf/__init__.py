@@ -1,0 +1,1 @@
+"""Arms described in MuJoCo's format, written as URDF."""
