@@ -93,7 +93,7 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     _require_same_joints(paths, runs)
     first = runs[0].data
     return RecordedRuns(
-        list(paths), Comparison(runs), [_parting(first, run.data) for run in runs], _differing(runs)
+        places, Comparison(runs), [_parting(first, run.data) for run in runs], _differing(runs)
     )
 
 
