@@ -20,11 +20,10 @@ SEED = "seed"
 UNCERTAINTY = "uncertainty"
 _CAN = "can"
 
-_IDLE = (
-    "clock", "link.domain", "link.security", "link.plant_endpoint", "link.controller_endpoint",
-    "link.router_endpoint", "link.connect_timeout_s",
-)  # fmt: skip
-"""What changes nothing in a simulation."""
+_PROCESS = "controller.process"
+_OF_A_BUS = ("link.domain", "link.security", "link.router_endpoint", "link.connect_timeout_s")
+_IDLE = ("clock", "link.plant_endpoint", "link.controller_endpoint")
+"""What changes nothing in a simulation; nor in a run of a process, as what is of a bus does."""
 _AS_IT_IS = {("clock", "lockstep")}
 """What says of a simulation what it is."""
 
@@ -39,12 +38,13 @@ def require_effect(given: Mapping[str, Any], own: Mapping[str, str]) -> None:
     Raises:
         ConfigurationError: one of the values would have no effect.
     """
+    idle_keys = _IDLE if given.get(_PROCESS) else (*_IDLE, *_OF_A_BUS)
     for key, value in given.items():
         for leaf, said in _leaves(key, value):
             instead = next((text for taken, text in own.items() if _overlap(leaf, taken)), None)
             if instead is not None:
                 raise ConfigurationError(key, value, f"must be given {instead}")
-            if any(_overlap(leaf, idle) for idle in _IDLE) and (leaf, said) not in _AS_IT_IS:
+            if any(_overlap(leaf, idle) for idle in idle_keys) and (leaf, said) not in _AS_IT_IS:
                 allowed = "must be left out: it changes nothing in a study, which simulates"
                 raise ConfigurationError(key, value, allowed)
 

@@ -8,9 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from bus_schema.link.key_files import KeyFolder
+from bus_schema.messages.topics import Role
 from controller.laws import LAWS
 from deploy.cli.margin_options import MarginOptions, definition_with
 from deploy.comparison.comparison import load_setups
+from deploy.processes.network.keys import create_authority, issue
+from deploy.runs.process_run import lockstep_setup
 from deploy.scenario.randomness import is_random
 from deploy.scenario.scenario import effective_scenario, load_setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -327,3 +331,18 @@ def test_all_pairs_of_options_make_a_study_or_are_refused_by_name():
                 margin(**options)
         elif "limit" not in pair or "quantity" in pair:
             assert margin(**options).expected > 0
+
+
+def test_what_is_of_a_bus_takes_effect_for_a_process(tmp_path):
+    keys = KeyFolder.at(tmp_path / "keys")
+    create_authority(keys, 1)
+    for role in Role:
+        issue(keys, role, ["127.0.0.1"], 1)
+    told = ["link.security.enabled=true", f"link.security.folder={keys.path}", "link.domain=3"]
+    process = "controller.process=[sleep, 1]"
+    (setup,) = load_setups("paper_arm", [*told, process], ["process"])
+    assert setup.scenario.link.security.enabled
+    assert lockstep_setup(setup).scenario.link.plant_endpoint.startswith("tls/")
+    for given in (told, ["link.plant_endpoint=tcp/127.0.0.1:7999", process]):
+        with pytest.raises(ScenarioError, match="changes nothing in a study"):
+            load_setups("paper_arm", given, ["smc"])
