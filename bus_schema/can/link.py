@@ -24,6 +24,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock, TickGrid
+from bus_schema.runtime.lateness import HostLateness
 
 logger = logging.getLogger(__name__)
 
@@ -93,6 +94,7 @@ class CanControllerLink(ControllerLink):
         self._commands = 0
         self._on_state: StateHandler | None = None
         self._is_answered = False
+        self._lateness = HostLateness()
 
     def publish(self, topic: Topic, payload: bytes) -> int:
         """Send torques to the drives, and everything else by telemetry."""
@@ -151,10 +153,11 @@ class CanControllerLink(ControllerLink):
                 yield from self._cycle(tick, is_stop_requested)
                 tick = self._next(tick)
         except DriveError as error:
-            strangers = self._master.strangers()
-            if not strangers:
+            late = "" if self._run.lockstep else self._lateness.in_words(self._clock.now_ns())
+            causes = [each for each in (self._master.strangers(), late) if each]
+            if not causes:
                 raise
-            raise DriveError(f"{error}; {strangers}") from error
+            raise DriveError("; ".join([str(error), *causes])) from error
         finally:
             yield from self._bring_to_rest(tick, is_stop_requested)
 
@@ -201,7 +204,9 @@ class CanControllerLink(ControllerLink):
         following = tick + 1
         if not self._run.lockstep:
             following = max(following, self._run.grid.tick_at_or_before(self._clock.now_ns()))
-        self._clock.wait_until(self._run.grid.tick_ns(following))
+        late_ns = self._clock.now_ns() - self._run.grid.tick_ns(tick + 1)
+        late_ns = max(late_ns, self._clock.wait_until(self._run.grid.tick_ns(following)))
+        self._lateness.note(late_ns, self._run.grid.tick_ns(following))
         return following
 
     def _bring_to_rest(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:

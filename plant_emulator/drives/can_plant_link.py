@@ -25,9 +25,11 @@ from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock
+from bus_schema.runtime.lateness import HostLateness
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
+from plant_emulator.drives.strangers import Strangers
 
-_POLL_S = 0.02
+_POLL_S, _POLL_NS = 0.02, 20_000_000
 _FAREWELL_S = 1.0
 _LEAD = 0.3
 """Share of the period by which the physics is ahead of the master in real time."""
@@ -59,6 +61,9 @@ class CanPlantLink(PlantLink):
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, run.joint_names))
         self._torque: Vector = np.zeros(len(run.joint_names))
         self._samplings = 0
+        self._strangers = Strangers(codec, drives.bank.node_ids, run.grid.period_ns)
+        self._lateness = HostLateness()
+        self._heard_ns = 0
         self._waiting: deque[CanFrame] = deque()
         self._arrivals: deque[CommandArrival] = deque()
         self._lock = threading.Lock()
@@ -79,7 +84,7 @@ class CanPlantLink(PlantLink):
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
     ) -> None:
         """Let the drives be enabled, until the first tick is asked for."""
-        last_frame_s = time.monotonic()
+        last_frame_s, heard_ns = time.monotonic(), time.monotonic_ns()
         while not is_stop_requested():
             self._drives.advance(self._clock.now_ns())
             frame = self._drives.receive(_POLL_S)
@@ -89,12 +94,14 @@ class CanPlantLink(PlantLink):
                 continue
             last_frame_s = time.monotonic()
             if self._codec.is_sampling(frame):
+                heard_ns = time.monotonic_ns()
                 self._waiting.append(frame)
                 break
             self._drives.handle(frame, self._clock.now_ns())
         self._telemetry.require_same_scenario(Role.CONTROLLER)
         # Each tick comes a little before it is asked for, so that what is sampled is fresh.
-        self._clock.anchor(round(_LEAD * self._run.grid.period_ns))
+        lead_ns = round(_LEAD * self._run.grid.period_ns)
+        self._clock.anchor(lead_ns + time.monotonic_ns() - heard_ns)
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
         self._drives.begin_run(self._clock.now_ns())
@@ -111,7 +118,7 @@ class CanPlantLink(PlantLink):
             bus_off_s = self._run.link.can.faults.bus_off_s
             if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
                 self._drives.lose_bus(now_ns)
-            self._drives.advance(now_ns)
+            self._drives.advance(self._heard_until_ns(now_ns))
         self.publish(topics.PLANT_STATUS, status)
         if not self._run.lockstep and self._thread is None:
             self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -138,7 +145,11 @@ class CanPlantLink(PlantLink):
 
     def fault(self) -> str | None:
         """What is wrong with the drives, or what ended the serving of frames, if anything did."""
-        return "; ".join(self._drives.bank.faults) or self._failure
+        reason = "; ".join(self._drives.bank.faults) or self._failure
+        if reason is None:
+            return None
+        late = "" if self._run.lockstep else self._lateness.in_words(self._clock.now_ns())
+        return "; ".join(filter(None, (reason, self._strangers.in_words(), late)))
 
     def report(self) -> dict[str, Any]:
         """Load, latency and counts of the bus."""
@@ -185,8 +196,20 @@ class CanPlantLink(PlantLink):
                 frame = self._next_frame(_POLL_S)
                 if frame is not None:
                     self._take(frame)
+                self._heard_ns = self._clock.now_ns()
         except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
             self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
+
+    def _heard_until_ns(self, now_ns: int) -> int:
+        """Until when the drives can miss frames: in real time, not those that nobody has read yet.
+
+        Where the thread that reads them is held up, the drives would find their master silent.
+        """
+        if self._run.lockstep or self._failure is not None:
+            return now_ns
+        heard_ns = min(now_ns, self._heard_ns + _POLL_NS)
+        self._lateness.note(now_ns - heard_ns, now_ns)
+        return heard_ns
 
     def _stop_serving(self) -> None:
         self._over.set()
@@ -199,7 +222,9 @@ class CanPlantLink(PlantLink):
     def _take(self, frame: CanFrame) -> None:
         """Hand a frame to the drives, and publish what it led to."""
         with self._lock:
-            self._drives.handle(frame, self._clock.now_ns())
+            now_ns = self._clock.now_ns()
+            self._drives.handle(frame, now_ns)
+            self._strangers.hear(frame, now_ns)
             for answer in self._drives.answers:
                 fields = self._sampled.fields
                 self._codec.read_state(answer, fields["position"], fields["velocity"])

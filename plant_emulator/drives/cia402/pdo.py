@@ -102,6 +102,11 @@ class Pdo:
         if (subindex == _TYPE and is_no_type) or (subindex == _INHIBIT and self.is_valid):
             raise SdoAbortedError(Abort.INVALID_VALUE)
         self._take(subindex, value)
+        if subindex == _EVENT:
+            self.await_anew()
+
+    def await_anew(self) -> None:
+        """The event time has changed."""
 
     def _write_mapping(self, subindex: int, value: int) -> None:
         """Destroy the PDO, set the count to 0, map, set the count, create it: else no access."""

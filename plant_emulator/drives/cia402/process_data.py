@@ -31,6 +31,10 @@ class ReceivedPdo(Pdo):
         self.heard_ns: int | None = None
         self.pending: bytes | None = None
 
+    def await_anew(self) -> None:
+        """A new event time is watched from the next arrival on (CiA 301, 7.5.2.35)."""
+        self.heard_ns = None
+
 
 class SentPdo(Pdo):
     """A TPDO with what has gone of it.

@@ -209,3 +209,18 @@ def test_emcy_moves_and_falls_silent_where_the_master_wants(bench):
     bench.take()
     bench.control(ENABLE)
     assert bench.take(0xF0) == []
+
+
+def test_an_event_time_is_watched_from_the_next_arrival_on(bench):
+    """CiA 301, 7.5.2.35: what came before it was set, however long ago, is not late."""
+    bench.start()
+    bench.control(SHUTDOWN)
+    bench.wait(500)
+    bench.write(0x1400, 5, 30)
+    bench.wait(500)
+    assert bench.take(EMCY) == []
+    bench.control(SHUTDOWN)
+    bench.wait(30)
+    assert bench.take(EMCY) == []
+    bench.wait(2)
+    assert [data[:2] for data in bench.take(EMCY)] == [b"\x50\x82"]

@@ -1,0 +1,27 @@
+"""Whether this host was late, for faults in real time that follow from it."""
+
+from __future__ import annotations
+
+_RECENTLY_NS = 1_000_000_000
+_WORTH_NAMING_NS = 20_000_000
+
+
+class HostLateness:
+    """The worst of the last second by which this host was late."""
+
+    def __init__(self) -> None:
+        self._worst_ns, self._at_ns = 0, 0
+
+    def note(self, late_ns: int, now_ns: int) -> None:
+        """This host is late by so much at this time of the run."""
+        if late_ns >= self._worst_ns or now_ns - self._at_ns > _RECENTLY_NS:
+            self._worst_ns, self._at_ns = late_ns, now_ns
+
+    def in_words(self, now_ns: int) -> str:
+        """What may be the cause of what went wrong now; empty if this host was in time."""
+        if self._worst_ns < _WORTH_NAMING_NS or now_ns - self._at_ns > _RECENTLY_NS:
+            return ""
+        return (
+            f"this host was late by {self._worst_ns * 1e-6:.0f} ms,"
+            f" {self._at_ns * 1e-9:.2f} s into the run"
+        )

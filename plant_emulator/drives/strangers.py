@@ -1,0 +1,55 @@
+"""Who else is on the bus, as the drives' side sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import CanFrame
+
+_MORE = 2
+"""Frames more than there are ticks that say nothing yet: a cycle may begin before the tick does."""
+
+
+class Strangers:
+    """Counts what one master and these drives cannot have sent.
+
+    Args:
+        codec: the cyclic frames.
+        node_ids: addresses of the drives.
+        period_ns: of the cycle.
+    """
+
+    def __init__(self, codec: CanCodec, node_ids: Sequence[int], period_ns: int) -> None:
+        self._codec, self._node_ids, self._period_ns = codec, tuple(node_ids), period_ns
+        self._states, self._torques = [0] * len(node_ids), [0] * len(node_ids)
+        self._scratch = np.zeros(len(node_ids)), np.zeros(len(node_ids))
+        self._ticks = 0
+
+    def hear(self, frame: CanFrame, now_ns: int) -> None:
+        """Take note of a frame that came from the bus at this time of the run."""
+        self._ticks = max(self._ticks, now_ns // self._period_ns + 1)
+        joint = self._codec.read_torque(frame, self._scratch[0])
+        if joint is not None:
+            self._torques[joint] += 1
+        elif (joint := self._codec.read_state(frame, *self._scratch)) is not None:
+            self._states[joint] += 1
+
+    def in_words(self) -> str:
+        """What was sent by others; empty if nothing was."""
+        sentences = []
+        for node_id, states, torques in zip(
+            self._node_ids, self._states, self._torques, strict=True
+        ):
+            if states:
+                sentences.append(
+                    f"another drive on this bus has address {node_id}: it sent {states} states"
+                )
+            if torques > self._ticks + _MORE:
+                sentences.append(
+                    f"another master is on this bus: drive {node_id} was sent {torques} commands"
+                    f" in {self._ticks} cycles"
+                )
+        return "; ".join(sentences)

@@ -1,0 +1,181 @@
+"""What the plant's side over CAN tells of others on its bus, and of a host that was late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+
+from bus_schema.can.cansimple_codec import CanSimpleCodec
+from bus_schema.can.cia402_codec import Cia402Codec
+from bus_schema.can.codec import CanCodec
+from bus_schema.can.frame import CanFrame
+from bus_schema.errors import BusError
+from bus_schema.link.in_process import InProcessBus, InProcessNode
+from bus_schema.messages.layout import Record
+from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, Role, layout
+from bus_schema.runtime.clock import VirtualClock
+from bus_schema.runtime.lateness import HostLateness
+from deploy.link_kinds import can as can_kind
+from deploy.link_kinds.can import CanKind
+from deploy.scenario.scenario import load_setup
+from plant_emulator.drives.can_plant_link import CanPlantLink
+from plant_emulator.drives.strangers import Strangers
+
+MS = 1_000_000
+HANG_S = 60.0
+CODECS: dict[str, tuple[CanCodec, CanFrame]] = {
+    "cia402": (Cia402Codec((1, 2), 1 << 20, np.ones(2)), CanFrame(0x182, bytes(8))),
+    "cansimple": (CanSimpleCodec((1, 2)), CanFrame(2 << 5 | 0x09, bytes(8))),
+}
+
+
+@pytest.mark.parametrize("protocol", CODECS)
+def test_frames_that_only_a_drive_sends_name_another_drive(protocol: str) -> None:
+    codec, state = CODECS[protocol]
+    strangers = Strangers(codec, (1, 2), 2 * MS)
+    strangers.hear(state, 0)
+    assert strangers.in_words() == "another drive on this bus has address 2: it sent 1 states"
+
+
+@pytest.mark.parametrize("protocol", CODECS)
+def test_more_commands_than_cycles_name_another_master(protocol: str) -> None:
+    codec, _ = CODECS[protocol]
+    alone, joined = (Strangers(codec, (1, 2), 2 * MS) for _ in range(2))
+    for tick in range(50):
+        for frame in codec.torque_frames(np.zeros(2)):
+            alone.hear(frame, tick * 2 * MS)
+            joined.hear(frame, tick * 2 * MS)
+            joined.hear(frame, tick * 2 * MS)
+    assert alone.in_words() == ""
+    assert "another master is on this bus: drive 1 was sent 100 commands in 50 cycles" in (
+        joined.in_words()
+    )
+
+
+def test_lateness_is_named_while_it_is_recent_and_worth_it() -> None:
+    lateness = HostLateness()
+    lateness.note(19 * MS, 100 * MS)
+    assert lateness.in_words(100 * MS) == ""
+    lateness.note(60 * MS, 200 * MS)
+    lateness.note(1 * MS, 210 * MS)
+    assert lateness.in_words(300 * MS) == "this host was late by 60 ms, 0.20 s into the run"
+    assert lateness.in_words(2000 * MS) == ""
+    lateness.note(30 * MS, 2000 * MS)
+    assert "30 ms" in lateness.in_words(2000 * MS)
+
+
+class HandClock(VirtualClock):
+    """Time by hand, for a link that takes it for real."""
+
+    def set_ms(self, now_ms: int) -> None:
+        self.wait_until(now_ms * MS)
+
+
+class HeldUpBus:
+    """Gives one SYNC; after that a reader is held up until it is let go, and gets an answer."""
+
+    def __init__(self) -> None:
+        self.frames = [CanFrame(0x080)]
+        self.sent: list[CanFrame] = []
+        self.is_held, self.may_go = threading.Event(), threading.Event()
+        self.error: Exception | None = None
+
+    def send(self, frame: CanFrame) -> None:
+        self.sent.append(frame)
+
+    def send_all(self, frames: Sequence[CanFrame]) -> None:
+        self.sent.extend(frames)
+
+    def receive(self, timeout_s: float) -> CanFrame | None:
+        if self.frames:
+            return self.frames.pop(0)
+        self.is_held.set()
+        self.may_go.wait(HANG_S)
+        if self.error is not None:
+            raise self.error
+        time.sleep(0.001)
+        return None
+
+    def dropped(self) -> int | None:
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class Held:
+    """A link in real time whose reader is held up."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.setup = load_setup("paper_arm_can", ["duration_s=20", "clock=realtime"])
+        self.bus, self.clock = HeldUpBus(), HandClock()
+        telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
+        monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
+        monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
+        self.arm = self.setup.arm()
+        run = self.setup.link_run(lockstep=False)
+        self.link: CanPlantLink = CanKind().open_plant(run, self.arm, self.clock)  # type: ignore[assignment]
+        self.link.await_controller(HANG_S)
+
+    def measure(self) -> None:
+        names = self.setup.robot.joint_names
+        state = Record(layout(JOINT_STATES, names)).payload()
+        self.link.send_state(state, layout(PLANT_STATUS, names).template)
+
+    @property
+    def heartbeats(self) -> int:
+        return sum(frame.identifier == 0x701 for frame in self.bus.sent)
+
+
+@pytest.fixture
+def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[Held]:
+    made = Held(monkeypatch)
+    yield made
+    made.bus.error = BusError("over")
+    made.bus.may_go.set()
+    made.link.close()
+    made.arm.close()
+
+
+def until(condition) -> None:  # type: ignore[no-untyped-def]
+    give_up_s = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < give_up_s, "it never came"
+        time.sleep(0.005)
+
+
+def test_drives_miss_nothing_that_a_held_up_host_has_not_read(held: Held) -> None:
+    """They send a heartbeat every 100 ms of their time, which stands still meanwhile."""
+    held.measure()
+    assert held.bus.is_held.wait(HANG_S)
+    before = held.heartbeats
+    held.clock.set_ms(500)
+    held.measure()
+    assert held.heartbeats == before
+    held.bus.may_go.set()
+
+    def goes_on() -> bool:
+        held.measure()
+        return held.heartbeats > before
+
+    until(goes_on)
+
+
+def test_a_fault_after_a_hold_up_names_the_host_and_who_else_is_there(held: Held) -> None:
+    held.bus.frames += [CanFrame(0x183, bytes(8))]
+    held.measure()
+    assert held.bus.is_held.wait(HANG_S)
+    held.clock.set_ms(500)
+    held.measure()
+    assert held.link.fault() is None  # nothing has gone wrong by that alone
+    held.bus.error = BusError("the bus is gone")
+    held.bus.may_go.set()
+    until(lambda: held.link.fault() is not None)
+    fault = str(held.link.fault())
+    assert "the bus is gone" in fault
+    assert "another drive on this bus has address 3: it sent 1 states" in fault
+    assert "this host was late by 480 ms, 0.50 s into the run" in fault
