@@ -18,6 +18,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.mjcf.bodies import Inertial, Solid, inertial_of, solid_of
 from bus_schema.mjcf.efforts import Efforts
 from bus_schema.mjcf.settings import (
+    DEEPEST,
     Attributes,
     Defaults,
     compiler_of,
@@ -33,7 +34,6 @@ _KINDS = {"hinge": "revolute", "slide": "prismatic"}
 _FORBIDDEN = ("tendon", "equality", "deformable", "extension")
 _MACROS = ("include", "composite", "flexcomp", "replicate", "attach", "frame")
 _LEFT_OUT = ("armature", "damping", "frictionloss", "stiffness")
-_DEEPEST = 100
 
 
 def is_mjcf(root: ET.Element) -> bool:
@@ -115,8 +115,8 @@ class _Converter:
             child_class: class of what says none of its own.
             depth: how many bodies are below it.
         """
-        if depth > _DEEPEST:
-            raise RobotDescriptionError(f"more than {_DEEPEST} bodies carry one another")
+        if depth > DEEPEST:
+            raise RobotDescriptionError(f"more than {DEEPEST} bodies carry one another")
         child_class = body.get("childclass", child_class)
         name = body.get("name") or f"body_{next(self._numbers)}"
         owner = f"body {name}"

@@ -14,6 +14,8 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf_checks import finite_number, shortened
 
+DEEPEST = 100
+"""How many elements may lie within one another."""
 _SEQUENCE = "eulerseq"
 Attributes = Mapping[str, str]
 
@@ -28,7 +30,7 @@ class Defaults:
     def __init__(self, root: ET.Element) -> None:
         self._classes: dict[str, dict[str, dict[str, str]]] = {"main": {}}
         for top in root.findall("default"):
-            self._read(top, {}, "main")
+            self._read(top, {}, "main", 1)
 
     def of(self, element: ET.Element, child_class: str | None) -> dict[str, str]:
         """Attributes of an element, with those of its class, or else of its body's.
@@ -44,14 +46,18 @@ class Defaults:
             )
         return {**self._classes[name].get(element.tag, {}), **element.attrib}
 
-    def _read(self, default: ET.Element, inherited: dict[str, dict[str, str]], name: str) -> None:
+    def _read(
+        self, default: ET.Element, inherited: dict[str, dict[str, str]], name: str, depth: int
+    ) -> None:
+        if depth > DEEPEST:
+            raise RobotDescriptionError(f"more than {DEEPEST} defaults lie within one another")
         values = {tag: dict(attributes) for tag, attributes in inherited.items()}
         for each in default:
             if each.tag != "default":
                 values[each.tag] = {**values.get(each.tag, {}), **each.attrib}
         self._classes[name] = values
         for inner in default.findall("default"):
-            self._read(inner, values, inner.get("class", ""))
+            self._read(inner, values, inner.get("class", ""), depth + 1)
 
 
 @dataclass(frozen=True)
