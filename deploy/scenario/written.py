@@ -42,7 +42,7 @@ def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
     """Name and text of a copy of each file that a scenario refers to, by its key."""
     robot = setup.robot
     arm = robot.path
-    if arm.suffix == ".xacro":  # the copy is what it stands for
+    if arm.suffix in (".xacro", ".xml"):  # the copy is what it stands for
         arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
     found = {"robot.urdf": (arm, robot.portable_urdf())}
     for key, file in data_files(setup.scenario).items():

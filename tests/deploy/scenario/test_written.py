@@ -12,6 +12,7 @@ from deploy.runs.run_folder import RunFolder, read_summary
 from deploy.runs.simulate import simulate
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import write_scenario
 
 ARM = find_urdf("paper_arm", Path()).read_text()
 
@@ -87,3 +88,19 @@ def test_a_time_to_judge_from_that_nobody_chose_follows_the_duration(tmp_path, f
     assert load_setup(str(second / "scenario.yaml")).scenario.metrics.from_s == 0.1
     assert funnel_hil("report", str(first))[0] == 0
     assert read_summary(first)["tracking"]["rms_rad"] != read_summary(second)["tracking"]["rms_rad"]
+
+
+def test_arm_of_mujocos_is_written_as_the_urdf_it_became(tmp_path):
+    file = tmp_path / "reacher.yaml"
+    file.write_text(
+        "{name: reacher, duration_s: 0.1, metrics: {from_s: 0.05},"
+        " robot: {urdf: 'pybullet_data:mjcf/reacher.xml'}, reference: {kind: minimum_jerk,"
+        " waypoints: [{time_s: 0, position_rad: [0, 0]}]}}"
+    )
+    setup = load_setup(str(file))
+    (tmp_path / "run").mkdir()
+    write_scenario(setup, tmp_path / "run" / "scenario.yaml")
+    again = load_setup(str(tmp_path / "run" / "scenario.yaml"))
+    assert again.robot.path.suffix == ".urdf"
+    assert again.robot.joint_names == setup.robot.joint_names == ("joint0", "joint1")
+    assert again.robot.text == setup.robot.text
