@@ -25,6 +25,7 @@ PROTOCOLS = {
     "cia402": (),
     "cansimple": ("link.can.protocol=cansimple", "link.can.cansimple.input_torque_scale=40"),
 }
+PORTS = {"cia402": 43_791, "cansimple": 43_792}
 
 
 def run(*overrides: str, log: Path | None = None) -> RunData:
@@ -89,7 +90,9 @@ def test_frames_carry_reference_and_torque_and_the_drives_were_given_the_gains(d
 
 def test_same_run_gives_the_same_bits_on_another_interface(done) -> None:  # type: ignore[no-untyped-def]
     protocol, data, _ = done
-    again = run("duration_s=0.6", *PROTOCOLS[protocol], "link.can.interface=udp_multicast")
+    # A port for each: tests that run at once must not meet.
+    place = ("link.can.interface=udp_multicast", f"link.can.port={PORTS[protocol]}")
+    again = run("duration_s=0.6", *PROTOCOLS[protocol], *place)
     assert again.digest == data.digest
 
 
