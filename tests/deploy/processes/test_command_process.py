@@ -51,11 +51,12 @@ command = start(["--version"])
 print(command.stdout.read().strip())
 pid = forkserver._forkserver._forkserver_pid
 os.kill(pid, signal.SIGSTOP)  # so that it cannot answer before it is killed
-threading.Timer(0.2, os.kill, (pid, signal.SIGKILL)).start()
+threading.Timer(3, os.kill, (pid, signal.SIGKILL)).start()
 try:
     start(["--version"])
 except OSError as error:  # which ends commands with one message
     print(error)
+os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 print(start(["--version"]).stdout.read().strip())
 """
 
