@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
-from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame import CanFrame, is_classical_data, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.link.can_configuration import CanConfiguration
@@ -58,6 +58,7 @@ class Cia402Codec:
         node_ids: addresses of the drives, one for each joint.
         counts_per_turn: increments per turn of the joint.
         rated_nm: rated torques, shape (joints,); drives know them in whole mN m.
+        is_fd: states and torques go in frames of CAN FD; SYNC, which has no data, does not.
 
     Attributes:
         rated_mnm: rated torques as object 0x6076 has them, shape (joints,).
@@ -65,7 +66,17 @@ class Cia402Codec:
 
     cycle = CycleFrames((0,), (8, 4), "SYNC + {n} × (TPDO 8 bytes + RPDO 4 bytes)")
 
-    def __init__(self, node_ids: Sequence[int], counts_per_turn: int, rated_nm: Vector) -> None:
+    def __init__(
+        self,
+        node_ids: Sequence[int],
+        counts_per_turn: int,
+        rated_nm: Vector,
+        *,
+        is_fd: bool = False,
+    ) -> None:
+        self._is_fd = is_fd
+        if is_fd:
+            self.cycle = self.cycle._replace(is_fd=True, words=f"{self.cycle.words} in FD frames")
         self.rated_mnm: NDArray[np.int64] = np.rint(rated_nm * 1000.0).astype(np.int64)
         self._nm_per_mille = self.rated_mnm * _NM_PER_MILLE_MNM
         self._rad_per_count = 2.0 * math.pi / counts_per_turn
@@ -82,7 +93,7 @@ class Cia402Codec:
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint_of_tpdo.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, _STATE.size):
+        if joint is None or not is_data(frame, _STATE.size, is_fd=self._is_fd):
             return None
         counts, counts_per_s = _STATE.unpack(frame.data)
         position[joint] = counts * self._rad_per_count
@@ -93,7 +104,7 @@ class Cia402Codec:
         words = np.rint(torque_nm / self._nm_per_mille)
         within_range = np.clip(words, _WORD.min, _WORD.max).tolist()
         return [
-            CanFrame(rpdo, _COMMAND.pack(self._controlword, int(word)))
+            CanFrame(rpdo, _COMMAND.pack(self._controlword, int(word)), is_fd=self._is_fd)
             for rpdo, word in zip(self._rpdos, within_range, strict=True)
         ]
 
@@ -103,7 +114,7 @@ class Cia402Codec:
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_rpdo.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, _COMMAND.size):
+        if joint is None or not is_data(frame, _COMMAND.size, is_fd=self._is_fd):
             return None
         _, word = _COMMAND.unpack(frame.data)
         torque_nm[joint] = word * self._nm_per_mille[joint]

@@ -22,7 +22,7 @@ from canopen.sdo.exceptions import SdoError
 
 from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.eds import object_dictionary
-from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
+from bus_schema.can.frame import CanBus, CanFrame, is_data
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
@@ -237,6 +237,10 @@ class Cia402Master(CanMaster):
         except Exception as error:  # noqa: BLE001 (nothing that comes from a bus may stop us)
             logger.warning("frame ignored: %s: %s", frame, error)
 
+    def _is_for_canopen(self, frame: CanFrame) -> bool:
+        is_fd = frame.is_fd and self._can.fd_process_data
+        return is_data(frame, len(frame.data), is_fd=is_fd)
+
     @contextlib.contextmanager
     def _listening(self) -> Iterator[None]:
         """Hand frames to canopen, on a thread, since its requests wait for their answers.
@@ -252,7 +256,7 @@ class Cia402Master(CanMaster):
                     frame = self._bus.receive(_POLL_S)
                     if frame is not None:
                         self._note_stranger(frame)
-                    if frame is not None and is_classical_data(frame, len(frame.data)):
+                    if frame is not None and self._is_for_canopen(frame):
                         self._hand_over(frame)
             except BusError as error:
                 self._lost = error

@@ -29,6 +29,8 @@ _EXTENDED_HEAD_BITS = 1 + 11 + 2 + 18 + 1
 # CRC delimiter, ACK slot and delimiter, end of frame (7), interframe space (3)
 _CLASSICAL_TAIL_BITS = 13
 _FD_TAIL_BITS = 12
+# Start of frame, identifier, RRS, IDE, FDF, res, BRS; then ESI and DLC.
+_FD_HEAD_BITS, _FD_CONTROL_BITS = 1 + 11 + 5, 5
 # Stuff count (4 bits) and CRC; a fixed stuff bit before them and after every fourth; the delimiter.
 _CRC17_FIELD_BITS = 4 + 17 + 6 + 1
 _CRC21_FIELD_BITS = 4 + 21 + 7 + 1
@@ -52,19 +54,31 @@ class WireBits(NamedTuple):
         """How long the frame occupies the bus."""
         return round(1e9 * (self.nominal / bitrate + self.fast / data_bitrate))
 
+    def words(self, can: CanConfiguration) -> str:
+        """The bits and how long they take."""
+        rates = f"{can.bitrate // 1000} kbit/s"
+        bits = f"{self.nominal} bits"
+        if self.fast:
+            rates += f" and {(can.data_bitrate or can.bitrate) // 1000} kbit/s"
+            bits += f" and {self.fast} of data"
+        needed_us = 1e-3 * self.duration_ns(can.bitrate, can.data_bitrate or can.bitrate)
+        return f"{bits} with stuffing = {needed_us:.0f} µs at {rates}"
+
 
 class CycleFrames(NamedTuple):
-    """Classical frames of one control cycle.
+    """Frames of one control cycle.
 
     Attributes:
-        shared: data bytes of each frame that all drives share.
+        shared: data bytes of each frame that all drives share, a classical one.
         per_drive: data bytes of each frame that is sent for or by every single drive.
         words: the same in words; ``{n}`` stands for the number of drives.
+        is_fd: frames of single drives are those of CAN FD.
     """
 
     shared: tuple[int, ...]
     per_drive: tuple[int, ...]
     words: str
+    is_fd: bool = False
 
 
 def wire_bits(frame: CanFrame) -> WireBits:
@@ -98,10 +112,26 @@ def longest_classical_bits(data_bytes: int) -> int:
     return stuffable + (stuffable - 1) // 4 + _CLASSICAL_TAIL_BITS
 
 
-def cycle_bits(cycle: CycleFrames, joints: int) -> int:
+def longest_fd_bits(data_bytes: int) -> WireBits:
+    """Bits of an FD frame with a standard identifier and the most stuff bits possible.
+
+    Args:
+        data_bytes: one of the lengths that FD frames have.
+    """
+    early = _FD_HEAD_BITS + (_FD_HEAD_BITS - 1) // 4
+    late = _FD_CONTROL_BITS + 8 * data_bytes
+    crc_field = _CRC17_FIELD_BITS if data_bytes <= _LARGEST_CRC17_BYTES else _CRC21_FIELD_BITS
+    return WireBits(early + _FD_TAIL_BITS, late + -(-late // 4) + crc_field)
+
+
+def cycle_bits(cycle: CycleFrames, joints: int) -> WireBits:
     """Most bits that the frames of one cycle can have, stuff bits included."""
-    lengths = (*cycle.shared, *(joints * cycle.per_drive))
-    return sum(longest_classical_bits(data_bytes) for data_bytes in lengths)
+    nominal, fast = sum(map(longest_classical_bits, cycle.shared)), 0
+    for data_bytes in joints * cycle.per_drive:
+        longest = WireBits(longest_classical_bits(data_bytes), 0)
+        longest = longest_fd_bits(data_bytes) if cycle.is_fd else longest
+        nominal, fast = nominal + longest.nominal, fast + longest.fast
+    return WireBits(nominal, fast)
 
 
 def check_cycle_fits(
@@ -113,7 +143,7 @@ def check_cycle_fits(
         ConfigurationError: with the arithmetic, and the nearest rate that fits.
     """
     bits = cycle_bits(cycle, joints)
-    needed_us = 1e6 * bits / can.bitrate
+    needed_us = 1e-3 * bits.duration_ns(can.bitrate, can.data_bitrate or can.bitrate)
     period_us = 1e6 / rate_hz
     if needed_us <= _LARGEST_SHARE * period_us:
         return
@@ -121,8 +151,8 @@ def check_cycle_fits(
     fitting = next((rate for rate in _RATES_HZ if rate <= limit_hz), int(limit_hz))
     raise ConfigurationError(
         "rate_hz", rate_hz,
-        f"a cycle of {joints} drives takes {cycle.words.format(n=joints)} = up to {bits} bits with"
-        f" stuffing = {needed_us:.0f} µs at {can.bitrate // 1000} kbit/s, and of the period of"
+        f"a cycle of {joints} drives takes {cycle.words.format(n=joints)} = up to"
+        f" {bits.words(can)}, and of the period of"
         f" {period_us:.0f} µs {_LARGEST_SHARE:.0%} may be used; the nearest rate that fits is"
         f" {fitting} Hz (at most {limit_hz:.0f})",
     )  # fmt: skip

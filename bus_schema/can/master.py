@@ -177,7 +177,7 @@ class CanMaster(ABC):
 
     def _note_stranger(self, frame: CanFrame) -> None:
         """Count what only the master sends: a bus gives nobody its own frames back."""
-        if frame.is_error or frame.is_extended or frame.is_fd:
+        if frame.is_error or frame.is_extended or (frame.is_fd and not self._can.fd_process_data):
             return
         name = self._only_master_sends(frame)
         if name is not None:

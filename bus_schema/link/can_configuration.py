@@ -101,8 +101,10 @@ class CanConfiguration(StrictModel):
         hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
             machine alone; 1 its network, where anybody can then command the drives; more routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
-        fd: the bus carries CAN FD frames too. No protocol sends any.
+        fd: the bus carries CAN FD frames too.
         data_bitrate: bit rate of the data phase of FD frames.
+        fd_process_data: with ``cia402``, states, torques and all other process data go in FD
+            frames; `fd` has to be true.
         protocol: what the drives speak: ``cia402`` on CANopen, ODrive's ``cansimple``, the
             mini-cheetah's ``mit``, or another one of the table of drive protocols.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
@@ -126,6 +128,7 @@ class CanConfiguration(StrictModel):
     bitrate: Literal[125_000, 250_000, 500_000, 800_000, 1_000_000] = 1_000_000
     fd: bool = False
     data_bitrate: Annotated[Whole, Field(ge=125_000, le=8_000_000)] | None = None
+    fd_process_data: bool = False
     protocol: Annotated[str, BeforeValidator(str)] = "cia402"
     node_ids: Annotated[tuple[NodeId, ...], AfterValidator(_check_node_ids)] | None = None
     eds: str | None = None

@@ -19,6 +19,7 @@ from bus_schema.can.master import CanMaster
 from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
+from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
@@ -31,7 +32,7 @@ from plant_emulator.drives.commissioning import build_bank, commission
 from plant_emulator.drives.driven_arm import DrivenArm
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from plant_emulator.drives.fault_plan import parse_fault
-from plant_emulator.drives.protocol import PROTOCOLS
+from plant_emulator.drives.protocol import PROTOCOLS, DriveProtocol
 
 _EXCHANGES: WeakKeyDictionary[InProcessBus, FrameExchange] = WeakKeyDictionary()
 """A bus of its own for each simulation: those in threads of one process must not meet."""
@@ -55,6 +56,7 @@ class CanKind(LinkKind[DrivenArm]):
         can, robot = run.link.can, run.robot
         protocol = PROTOCOLS.build(can.protocol)
         node_ids = protocol.node_ids(can, robot.joints)
+        _check_fd(can, protocol)
         codec = _codec(run)
         check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
         _check_unimpaired(run.link)
@@ -158,6 +160,19 @@ def _check_unimpaired(link: LinkConfiguration) -> None:
                 "must be left out with link.kind = can: what a CAN bus does to frames is up to"
                 " link.can.bitrate and link.can.faults",
             )  # fmt: skip
+
+
+def _check_fd(can: CanConfiguration, protocol: DriveProtocol) -> None:
+    if not can.fd_process_data:
+        return
+    if not protocol.has_fd_process_data:
+        raise ConfigurationError(
+            "link.can.fd_process_data", True, f"must be false with {protocol.title}"
+        )
+    if not can.fd:
+        raise ConfigurationError(
+            "link.can.fd", False, "must be true with link.can.fd_process_data = true"
+        )
 
 
 def _free_udp_port() -> int:

@@ -99,6 +99,7 @@ class DriveBank:
         self._loops: list[Loop | None] = [None] * len(self._axes)
         self._braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
         self._is_stale = True
+        self._reads_fd = any(each.fd_process_data for each in settings)
         self.rejections = Rejections("frame", logger)
 
     @property
@@ -204,7 +205,8 @@ class DriveBank:
         return "not for these drives"
 
     def _deliver(self, frame: CanFrame, now_ns: int) -> None:
-        if frame.is_fd or frame.is_extended or len(frame.data) > _MOST_BYTES:
+        is_strange = frame.is_extended or (frame.is_fd and not self._reads_fd)
+        if is_strange or len(frame.data) > _MOST_BYTES:
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
         understood = False
         for axis in self._axes:

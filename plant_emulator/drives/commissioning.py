@@ -48,6 +48,7 @@ def commission(
             upper_rad=float(robot.upper_rad[joint]),
             stop_damping_nm_s=float(damping[joint]),
             watchdog_ms=can.command_timeout_ms,
+            fd_process_data=can.fd_process_data,
             own=own[joint],
             gains=UNTUNED if tuned is None else _cascade(tuned, joint),
         )

@@ -126,6 +126,7 @@ class DriveSettings:
         estimates_ms: CANSimple: period at which an axis sends its estimates unasked; 0 for never.
         gains: of the loops that the drive closes in position and velocity modes, until a master
             sets others.
+        fd_process_data: CiA 402: process data goes in frames of CAN FD.
         own: what the drive's protocol alone has, see `DriveProtocol.own_settings`.
     """
 
@@ -138,6 +139,7 @@ class DriveSettings:
     stop_damping_nm_s: float = 20.0
     watchdog_ms: float = 0.0
     estimates_ms: int = 10
+    fd_process_data: bool = False
     gains: CascadeGains = UNTUNED
     own: object = None
 

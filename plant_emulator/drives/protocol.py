@@ -21,6 +21,7 @@ class DriveProtocol(ABC):
     Attributes:
         title: its name in sentences.
         largest_node_id: largest address that a drive can have.
+        has_fd_process_data: its cyclic frames can be those of CAN FD.
         takes_targets: its drives close loops around targets that come with the torques.
         drive: emulated drives that speak it.
         drive_master: master of drives that speak it, unless `master` makes another one.
@@ -28,6 +29,7 @@ class DriveProtocol(ABC):
 
     title: str
     largest_node_id = 127
+    has_fd_process_data = False
     takes_targets = False
     drive: type[Drive]
     drive_master: type[CanMaster]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.cia402_master import Cia402Master
-from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
+from bus_schema.can.frame import CanBus, CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.position.aiming import AimingMaster
 from bus_schema.configuration import ConfigurationError
@@ -39,8 +39,15 @@ class Cia402PositionCodec(Cia402Codec):
 
     cycle = CycleFrames((0,), (8, 8, 4), "SYNC + {n} × (TPDO 8 bytes + RPDOs 8 and 4 bytes)")
 
-    def __init__(self, node_ids: Sequence[int], counts_per_turn: int, rated_nm: Vector) -> None:
-        super().__init__(node_ids, counts_per_turn, rated_nm)
+    def __init__(
+        self,
+        node_ids: Sequence[int],
+        counts_per_turn: int,
+        rated_nm: Vector,
+        *,
+        is_fd: bool = False,
+    ) -> None:
+        super().__init__(node_ids, counts_per_turn, rated_nm, is_fd=is_fd)
         self._targets = [_RPDO_3 + node_id for node_id in node_ids]
         self._offsets = [_RPDO_4 + node_id for node_id in node_ids]
         self._joint_of_target = {each: joint for joint, each in enumerate(self._targets)}
@@ -65,7 +72,7 @@ class Cia402PositionCodec(Cia402Codec):
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_target.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, _TARGET.size):
+        if joint is None or not is_data(frame, _TARGET.size, is_fd=self._is_fd):
             return None
         torque_nm[joint] = _TARGET.unpack(frame.data)[2] * self._nm_per_mille[joint]
         return joint
@@ -76,11 +83,15 @@ class Cia402PositionCodec(Cia402Codec):
         rows = zip(self._targets, positions, self._words(torque_nm), strict=True)
         return [
             *(
-                CanFrame(identifier, _OFFSET.pack(velocity))
+                CanFrame(identifier, _OFFSET.pack(velocity), is_fd=self._is_fd)
                 for identifier, velocity in zip(self._offsets, velocities, strict=True)
             ),
             *(
-                CanFrame(identifier, _TARGET.pack(self._controlword, position, word))
+                CanFrame(
+                    identifier,
+                    _TARGET.pack(self._controlword, position, word),
+                    is_fd=self._is_fd,
+                )
                 for identifier, position, word in rows
             ),
         ]

@@ -49,8 +49,9 @@ class Cia402Drive:
         )
         self._motor = Motor(self._node, self._errors, settings)
         self._process_data = ProcessData(
-            self._node, self._errors, self._send_if_on_bus, self._on_rpdo_timeout
-        )
+            self._node, self._errors, self._send_if_on_bus, self._on_rpdo_timeout,
+            is_fd=settings.fd_process_data,
+        )  # fmt: skip
         self._set_up()
 
     @property

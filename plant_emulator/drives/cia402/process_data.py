@@ -60,15 +60,23 @@ class ProcessData:
         errors: its errors.
         send: takes the frames it sends.
         on_timeout: called when an RPDO is overdue.
+        is_fd: what is sent goes in frames of CAN FD; what comes may have any format.
 
     Attributes:
         samplings: SYNCs on which values were sampled so far.
     """
 
     def __init__(
-        self, node: DriveNode, errors: ErrorLog, send: Send, on_timeout: Callable[[], None]
+        self,
+        node: DriveNode,
+        errors: ErrorLog,
+        send: Send,
+        on_timeout: Callable[[], None],
+        *,
+        is_fd: bool = False,
     ) -> None:
         self._node, self._errors, self._send, self._on_timeout = node, errors, send, on_timeout
+        self._is_fd = is_fd
         self._received = [
             ReceivedPdo(node, 0x1400 + number, 0x1600 + number, is_received=True)
             for number in range(_PDOS)
@@ -143,7 +151,7 @@ class ProcessData:
     def transmit(self, pdo: SentPdo, data: bytes) -> None:
         """Send a TPDO."""
         pdo.data, pdo.sent_ns, pdo.syncs = data, self._node.now_ns, 0
-        self._send(CanFrame(pdo.identifier, data))
+        self._send(CanFrame(pdo.identifier, data, is_fd=self._is_fd))
 
     def send_events(self) -> None:
         """Send event-driven TPDOs that have changed or whose timers have run out."""

@@ -31,19 +31,23 @@ class Cia402Protocol(DriveProtocol):
 
     title = "CiA 402"
     takes_targets = True
+    has_fd_process_data = True
     drive = Cia402Drive
     drive_master = Cia402Master
 
     def codec(self, can: CanConfiguration, robot: RobotDescription) -> Cia402Codec:
         node_ids = self.node_ids(can, robot.joints)
-        return Cia402Codec(node_ids, can.counts_per_turn, rated_torque_nm(can, robot))
+        rated_nm = rated_torque_nm(can, robot)
+        return Cia402Codec(node_ids, can.counts_per_turn, rated_nm, is_fd=can.fd_process_data)
 
     def target_codec(
         self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains
     ) -> Cia402PositionCodec:
         loop_gains(gains)
         node_ids = self.node_ids(can, robot.joints)
-        return Cia402PositionCodec(node_ids, can.counts_per_turn, rated_torque_nm(can, robot))
+        rated_nm = rated_torque_nm(can, robot)
+        is_fd = can.fd_process_data
+        return Cia402PositionCodec(node_ids, can.counts_per_turn, rated_nm, is_fd=is_fd)
 
     def target_master(
         self, bus: CanBus, can: CanConfiguration, robot: RobotDescription, gains: DriveGains

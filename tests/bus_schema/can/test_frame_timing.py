@@ -10,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.frame_timing import arbitration_key, longest_classical_bits, wire_bits
+from bus_schema.can.frame_timing import (
+    arbitration_key,
+    longest_classical_bits,
+    longest_fd_bits,
+    wire_bits,
+)
 
 frames = st.builds(
     lambda extended, identifier, data, remote: CanFrame(
@@ -69,3 +74,17 @@ def test_duration_counts_each_phase_at_its_own_rate() -> None:
     bits = wire_bits(CanFrame(0x123, bytes(range(64)), is_fd=True))
     expected_ns = 1e9 * (bits.nominal / 500_000 + bits.fast / 2_000_000)
     assert bits.duration_ns(500_000, 2_000_000) == round(expected_ns)
+
+
+@given(st.integers(0, 0x7FF), st.integers(0, 64), st.sampled_from((0x00, 0xFF, 0x0F, 0xAA)))
+def test_fd_frame_is_never_longer_than_the_longest(
+    identifier: int, data_bytes: int, filling: int
+) -> None:
+    length = next(each for each in FD_LENGTHS if each >= data_bytes)
+    bits = wire_bits(CanFrame(identifier, bytes([filling]) * length, is_fd=True))
+    longest = longest_fd_bits(length)
+    assert bits.nominal <= longest.nominal
+    assert 0.75 * longest.fast <= bits.fast <= longest.fast
+
+
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)

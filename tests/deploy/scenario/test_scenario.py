@@ -23,8 +23,8 @@ def test_what_is_shipped() -> None:
 def test_shipped_scenario_loads_under_its_own_name(name: str) -> None:
     setup = load_setup(name)
     assert setup.scenario.name == name
-    # 5 s at 500 Hz fit three drives on a bus of 1 Mbit/s; the others run 20 s at 1 kHz.
-    assert setup.ticks == (2_500 if name in ("paper_arm_can", "paper_arm_mit") else 20_000)
+    # Over CAN they run 5 s at 500 Hz, the others 20 s at 1 kHz.
+    assert setup.ticks == (2_500 if setup.scenario.link.kind == "can" else 20_000)
     assert setup.start_position_rad.shape == (setup.robot.joints,)
     assert np.all(setup.start_position_rad > setup.robot.lower_rad)
     assert np.all(setup.start_position_rad < setup.robot.upper_rad)
