@@ -43,6 +43,17 @@ def test_process_data_goes_in_fd_frames_and_changes_nothing_else(tmp_path: Path)
     assert 0.7 < loads[1] < 0.85
 
 
+def test_targets_of_drive_feedback_go_in_fd_frames_too(tmp_path: Path) -> None:
+    feedback = "controller.drive_feedback.enabled=true"
+    fd, frames = run(tmp_path, feedback)
+    classical, _ = run(tmp_path, feedback, "link.can.fd_process_data=false", "rate_hz=250")
+    assert not fd.faults()
+    assert not classical.faults()
+    in_cycle = frames[frames.index("080#") :]
+    assert all("##1" in frame for frame in in_cycle if frame[0] in "145")
+    assert sum(frame.startswith("40") for frame in in_cycle) >= 250 * 7
+
+
 def test_a_failing_drive_is_named_over_fd_too(tmp_path: Path) -> None:
     data, _ = run(tmp_path, "link.can.faults.drives=['over-temperature:5@200ms']")
     assert "node 5: over-temperature" in "; ".join(data.faults())
