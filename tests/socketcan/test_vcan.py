@@ -96,6 +96,21 @@ def test_cansimple_frames_on_vcan_decode_with_our_dbc() -> None:
     assert len(heard) > 3 * 3 * TICKS  # request, estimates and torque of three axes
 
 
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("controller.drive_feedback.enabled=true",),
+        ("link.can.protocol=mit", "controller.drive_feedback.enabled=true",
+         "link.can.mit.stiffness_nm_rad=200000", "link.can.mit.damping_nm_s=5000"),
+    ],
+    ids=["position", "mit"],
+)  # fmt: skip
+def test_drives_that_close_loops_give_the_digest_of_the_virtual_bus(
+    overrides: tuple[str, ...],
+) -> None:
+    assert digest_over("socketcan", *overrides) == digest_over("virtual", *overrides)
+
+
 def test_interface_that_is_not_there_is_named() -> None:
     with pytest.raises(ConfigurationError, match=r"link\.can\.channel = 'can7'.*no such CAN"):
         check_can_bus(CanConfiguration(interface="socketcan", channel="can7"))
