@@ -17,6 +17,10 @@ COMMANDS = {
         "deploy.cli.run:simulate",
         "Run a scenario in one process and in virtual time.",
     ),
+    "view": (
+        "deploy.cli.view:view",
+        "Show a run in the browser and in Foxglove: one under way, or a recorded one.",
+    ),
     "controller": (
         "deploy.cli.processes:controller",
         "Be the controller: answer the joint states of a plant on the bus.",

@@ -42,7 +42,7 @@ def controller(
     parent_pid: ParentPid = None,
 ) -> None:
     """Be the controller: answer the joint states of a plant on the bus."""
-    reporter = _reporter(Role.CONTROLLER, parent_pid)
+    reporter = reporter_of(Role.CONTROLLER, parent_pid)
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_own_controller(setup)
@@ -60,7 +60,7 @@ def plant(
     parent_pid: ParentPid = None,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
-    reporter = _reporter(Role.PLANT, parent_pid)
+    reporter = reporter_of(Role.PLANT, parent_pid)
     setup = load_setup(scenario, overrides or [])
     check_link(setup, one_process=False)
     require_keys(setup, Role.PLANT)
@@ -76,7 +76,7 @@ def record(
     parent_pid: ParentPid = None,
 ) -> None:
     """Be the recorder: write every message on the bus to a run folder."""
-    reporter = _reporter(Role.RECORDER, parent_pid)
+    reporter = reporter_of(Role.RECORDER, parent_pid)
     setup = load_setup(scenario, overrides or [])
     require_keys(setup, Role.RECORDER)
     stop = StopRequest()
@@ -100,7 +100,7 @@ def relay(
     parent_pid: ParentPid = None,
 ) -> None:
     """Be a relay between two TCP peers: hold back every byte between controller and plant."""
-    reporter = _reporter(RELAY, parent_pid)
+    reporter = reporter_of(RELAY, parent_pid)
     if not 0.0 <= delay_ms <= LONGEST_MS:
         raise ScenarioError(f"--delay {delay_ms:g}: must be 0 to {LONGEST_MS:g} ms")
     raise typer.Exit(run_relay(_address(listen), _address(connect), delay_ms, reporter))
@@ -113,7 +113,8 @@ def _address(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-def _reporter(role: str, parent_pid: int | None) -> StatusReporter:
+def reporter_of(role: str, parent_pid: int | None) -> StatusReporter:
+    """The reporter of a process; one that has a parent ends with it."""
     if parent_pid is not None:
         end_with_parent(parent_pid)
     return StatusReporter(role, to_parent=parent_pid is not None)

@@ -61,6 +61,11 @@ AwaitController = Annotated[
     ),
 ]
 
+Live = Annotated[
+    bool,
+    typer.Option("--live", help="Show the run in the browser and in Foxglove while it happens."),
+]
+
 
 def run(
     scenario: ScenarioArgument = "paper_arm",
@@ -71,6 +76,7 @@ def run(
     no_report: NoReport = False,
     real_delay_ms: RealDelayOption = None,
     await_controller: AwaitController = False,
+    live: Live = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     setup = load_setup(scenario, overrides or [])
@@ -92,7 +98,7 @@ def run(
     with folder:
         launcher = Launcher(
             setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay,
-            awaits_controller=await_controller,
+            awaits_controller=await_controller, live=live,
         )  # fmt: skip
         on_stop(launcher.request_stop)
         with CommandProgress(

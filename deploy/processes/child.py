@@ -73,6 +73,10 @@ class ChildProcess(ABC):
             with contextlib.suppress(ProcessLookupError):  # it has ended just now
                 os.kill(self._process.pid, number)
 
+    def join(self, timeout_s: float) -> None:
+        """Wait for its end, but not for longer."""
+        self._process.join(timeout_s)
+
     def confirm(self) -> None:  # noqa: B027 (a program waits for nothing)
         """Tell a child that waits for it that what it asked for is done."""
 

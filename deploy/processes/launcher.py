@@ -18,6 +18,7 @@ from typing import Any
 from bus_schema.messages.topics import Role
 from deploy.processes.child import Child, ChildProcess, Failure
 from deploy.processes.fault_injector import ProcessFaultInjector
+from deploy.processes.live.viewer import LiveViewer
 from deploy.processes.network.real_delay import RELAY, RealDelay
 from deploy.processes.program import Program
 from deploy.processes.status import StatusMessage
@@ -57,6 +58,7 @@ class Launcher:
         can_log: likewise for the frames of a CAN bus.
         delay: a real delay between controller and plant; None for none.
         awaits_controller: start no controller, as one will come from elsewhere.
+        live: start a live view too.
     """
 
     def __init__(
@@ -68,13 +70,15 @@ class Launcher:
         can_log: Path,
         delay: RealDelay | None = None,
         awaits_controller: bool = False,
+        live: bool = False,
     ) -> None:
-        self._setup, self._delay = setup, delay
+        self._setup, self._delay, self._live = setup, delay, live
         self._roles = [Role.RECORDER, Role.PLANT, *([] if awaits_controller else [Role.CONTROLLER])]
         self._scenario_file, self._log, self._can_log = scenario, log, can_log
         self._inbox: queue.SimpleQueue[StatusMessage] = queue.SimpleQueue()
         self._children: dict[Role, ChildProcess] = {}
         self._relay: Child | None = None
+        self._viewer: LiveViewer | None = None
         self._starts: Counter[Role] = Counter()
         self._injector = ProcessFaultInjector(self._children, self._start)
         self._outcome = RunOutcome()
@@ -86,6 +90,8 @@ class Launcher:
         if self._outcome.interrupted:
             for child in self._all_children():
                 child.kill()
+            if self._viewer is not None:
+                self._viewer.kill()
         self._stop_requested = True
 
     def run(self, on_message: Callable[[StatusMessage], None]) -> RunOutcome:
@@ -95,6 +101,9 @@ class Launcher:
             on_message: called with what the children report.
         """
         try:
+            if self._live:  # before all others, so that nothing is missed
+                self._viewer = LiveViewer(self._scenario_file.parent, self._inbox)
+                self._handle_messages(on_message)
             if self._delay is not None:
                 self._relay = Child(RELAY, self._delay.arguments, self._inbox)
             for role in self._roles:
@@ -102,6 +111,8 @@ class Launcher:
             self._watch(on_message)
         finally:
             self._clear_up()
+            if self._viewer is not None:
+                self._viewer.end()
         self._handle_messages(on_message)
         self._note_what_program_said()
         return self._outcome

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import socket
 import threading
@@ -31,16 +32,19 @@ from controller.errors import ControllerError
 from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
 from deploy.processes.lacking import lacking
+from deploy.processes.live.feed import LiveFeed
 from deploy.processes.network.clock_link import ClockLink
 from deploy.processes.network.delay_relay import DelayRelay
 from deploy.processes.network.reference_link import ReferenceLink
-from deploy.processes.recorder import Recorder
+from deploy.processes.recorder import SCENARIO_ATTACHMENT, Recorder
 from deploy.processes.status import StatusReporter
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup
 from deploy.stop_signals import ignore_stops, on_stop
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
+
+logger = logging.getLogger(__name__)
 
 _PROGRESS_S = 0.2
 _BEHIND_OTHERS = 49
@@ -176,15 +180,18 @@ def _end(
 
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
-    """Be the recorder for one run; the exit code."""
+    """Be the recorder for one run, and feed live views of it; the exit code."""
     if setup.scenario.clock == "realtime":
         _report_settings([raise_priority()], reporter)
     else:
         use_batch_scheduling()
+    feed = _live_feed(setup, path)
     try:
-        recorder = Recorder(setup, path)
+        recorder = Recorder(setup, path, feed)
     except (BusError, OSError) as error:
         reporter.report("fault", text=f"{path}: {error}")
+        if feed is not None:
+            feed.close()
         return FAULT
     reporter.report("note", text=f"recording to {path}")
     code = FINISHED
@@ -195,6 +202,8 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
         code = _exit_code(error)
     ignore_stops()
     recorder.close()
+    if feed is not None:
+        feed.close()
     if recorder.failure is not None:
         reporter.report(
             "fault", text=f"{path}: the recording is partial: {recorder.failure.strerror}"
@@ -206,6 +215,16 @@ def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopR
         "note", text=f"{recorder.messages} messages recorded, {lost.total()} lost{by_topic}"
     )
     return code
+
+
+def _live_feed(setup: Setup, recording: Path) -> LiveFeed | None:
+    """Where live views find the run; None where there is no place for it, which costs no run."""
+    scenario = recording.resolve().with_name(SCENARIO_ATTACHMENT)
+    try:
+        return LiveFeed(setup.scenario.link.plant_endpoint, scenario, setup.robot.joint_names)
+    except OSError as error:
+        logger.warning("there will be no live view: %s", error)
+        return None
 
 
 def run_relay(

@@ -20,6 +20,8 @@ from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import Attachment
 from bus_schema.zenoh.session import Delivery
 from controller import reference_file
+from deploy.processes.live.feed import LiveFeed
+from deploy.processes.live.glimpse import Message
 from deploy.processes.logged_view import LoggedView
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import DELAY_KEYS, data_files
@@ -124,12 +126,17 @@ class Recorder:
     that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk that fails ends
     the recording but not the run: what comes later is counted.
 
+    Args:
+        setup: the scenario.
+        path: file of the recording.
+        feed: takes what comes, for a live view.
+
     Raises:
         OSError: the recording cannot be begun.
     """
 
-    def __init__(self, setup: Setup, path: Path) -> None:
-        self._setup = setup
+    def __init__(self, setup: Setup, path: Path, feed: LiveFeed | None = None) -> None:
+        self._setup, self._feed = setup, feed
         self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.link_kind.name)
         domain = setup.scenario.link.domain
         self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
@@ -216,6 +223,8 @@ class Recorder:
             if topic is not None:
                 self._write(topic, delivery)
                 has_written = True
+        if self._feed is not None:
+            self._feed.send()
         return has_written
 
     def _write(self, topic: Topic, delivery: Delivery) -> None:
@@ -227,6 +236,8 @@ class Recorder:
         self._log.write(topic, attachment.sequence, self._last_stamp_ns, sent_ns, delivery.payload)
         if topic is topics.JOINT_STATES:
             self._view.show(delivery.payload, self._last_stamp_ns, sent_ns)
+        if self._feed is not None:
+            self._feed.take(Message(topic, self._last_stamp_ns, delivery.payload))
         if topic is topics.RUN_EVENTS and attachment.gid:
             self._read_event(delivery.payload, attachment.gid)
 

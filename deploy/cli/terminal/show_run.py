@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.processes.lacking import lacking
+from deploy.processes.live.viewer import VIEWER
 from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
@@ -41,6 +42,8 @@ def status_handler(
             progress.update(state.get("time_s", 0.0), note=_note(state, names))
         elif message.kind == "fault":
             progress.say(f"{message.role}: {message.values['text']}")
+        elif message.kind == "note" and message.role == VIEWER:
+            progress.say(message.values["text"])
         elif message.kind == "realtime":
             settings.extend(message.values["settings"])
 

@@ -1,0 +1,130 @@
+"""`funnel-hil view`: a run in the browser or in Foxglove, while it happens or played back."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.recording.atomic_files import write_json
+from deploy.cli.processes import ParentPid, reporter_of
+from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.live.foxglove_layout import foxglove_layout
+from deploy.live.playback import Playback
+from deploy.live.viewer import Source, Viewer, stand_back
+from deploy.processes.live.feed import FeedReceiver
+from deploy.processes.live.viewer import VIEWER
+from deploy.processes.processes import StopRequest
+from deploy.runs.run_folder import RunFolder, load_run
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+
+_ENDPOINT = re.compile(r"[a-z-]+/[^/]*:\d+")
+_AWAIT_RECORDER_S = 3.0
+_POLL_S = 0.1
+_SLOWEST, _FASTEST = 0.01, 100.0
+
+Target = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[ENDPOINT|RUN]",
+        help="The plant's endpoint in a run under way that is recorded on this machine"
+        f" ({LinkConfiguration().plant_endpoint} by default); or the folder of a run, or its"
+        " MCAP file.",
+        show_default=False,
+    ),
+]
+OpenViewer = Callable[[Setup, str], Viewer]
+
+
+def view(
+    target: Target = None,
+    speed: Annotated[
+        float,
+        typer.Option(min=_SLOWEST, max=_FASTEST, help="How many times faster a RUN is played."),
+    ] = 1.0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for any.")] = 0,
+    foxglove_port: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=65535, show_default=False,
+            help="Of Foxglove's server; 8765 by default, or any if that is taken.",
+        ),
+    ] = None,
+    layout: Annotated[
+        Path | None, typer.Option("--layout", help="Write a layout for Foxglove to this file.")
+    ] = None,
+    parent_pid: ParentPid = None,
+) -> None:  # fmt: skip
+    """Show a run in the browser and in Foxglove: one under way, or a recorded one."""
+    reporter, stop = reporter_of(VIEWER, parent_pid), StopRequest()
+    stand_back()
+
+    def open_viewer(setup: Setup, source_name: str) -> Viewer:
+        if layout is not None:
+            write_json(layout, foxglove_layout(setup))
+        viewer = Viewer(setup, source_name, port=port, foxglove_port=foxglove_port)
+        if parent_pid is None:
+            print(viewer.places(), flush=True)
+        else:
+            reporter.report("note", text=viewer.places())
+        return viewer
+
+    folder = RunFolder(Path(target or ""))
+    if parent_pid is not None:  # which knows when the run is over
+        setup = load_setup(str(folder.scenario))
+        receiver = FeedReceiver(setup.scenario.link.plant_endpoint)
+        _serve(open_viewer(setup, "under way"), receiver, lambda: stop.is_set)
+        raise typer.Exit(FINISHED)
+    if target is None or (_ENDPOINT.fullmatch(target) and not folder.path.exists()):
+        endpoint = target or LinkConfiguration().plant_endpoint
+        if not _watch(endpoint, open_viewer, stop) and not stop.is_set:
+            typer.echo(f"error: nobody on this machine records a run at {endpoint}", err=True)
+            raise typer.Exit(FAULT)
+    elif folder.log.exists() or not folder.scenario.exists():
+        _play(folder.path, speed, open_viewer, stop)
+    else:
+        endpoint = load_setup(str(folder.scenario)).scenario.link.plant_endpoint
+        if not _watch(endpoint, open_viewer, stop):
+            _play(folder.path, speed, open_viewer, stop)
+    raise typer.Exit(INTERRUPTED if stop.is_set else FINISHED)
+
+
+def _watch(endpoint: str, open_viewer: OpenViewer, stop: StopRequest) -> bool:
+    """Show the run under way at an endpoint to its end; whether there was one."""
+    receiver = FeedReceiver(endpoint)
+    try:
+        give_up_s = time.monotonic() + _AWAIT_RECORDER_S
+        while receiver.scenario is None:
+            if stop.is_set or time.monotonic() > give_up_s:
+                return False
+            receiver.receive(_POLL_S)
+        viewer = open_viewer(load_setup(str(receiver.scenario)), f"under way at {endpoint}")
+        _serve(viewer, receiver, lambda: stop.is_set or receiver.is_over)
+    finally:
+        receiver.close()
+    if not stop.is_set:
+        print("the run is over")
+    return True
+
+
+def _play(path: Path, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:
+    """Play a recording once somebody looks, and go on showing its end."""
+    data, contents = load_run(path)
+    viewer = open_viewer(data.setup, f"recorded, {path}")
+    names = data.setup.robot.joint_names
+    playback = Playback(contents.payloads, names, speed, lambda: viewer.is_watched)
+    _serve(viewer, playback, lambda: stop.is_set)
+
+
+def _serve(viewer: Viewer, source: Source, is_over: Callable[[], bool]) -> None:
+    try:
+        viewer.run(source, is_over)
+    finally:
+        source.close()
+        viewer.close()

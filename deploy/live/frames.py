@@ -1,0 +1,151 @@
+"""What a page shows of a run at one time, and the last minute of it for whoever comes late."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.errors import InvalidMessageError
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Topic
+from bus_schema.runtime.modes import Mode
+from controller.reference import sample_positions
+from deploy.live.arm_lines import ArmLines
+from deploy.processes.live.glimpse import Glimpse
+from deploy.scenario.setup import Setup
+
+_KEPT = 1200
+_MOST_EVENTS = 20
+_TOLD = (EventKind.MODE, EventKind.FAULT, EventKind.INJECTED, EventKind.LIMIT, EventKind.COMMANDER)
+_MRAD, _MS = 1e3, 1e-6
+
+Frame = dict[str, Any]
+"""One look at a run, as JSON has it."""
+
+
+class RunState:
+    """The newest of a run, from glimpses of it; messages that cannot be read are ignored.
+
+    Args:
+        setup: the scenario.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        names, has_targets = setup.robot.joint_names, setup.drive.is_active
+        self._layouts = {
+            topic.name: topics.layout(topic, names, has_targets=has_targets)
+            for topic in topics.TOPICS
+            if topic is not topics.RUN_EVENTS
+        }
+        self._arm = ArmLines(setup.robot)
+        self._newest: dict[str, Record] = {}
+        self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
+        self._ticks = self._missed = 0
+
+    def take(self, glimpse: Glimpse) -> None:
+        """Something came."""
+        self._ticks, self._missed = glimpse.ticks, glimpse.deadlines_missed
+        for topic, _, payload in glimpse.messages:
+            try:
+                if topic is topics.RUN_EVENTS:
+                    self._tell(RunEvent.decode(payload))
+                elif topic.name in self._layouts:
+                    record = Record(self._layouts[topic.name])
+                    self._layouts[topic.name].decode(payload, record)
+                    self._newest[topic.name] = record
+            except InvalidMessageError:
+                continue
+
+    def frame(self) -> Frame | None:
+        """The newest look; None before any state of the joints came."""
+        truth, state = self._record(topics.PLANT_TRUTH), self._record(topics.JOINT_STATES)
+        motion = truth or state
+        if motion is None:
+            return None
+        time_s, position = motion.stamp_ns * 1e-9, motion.fields["position"]
+        joints = self._setup.robot.joints
+        reference = sample_positions(self._setup.reference, np.array([time_s]), joints)[0]
+        upper, lower = self._setup.funnel.bounds(np.array([time_s]))
+        return {
+            "time_s": time_s,
+            "error": _numbers(_MRAD * (position - reference)),
+            "upper": _numbers(_MRAD * upper[0]),
+            "lower": _numbers(_MRAD * lower[0]),
+            "torque": _numbers(self._torque(joints)),
+            "arm": self._arm.lines(position),
+            "reference_arm": self._arm.lines(reference),
+            "ticks": self._ticks,
+            "missed": self._missed,
+            "events": list(self._events),
+            **self._timing(truth),
+        }
+
+    def _torque(self, joints: int) -> Vector:
+        for topic, field in ((topics.JOINT_COMMANDS, "effort"), (topics.PLANT_TRUTH, "torque")):
+            record = self._record(topic)
+            if record is not None:
+                return record.fields[field]
+        return np.full(joints, np.nan)
+
+    def _timing(self, truth: Record | None) -> Frame:
+        if truth is None:
+            return {"mode": None, "age_ms": None}
+        age_ns, mode = truth.scalars.command_age_ns, truth.scalars.mode
+        known = mode in {each.value for each in Mode}
+        return {
+            "mode": Mode(mode).name.lower() if known else None,
+            "age_ms": None if age_ns < 0 else age_ns * _MS,
+        }
+
+    def _record(self, topic: Topic) -> Record | None:
+        return self._newest.get(topic.name)
+
+    def _tell(self, event: RunEvent) -> None:
+        if event.kind in _TOLD:
+            said = f"{event.stamp_ns * 1e-9:.3f} s  {event.source}: {event.detail}"
+            self._events.append(said[:300])
+
+
+class Frames:
+    """The last frames, which any number of readers wait for; a slow reader misses some."""
+
+    def __init__(self) -> None:
+        self._kept: deque[Frame] = deque(maxlen=_KEPT)
+        self._number = 0
+        self._changed = threading.Condition()
+        self.is_over = False
+
+    def add(self, frame: Frame) -> None:
+        """A new one; where the run's clock went back, another run has begun."""
+        with self._changed:
+            if self._kept and frame["time_s"] < self._kept[-1]["time_s"]:
+                self._kept.clear()
+            self._kept.append(frame)
+            self._number += 1
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """There will be no more."""
+        with self._changed:
+            self.is_over = True
+            self._changed.notify_all()
+
+    def after(self, number: int, timeout_s: float) -> tuple[int, list[Frame]]:
+        """Frames that came after the `number`-th, as far as they are kept, and the new number."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._number > number or self.is_over, timeout_s)
+            fresh = min(self._number - number, len(self._kept))
+            return self._number, list(self._kept)[len(self._kept) - fresh :]
+
+
+def _numbers(values: Vector) -> list[float | None]:
+    """JSON has no NaN."""
+    return [value if math.isfinite(value) else None for value in values.tolist()]

@@ -1,0 +1,123 @@
+"""The viewer: takes glimpses of a run from a source, and serves them to browsers and Foxglove."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+from deploy.live.figures import WINDOW_S, live_figures
+from deploy.live.foxglove_layout import foxglove_layout
+from deploy.live.frames import Frames, RunState
+from deploy.live.page_server import PageServer
+from deploy.processes.live.glimpse import Glimpse
+from deploy.scenario.setup import Setup
+
+_FRAME_S = 0.05
+_WAIT_S = 0.1
+_NICENESS = 10
+_LAST_WORDS_S = 0.3
+"""For browsers to hear that the run is over."""
+
+
+class Source(Protocol):
+    """Where glimpses of a run come from."""
+
+    def receive(self, timeout_s: float) -> Glimpse | None:
+        """The next one; None if none comes in time."""
+
+    def close(self) -> None:
+        """Let go of what is open."""
+
+
+class Viewer:
+    """Serves a run.
+
+    Args:
+        setup: the scenario.
+        source_name: where the run comes from, as the page says it.
+        port: of the page; 0 for any.
+        foxglove_port: of Foxglove's server; None for its usual one, or any if that is taken.
+
+    Raises:
+        OSError: a port is taken.
+    """
+
+    def __init__(
+        self, setup: Setup, source_name: str, *, port: int = 0, foxglove_port: int | None = None
+    ) -> None:
+        self._state, self._frames = RunState(setup), Frames()
+        run = {
+            "name": setup.scenario.name,
+            "law": setup.scenario.controller.name,
+            "source": source_name,
+            "joints": list(setup.robot.joint_names),
+            "duration_s": setup.scenario.duration_s,
+            "window_s": WINDOW_S,
+        }
+        documents = {
+            "/figures.json": live_figures(setup),
+            "/run.json": run,
+            "/foxglove_layout.json": foxglove_layout(setup),
+        }
+        self._foxglove = _foxglove(setup, foxglove_port)
+        self._page = PageServer(self._frames, documents, port)
+        self._page.start()
+        self._frame_due_s = 0.0
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether anybody has looked."""
+        foxglove = self._foxglove is not None and self._foxglove.is_watched
+        return self._page.is_watched.is_set() or foxglove
+
+    def places(self) -> str:
+        """Where to look, a line each."""
+        if self._foxglove is None:
+            return f"live view: {self._page.url}\nFoxglove:  needs pip install 'funnel-hil[live]'"
+        return f"live view: {self._page.url}\nFoxglove:  {self._foxglove.url}"
+
+    def run(self, source: Source, is_over: Callable[[], bool]) -> None:
+        """Serve what comes, until it is over."""
+        while not is_over():
+            glimpse = source.receive(_WAIT_S)
+            if glimpse is not None:
+                self._show(glimpse)
+        self._frames.end()
+        time.sleep(_LAST_WORDS_S)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._page.shutdown()
+        self._page.server_close()
+        if self._foxglove is not None:
+            self._foxglove.close()
+
+    def _show(self, glimpse: Glimpse) -> None:
+        self._state.take(glimpse)
+        if self._foxglove is not None:
+            self._foxglove.publish(glimpse)
+        now_s = time.monotonic()
+        if now_s >= self._frame_due_s:
+            self._frame_due_s = now_s + _FRAME_S
+            frame = self._state.frame()
+            if frame is not None:
+                self._frames.add(frame)
+
+
+def stand_back() -> None:
+    """Let everything else go first: a viewer that is late shows less, and that is all."""
+    with contextlib.suppress(OSError):
+        os.nice(_NICENESS)
+
+
+def _foxglove(setup: Setup, port: int | None) -> Any:
+    """Foxglove's server; None where the extra that it needs is not installed."""
+    if find_spec("foxglove") is None:
+        return None
+    from deploy.live.foxglove_server import FoxgloveServer
+
+    return FoxgloveServer(setup, port)

@@ -1,0 +1,106 @@
+"""What a viewer gets to see of a run: the newest message of each topic, some times a second."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Rate, Topic
+
+_COUNTS = struct.Struct("<QQ")
+_HEAD = struct.Struct("<BqI")
+_MOST_EVENTS = 100
+
+
+class Message(NamedTuple):
+    """One message of the bus.
+
+    Attributes:
+        stamp_ns: on the run's clock.
+        payload: its CDR bytes, as they came off the wire.
+    """
+
+    topic: Topic
+    stamp_ns: int
+    payload: bytes
+
+
+class Glimpse(NamedTuple):
+    """What a viewer gets to see at a time.
+
+    Attributes:
+        ticks: ticks of the plant so far, as far as they were seen.
+        deadlines_missed: how many of their deadlines were missed.
+        messages: the newest of each topic since the last glimpse, and all events.
+    """
+
+    ticks: int
+    deadlines_missed: int
+    messages: tuple[Message, ...]
+
+    def encode(self) -> bytes:
+        """Bytes of a datagram."""
+        parts = [_COUNTS.pack(self.ticks, self.deadlines_missed)]
+        for topic, stamp_ns, payload in self.messages:
+            parts += [_HEAD.pack(topics.TOPICS.index(topic), stamp_ns, len(payload)), payload]
+        return b"".join(parts)
+
+    @staticmethod
+    def decode(datagram: bytes) -> Glimpse:
+        """Read the bytes of a datagram.
+
+        Raises:
+            ValueError: they are something else.
+        """
+        messages = []
+        try:
+            ticks, missed = _COUNTS.unpack_from(datagram)
+            position = _COUNTS.size
+            while position < len(datagram):
+                index, stamp_ns, size = _HEAD.unpack_from(datagram, position)
+                position += _HEAD.size
+                payload = datagram[position : position + size]
+                if len(payload) < size:
+                    raise ValueError("a message is cut off")
+                messages.append(Message(topics.TOPICS[index], stamp_ns, payload))
+                position += size
+        except (struct.error, IndexError) as error:
+            raise ValueError(f"not a glimpse of a run: {error}") from error
+        return Glimpse(ticks, missed, tuple(messages))
+
+
+class Sampler:
+    """Picks what a viewer gets to see from all messages of a run, and counts deadlines at each.
+
+    Args:
+        joint_names: of the robot, which say how long a message is.
+    """
+
+    def __init__(self, joint_names: tuple[str, ...]) -> None:
+        truth = topics.layout(topics.PLANT_TRUTH, joint_names)
+        self._truth_bytes = truth.size
+        places: Mapping[str, Any] = truth.dtype.fields or {}
+        self._deadline_met_at = places["deadline_met"][1]
+        self._ticks = self._missed = 0
+        self._newest: dict[str, Message] = {}
+        self._events: list[Message] = []
+
+    def take(self, message: Message) -> None:
+        """A message came."""
+        topic, _, payload = message
+        if topic.rate is Rate.EVENT:
+            self._events.append(message)
+            del self._events[:-_MOST_EVENTS]
+            return
+        self._newest[topic.name] = message
+        if topic is topics.PLANT_TRUTH and len(payload) == self._truth_bytes:
+            self._ticks += 1
+            self._missed += not payload[self._deadline_met_at]
+
+    def glimpse(self) -> Glimpse | None:
+        """What came since this was last asked; None for nothing."""
+        messages = (*self._newest.values(), *self._events)
+        self._newest, self._events = {}, []
+        return Glimpse(self._ticks, self._missed, messages) if messages else None

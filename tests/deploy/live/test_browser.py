@@ -1,0 +1,64 @@
+"""The live view's page in a real browser."""
+
+import asyncio
+import json
+import threading
+
+import pytest
+from browser import CHROMIUM, opened
+from watched import playback, short_run
+
+from deploy.live.viewer import Viewer
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+
+TRACES = (
+    "id => document.getElementById(id).data.map(trace => trace.y.filter(Number.isFinite).length)"
+)
+
+
+@pytest.fixture
+def viewer():
+    made = Viewer(short_run("duration_s=1.0").setup, "a test", foxglove_port=0)
+    yield made
+    made.close()
+
+
+def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
+    source, over = (
+        playback(short_run("duration_s=1.0"), 1.0, lambda: viewer.is_watched),
+        threading.Event(),
+    )
+    server = threading.Thread(target=viewer.run, args=(source, over.is_set))
+    server.start()
+    seen = {}
+
+    async def look():
+        async with opened(viewer.places().split()[2], tmp_path / "profile") as page:
+            await page.await_true("document.body.dataset.frames > 10")
+            await page.await_true("document.querySelector('#mode').textContent == 'tracking'")
+            over.set()
+            await page.await_true("document.querySelector('#state').textContent.includes('over')")
+            for figure in ("error", "torque", "age"):
+                seen[figure] = await page.value(f"({TRACES})('{figure}')")
+            seen["arm"] = await page.value("document.getElementById('arm').data[1].x.length")
+            seen["drawn"] = await page.value(
+                "!!document.querySelector('#arm canvas, #arm .no-webgl')"
+            )
+            await page.screenshot(tmp_path / "page.png")
+            seen["said"] = page.said
+
+    try:
+        asyncio.run(look())
+    finally:
+        over.set()
+        server.join()
+    assert len(seen["error"]) == 9  # two bounds and an error for each joint
+    assert min(*seen["error"], *seen["torque"], *seen["age"]) > 5
+    assert seen["arm"] > 3
+    assert seen["drawn"]
+    assert (tmp_path / "page.png").stat().st_size > 20_000
+    wrong = [
+        said for said in seen["said"] if json.loads(said).get("entry", {}).get("level") != "warning"
+    ]
+    assert wrong == []  # no exception, and nothing that its security policy stopped

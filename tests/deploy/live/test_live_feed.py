@@ -1,0 +1,186 @@
+"""What a recorder passes on to live views, and that nobody waits for who takes it."""
+
+import socket
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from deploy.processes.live.feed import FeedReceiver, LiveFeed
+from deploy.processes.live.glimpse import Glimpse, Message, Sampler
+
+NAMES = ("base_yaw", "shoulder", "elbow")
+STATES, TRUTH, EVENTS = topics.JOINT_STATES, topics.PLANT_TRUTH, topics.RUN_EVENTS
+ENDPOINT = "tcp/127.0.0.1:7451"
+
+
+def truth(stamp_ns, *, met):
+    record = Record(topics.layout(TRUTH, NAMES))
+    record.stamp_ns = stamp_ns
+    record.scalars.deadline_met = met
+    return Message(TRUTH, stamp_ns, record.payload())
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr("deploy.processes.live.feed._folder", lambda: tmp_path / "s")
+    return tmp_path / "s"
+
+
+@pytest.fixture
+def feed(folder, tmp_path):
+    made = LiveFeed(ENDPOINT, tmp_path / "scenario.yaml", NAMES)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def receiver(folder):
+    made = FeedReceiver(ENDPOINT)
+    yield made
+    made.close()
+
+
+def meet(feed, receiver):
+    """A viewer asks, a recorder hears it, and the viewer hears of the scenario."""
+    receiver.receive(0.01)
+    feed.send()
+    assert receiver.receive(5.0) is None
+
+
+def test_the_newest_of_each_topic_is_shown_and_every_event_and_every_deadline_counts():
+    sampler = Sampler(NAMES)
+    for tick in range(100):
+        sampler.take(truth(tick, met=tick % 10 != 3))
+        sampler.take(Message(STATES, tick, b"state %d" % tick))
+    for number in range(3):
+        sampler.take(Message(EVENTS, 99, b"event %d" % number))
+    ticks, missed, messages = sampler.glimpse()
+    assert (ticks, missed) == (100, 10)
+    assert [(m.topic.name, m.stamp_ns) for m in messages[:2]] == [
+        ("plant_truth", 99), ("joint_states", 99),
+    ]  # fmt: skip
+    assert [m.payload for m in messages[2:]] == [b"event 0", b"event 1", b"event 2"]
+    assert sampler.glimpse() is None
+
+
+def test_who_asks_is_told_the_scenario_and_gets_what_is_recorded(feed, receiver, tmp_path):
+    meet(feed, receiver)
+    assert receiver.scenario == tmp_path / "scenario.yaml"
+    state = Message(STATES, 7, np.random.default_rng(1).bytes(300))
+    feed.take(state)
+    feed.take(truth(8, met=False))
+    feed.send()
+    assert receiver.receive(5.0) == Glimpse(1, 1, (state, truth(8, met=False)))
+    assert receiver.receive(0.1) is None
+
+
+def test_several_viewers_see_the_same(feed, receiver, folder):
+    other = FeedReceiver(ENDPOINT)
+    for each in (receiver, other):
+        meet(feed, each)
+    feed.take(truth(8, met=True))
+    feed.send()
+    assert receiver.receive(5.0) == other.receive(5.0)
+    other.close()
+
+
+def test_a_viewer_that_takes_nothing_holds_nobody_up(feed, receiver):
+    meet(feed, receiver)
+    for tick in range(2000):  # far more than its socket holds; a sender that waits hangs here
+        feed.take(Message(STATES, tick, bytes(1000)))
+        feed.send()
+    assert 0 < feed.dropped < 2000
+    receiver.close()
+    feed.take(Message(STATES, 0, b""))
+    feed.send()  # nobody is there any more
+
+
+def test_a_viewer_knows_when_the_recorder_has_left_and_finds_another_one(
+    feed, receiver, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("deploy.processes.live.feed._ASK_EVERY_S", 0.0)
+    receiver.receive(0.01)
+    assert (receiver.scenario, receiver.is_over) == (None, False)
+    meet(feed, receiver)
+    feed.close()
+    receiver.receive(0.01)
+    assert receiver.is_over
+    again = LiveFeed(ENDPOINT, tmp_path / "again.yaml", NAMES)
+    meet(again, receiver)
+    assert (receiver.scenario, receiver.is_over) == (tmp_path / "again.yaml", False)
+    again.close()
+
+
+def test_a_run_elsewhere_is_not_shown(feed, folder):
+    other = FeedReceiver("tcp/127.0.0.1:7499")
+    other.receive(0.01)
+    feed.send()
+    assert other.receive(0.1) is None
+    assert other.scenario is None
+    other.close()
+
+
+def test_garbage_at_the_viewers_socket_is_counted_and_nothing_else(feed, receiver):
+    meet(feed, receiver)
+    stranger = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    garbage = [
+        b"",
+        b"\xff" * 17,
+        bytes(17),
+        bytes(30),
+        b"\xff" * 5000,
+        b"funnel-hil: 3",
+        b"funnel-hil: {",
+    ]
+    for datagram in garbage:
+        stranger.sendto(datagram, str(receiver._place))
+        assert receiver.receive(5.0) is None
+    assert receiver.garbage == len(garbage)
+    feed.take(truth(1, met=True))
+    feed.send()
+    assert receiver.receive(5.0).ticks == 1
+
+
+def test_garbage_and_a_flood_at_the_recorders_socket_change_nothing(feed, receiver):
+    stranger = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    stranger.setblocking(False)
+    for _ in range(20):
+        for datagram in (b"", b"funnel-hil", b"\0" * 3000, b"funnel-hil: show me"):
+            try:
+                stranger.sendto(datagram, str(feed._place))
+            except BlockingIOError:
+                feed.send()
+    feed.send()
+    meet(feed, receiver)
+    assert receiver.scenario is not None
+
+
+def test_what_killed_processes_left_is_cleared_away(folder, tmp_path):
+    folder.mkdir(mode=0o700)
+    left = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    left.bind(str(folder / "viewer-1-1"))
+    left.close()
+    feed = LiveFeed(ENDPOINT, tmp_path / "scenario.yaml", NAMES)
+    assert len(list(folder.iterdir())) == 1
+    feed.close()
+    assert not folder.exists()
+
+
+def test_a_folder_that_others_can_enter_is_not_used(folder):
+    folder.mkdir()
+    folder.chmod(0o755)
+    with pytest.raises(PermissionError, match="only this user"):
+        FeedReceiver(ENDPOINT)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_glimpse_or_refused(datagram):
+    try:
+        glimpse = Glimpse.decode(datagram)
+    except ValueError:
+        return
+    assert glimpse.encode() == datagram

@@ -1,0 +1,145 @@
+"""The live view's page: for who has its token, read-only, and hard to upset."""
+
+import json
+import socket
+import threading
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from watched import Events, get, glimpses, place, playback, short_run
+
+from bus_schema.messages import topics
+from controller.manipulator_model import ManipulatorModel
+from deploy.live.arm_lines import ArmLines
+from deploy.live.frames import RunState
+from deploy.live.viewer import Viewer
+from deploy.scenario.scenario import load_setup
+
+
+@pytest.fixture
+def viewer():
+    made = Viewer(short_run().setup, "a test", foxglove_port=0)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def url(viewer):
+    return viewer.places().split()[2]
+
+
+def test_the_page_is_for_who_has_its_token(url):
+    status, headers, body = get(url)
+    assert status == 200
+    assert b"Error inside its funnel" in body
+    assert "script-src 'self'" in headers["Content-Security-Policy"]
+    assert headers["Referrer-Policy"] == "no-referrer"
+    assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert headers["Access-Control-Allow-Origin"] is None
+    for path in ("", "view.js", "plotly.js", "figures.json", "run.json", "events"):
+        other = place(url, path) if path else url
+        assert get(other + "x")[0] == 403
+        assert get(other.partition("?")[0])[0] == 403
+        assert get(other.partition("?")[0] + "?token=%ff%00é".replace("é", "%C3%A9"))[0] == 403
+
+
+@pytest.mark.parametrize("path", ["view.js", "view.css", "plotly.js"])
+def test_what_the_page_needs_is_there(url, path):
+    status, headers, body = get(place(url, path))
+    assert (status, headers["X-Content-Type-Options"]) == (200, "nosniff")
+    assert len(body) > 100
+
+
+def test_nobody_has_a_name_of_theirs_point_here(url):
+    for host in ("evil.example", "evil.example:80", "", "127.0.0.1", "localhost:1"):
+        assert get(url, Host=host)[0] == 421
+    port = urlsplit(url).port
+    assert get(url, Host=f"localhost:{port}")[0] == 200
+    asked, hosts = url.partition(str(port))[2], f"Host: 127.0.0.1:{port}\r\nHost: evil"
+    twice = f"GET {asked} HTTP/1.1\r\n{hosts}\r\n\r\n"
+    assert b" 421 " in said_to(port, twice.encode())
+
+
+@pytest.mark.parametrize("method", ["HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"])
+def test_nobody_can_do_anything_but_look(url, method):
+    assert get(url, method)[0] == 405
+
+
+def test_it_listens_on_this_machine_alone(viewer):
+    assert viewer._page.server_address[0] == "127.0.0.1"
+
+
+def said_to(port, request):
+    """What the server answers to raw bytes."""
+    with socket.create_connection(("127.0.0.1", port), timeout=60) as client:
+        client.sendall(request)
+        client.shutdown(socket.SHUT_WR)
+        answer = b""
+        while chunk := client.recv(65536):
+            answer += chunk
+        return answer
+
+
+@pytest.mark.parametrize("garbage", [
+    b"", b"\0" * 5000, b"GET\r\n\r\n", b"GET / HTTP/9.9\r\n\r\n", b"\x16\x03\x01" + bytes(500),
+    b"GET /" + b"a" * 70_000 + b" HTTP/1.1\r\n\r\n", b"GET //[ HTTP/1.1\r\nHost: a\r\n\r\n",
+    b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 500 + b"\r\n", b"BREW / HTTP/1.1\r\n\r\n",
+])  # fmt: skip
+def test_garbage_gets_an_error_and_does_nothing(url, garbage):
+    answer = said_to(urlsplit(url).port, garbage)
+    assert b" 200 " not in answer[:20]
+    assert get(url)[0] == 200
+
+
+def test_a_flood_of_connections_does_not_keep_the_page_from_who_is_there(viewer, url):
+    events = Events(url)
+    idle = [socket.create_connection(("127.0.0.1", urlsplit(url).port)) for _ in range(100)]
+    viewer._frames.add({"time_s": 1.0})
+    assert next(events.frames()) == {"time_s": 1.0}
+    for client in idle:
+        client.close()
+    events.close()
+
+
+def test_frames_say_what_the_judge_says(viewer, url):
+    run = short_run()
+    data = run.data()
+    events, source = Events(url), playback(run)
+    server = threading.Thread(target=viewer.run, args=(source, lambda: source.is_over))
+    server.start()
+    frames = list(events.frames())
+    server.join()
+    assert len(frames) > 1
+    times_s = data.times_s(topics.PLANT_TRUTH)
+    for frame in frames:
+        tick = int(np.argmin(np.abs(times_s - frame["time_s"])))
+        upper, lower = data.setup.funnel.bounds(times_s[tick : tick + 1])
+        assert frame["error"] == pytest.approx(1e3 * data.true_errors_rad[tick])
+        assert frame["upper"] == pytest.approx(1e3 * upper[0])
+        assert frame["lower"] == pytest.approx(1e3 * lower[0])
+        assert (frame["ticks"], frame["missed"]) == (tick + 1, 0)
+        assert (frame["mode"], frame["age_ms"]) == ("tracking", pytest.approx(1.0)) or tick < 2
+
+
+def test_the_arm_ends_where_its_tip_is():
+    for name in ("paper_arm", "iiwa"):
+        robot = load_setup(name).robot
+        model, lines = ManipulatorModel(robot), ArmLines(robot)
+        for position in np.random.default_rng(3).uniform(-1.0, 1.0, (5, robot.joints)):
+            drawn = lines.lines(position)
+            tip = [drawn[axis][-1] for axis in "xyz"]
+            assert tip == pytest.approx(model.tip_position(position), abs=2e-5)
+
+
+def test_garbage_on_the_bus_is_not_shown():
+    run = short_run()
+    state, seen = RunState(run.setup), None
+    for glimpse in glimpses(run):
+        spoiled = [m._replace(payload=m.payload[:-9]) for m in glimpse.messages]
+        state.take(glimpse._replace(messages=tuple(spoiled)))
+        assert state.frame() is None
+        seen = glimpse
+    state.take(seen)
+    frame = state.frame()
+    assert json.dumps(frame, allow_nan=False)

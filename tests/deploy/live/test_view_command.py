@@ -1,0 +1,46 @@
+"""`funnel-hil view`: what it refuses, and a recording that it plays."""
+
+from __future__ import annotations
+
+import json
+import signal
+
+import pytest
+from watched import Events, short_run
+
+from tests.warm_process import WarmProcess
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "holds no run.mcap"),
+        (["tcp/nowhere"], "holds no run.mcap"),
+        (["--speed", "0", "nowhere"], "--speed"),
+        (["--port", "70000", "nowhere"], "--port"),
+    ],
+)
+def test_bad_input_is_refused(words, said, funnel_hil):
+    code, output = funnel_hil("view", *words)
+    assert code == 2
+    assert said in output
+
+
+def test_a_recording_is_played_and_its_layout_written(tmp_path):
+    run = short_run()
+    run.write_log(tmp_path / "run.mcap")
+    viewer = WarmProcess("view", tmp_path, "--layout", tmp_path / "layout.json", "--speed", "4")
+    try:
+        while "token=" not in viewer.said():
+            assert viewer.poll() is None, viewer.said()
+        assert "3D!arm" in json.loads((tmp_path / "layout.json").read_text())["configById"]
+        last = run.data().true_errors_rad[-1]
+        events = Events(viewer.said().split()[2])
+        for frame in events.frames():  # it begins once somebody looks
+            if frame["time_s"] > 0.2:
+                break
+        assert frame["error"] == pytest.approx(1e3 * last, abs=50)
+        events.close()
+    finally:
+        viewer.send_signal(signal.SIGINT)
+        assert viewer.wait() == 130, viewer.said()

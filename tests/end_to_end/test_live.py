@@ -1,0 +1,128 @@
+"""A run that is watched is the same run: whatever becomes of its viewer, and whoever comes by."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import sys
+import tempfile
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+from running import (
+    await_true,
+    funnel_hil_here,
+    processes_of,
+    settings,
+    started,
+)
+
+from tests.warm_process import HANG_S, WarmProcess
+
+LOCKSTEP = settings(clock="lockstep", duration_s=20.0, metrics__from_s=0.5)
+ENDLESS = settings(clock="lockstep", duration_s=600.0)
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+
+
+@pytest.fixture(scope="module")
+def unwatched(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Digest of the run that nobody watches, which is that of its simulation."""
+    out = tmp_path_factory.mktemp("live") / "simulation"
+    return funnel_hil_here("simulate", "paper_arm", *LOCKSTEP, out=out).digest
+
+
+def sockets_of(pid: int) -> list[Path]:
+    """Sockets by which a process of a live view hears others."""
+    parents = (os.environ.get("XDG_RUNTIME_DIR") or "/tmp", tempfile.gettempdir(), "/tmp")
+    places = {place for parent in parents for place in Path(parent).glob(f"funnel-hil-*/*-{pid}-*")}
+    return sorted(places)
+
+
+def page_of(process: WarmProcess) -> str:
+    """Address of the page that a command tells of."""
+    await_true(lambda: process.poll() is not None or "token=" in process.said(), "it has a page")
+    found = re.search(r"http://\S+", process.said())
+    assert found, process.said()
+    return found[0]
+
+
+def first_frame(page: str) -> dict[str, object]:
+    """The first frame that a client of the page gets to see."""
+    with urlopen(page.replace("/?", "/events?"), timeout=HANG_S) as events:
+        for line in events:
+            if line.startswith(b"data: [{"):
+                frames: list[dict[str, object]] = json.loads(line[6:])
+                return frames[0]
+    raise AssertionError("the run was over before there was a frame")
+
+
+@LINUX
+def test_a_viewer_that_is_flooded_and_frozen_changes_nothing(
+    tmp_path: Path, unwatched: str
+) -> None:
+    with started("run", "paper_arm", "--live", *LOCKSTEP, out=tmp_path / "run") as run:
+        first_frame(page_of(run.process))
+        pids = processes_of(run.folder)
+        places = [*sockets_of(pids["view"]), *sockets_of(pids["recorder"])]
+        assert len(places) == 2
+        stranger = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        stranger.settimeout(HANG_S)
+        for size in range(0, 3000, 100):
+            for place in places:
+                stranger.sendto(bytes([size % 251]) * size, str(place))
+        run.send(signal.SIGSTOP, "view")
+        ended = run.end()
+    assert ended.code == 0, ended.output
+    assert (ended.summary["completed"], ended.summary["faults"]) == (True, [])
+    assert ended.summary["recorder"]["lost"] == 0
+    assert ended.digest == unwatched
+    assert not any(place.exists() for place in places)
+    assert processes_of(tmp_path) == {}
+
+
+@LINUX
+def test_a_viewer_that_is_killed_is_told_of_and_no_fault(tmp_path: Path, unwatched: str) -> None:
+    with started("run", "paper_arm", "--live", *LOCKSTEP, out=tmp_path / "run") as run:
+        page_of(run.process)
+        run.send(signal.SIGKILL, "view")
+        ended = run.end()
+    assert ended.code == 0, ended.output
+    assert "the viewer was killed by SIGKILL; the run went on without it" in ended.output
+    assert (ended.digest, ended.summary["faults"]) == (unwatched, [])
+
+
+@LINUX
+def test_a_run_under_way_is_seen_from_outside_and_goes_on_when_the_viewer_is_gone(
+    tmp_path: Path,
+) -> None:
+    with started("run", "iiwa", "--live", *ENDLESS, out=tmp_path / "run") as run:
+        own = first_frame(page_of(run.process))
+        assert len(own["error"]) == 7  # type: ignore[arg-type]
+        endpoint = run.plant_endpoint()
+        viewer = WarmProcess("view", endpoint)
+        try:
+            frame = first_frame(page_of(viewer))
+            assert frame["mode"] == "tracking"
+            assert frame["ticks"] > 0  # type: ignore[operator]
+        finally:
+            viewer.terminate()
+            assert viewer.wait() == 130, viewer.said()
+        again = WarmProcess("view", run.folder)
+        later = first_frame(page_of(again))
+        assert later["time_s"] > frame["time_s"]  # type: ignore[operator]
+        run.send(signal.SIGTERM)
+        ended = run.end()
+    assert (ended.code, ended.summary["faults"]) == (130, []), ended.output
+    assert again.wait() == 0, again.said()
+    assert "the run is over" in again.said()
+    assert processes_of(tmp_path) == {}
+
+
+def test_where_nobody_records_the_viewer_says_so() -> None:
+    viewer = WarmProcess("view", "tcp/127.0.0.1:9")
+    assert viewer.wait() == 1
+    assert "nobody on this machine records a run at tcp/127.0.0.1:9" in viewer.said()
