@@ -24,7 +24,7 @@ from running import (
 from tests.warm_process import HANG_S, WarmProcess
 
 LOCKSTEP = settings(
-    clock="lockstep", duration_s=20.0, metrics__from_s=0.5, link__connect_timeout_s=HANG_S
+    clock="lockstep", duration_s=10.0, metrics__from_s=0.5, link__connect_timeout_s=HANG_S
 )
 ENDLESS = settings(clock="lockstep", duration_s=600.0, link__connect_timeout_s=HANG_S)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
