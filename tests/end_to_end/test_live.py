@@ -54,7 +54,7 @@ def page_of(process: WarmProcess) -> str:
 
 
 def first_frame(page: str) -> dict[str, Any]:
-    """The first frame that a client of the page gets to see, once the plant tells that it is tracking."""
+    """The first frame of a plant that tracks that a client of the page gets to see."""
     with urlopen(page.replace("/?", "/events?"), timeout=HANG_S) as events:
         for line in events:
             frames = json.loads(line[6:]) if line.startswith(b"data: [") else []
