@@ -157,6 +157,7 @@ def test_run_with_a_loop_at_the_drives_equals_simulation_and_replay_bit_for_bit(
         duration_s=0.6, clock="lockstep", controller__drive_feedback__enabled=True,
         controller__delay_compensation__enabled=True, link__uplink={"delay_ms": 5, "loss": 0.1},
         plant__drive_feedback__encoder__velocity_noise_rad_s=0.001,
+        link__connect_timeout_s=120,  # where kernels have to be compiled first, on a busy machine
     )  # fmt: skip
     run = funnel_hil_here("run", "paper_arm", *looped, out=tmp_path / "run")
     assert run.code == 0, run.output
