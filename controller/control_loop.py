@@ -64,8 +64,8 @@ class ControlTask:
 class ControlLoop:
     """One cycle per joint state: read, update, write.
 
-    There is no loop in here: the link calls `cycle` for each state that arrives, over Zenoh on the
-    network's thread. `stop` and `end` come after the link's `spin` has returned.
+    There is no loop in here: the link's `spin` calls `cycle` for each state that arrives. `stop`
+    and `end` come after it has returned.
 
     Attributes:
         mode: what the controller does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.

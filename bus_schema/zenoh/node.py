@@ -30,7 +30,7 @@ from bus_schema.zenoh.ros_graph import (
     node_token,
 )
 from bus_schema.zenoh.senders import Senders
-from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
+from bus_schema.zenoh.session import Inbox, Mailbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
 _BATCH = 32
@@ -109,10 +109,12 @@ class ZenohNode:
         self._session.announce(token)
         return publisher
 
-    def subscribe(self, topic: Topic, on_delivery: Callable[[Delivery], None]) -> None:
+    def inbox(self, topic: Topic, capacity: int, *, lossless: bool) -> Inbox:
         """Subscribe and announce it."""
-        self._session.subscribe(topic.key_expression(self._domain), on_delivery)
+        key = topic.key_expression(self._domain)
+        inbox = self._session.inbox(key, capacity, lossless=lossless)
         self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
+        return inbox
 
     def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox:
         """Subscribe to everything in the domain, in one mailbox."""
@@ -121,15 +123,15 @@ class ZenohNode:
             self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return mailbox
 
-    def publish(self, topic: Topic, payload: bytes) -> int:
-        """Send a message; its sequence number.
+    def publish(self, topic: Topic, payload: bytes, beside: bytes = b"") -> int:
+        """Send a message; its sequence number. What goes `beside` it follows the attachment.
 
         What is not urgent waits for some more of its kind: each message that leaves alone costs its
         receivers a wake-up, and on few cores these wake-ups get in the way of the loops.
         """
         publisher, gid = self._publishers[topic.name]
         self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
-        attachment = Attachment(sequence, time.time_ns(), gid).encode()
+        attachment = Attachment(sequence, time.time_ns(), gid).encode() + beside
         if topic.urgent:
             publisher.put(payload, attachment)
             return sequence

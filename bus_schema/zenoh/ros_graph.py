@@ -39,13 +39,18 @@ class Attachment:
 
     @staticmethod
     def decode(data: bytes) -> Attachment | None:
-        """The attachment, or None if these bytes are none."""
-        if len(data) != _ATTACHMENT.size:
+        """The attachment, or None if these bytes are none. As in rmw_zenoh, more may follow."""
+        if len(data) < _ATTACHMENT.size:
             return None
-        sequence, source_time_ns, gid_bytes, gid = _ATTACHMENT.unpack(data)
+        sequence, source_time_ns, gid_bytes, gid = _ATTACHMENT.unpack_from(data)
         if gid_bytes != GID_BYTES or sequence < 0 or source_time_ns < 0:
             return None
         return Attachment(sequence, source_time_ns, gid)
+
+
+def beside(data: bytes) -> bytes:
+    """What follows an attachment, with a joint state its plant status; empty if nothing does."""
+    return data[_ATTACHMENT.size :]
 
 
 class EntityKind(StrEnum):

@@ -1,7 +1,8 @@
 """The Zenoh session: the only file that imports zenoh.
 
 Settings are chosen for latency: one runtime thread, no discovery but through a router, no batching
-of what must leave at once, callbacks on the network thread.
+of what must leave at once. What a loop waits for comes to an `Inbox`; what comes now and then, to
+callbacks on the network thread.
 """
 
 from __future__ import annotations
@@ -65,6 +66,45 @@ class Mailbox:
         """Key and content of the oldest delivery not yet taken; None if there is none."""
         sample = self._subscriber.try_recv()
         return None if sample is None else (str(sample.key_expr), _delivery(sample))
+
+
+class Inbox:
+    """Deliveries on one key, for a thread that waits for them itself.
+
+    That thread is woken by Zenoh directly. A callback costs more than twice as much: the network's
+    thread first has to wait for Python's lock, and then wakes whoever waits for what it was given.
+
+    Zenoh knows no time-out of a wait: `knock` ends it, with a sample that stays in this session.
+    """
+
+    def __init__(self, session: zenoh.Session, key: str, capacity: int, *, lossless: bool) -> None:
+        kind = zenoh.handlers.FifoChannel if lossless else zenoh.handlers.RingChannel
+        self._subscriber = session.declare_subscriber(key, kind(capacity))
+        self._knocker = session.declare_publisher(
+            key, allowed_destination=zenoh.Locality.SESSION_LOCAL
+        )
+        self._mark = os.urandom(16)  # nobody else knows how we knock
+
+    def wait(self) -> Delivery | None:
+        """The next delivery as soon as there is one; None if somebody knocked instead."""
+        try:
+            delivery = _delivery(self._subscriber.recv())
+        except zenoh.ZError:  # the session is closed
+            return None
+        return None if delivery.attachment == self._mark else delivery
+
+    def take(self) -> Delivery | None:
+        """The oldest delivery that is there; None if none is."""
+        while (sample := self._subscriber.try_recv()) is not None:
+            delivery = _delivery(sample)
+            if delivery.attachment != self._mark:
+                return delivery
+        return None
+
+    def knock(self) -> None:
+        """End the wait under way, or else the next one."""
+        with contextlib.suppress(zenoh.ZError):
+            self._knocker.put(b"", attachment=self._mark)
 
 
 class ZenohPublisher:
@@ -166,6 +206,10 @@ class ZenohSession:
 
         handler = zenoh.handlers.Callback(handle, indirect=False)
         self._kept.append(self._session.declare_subscriber(key, handler))
+
+    def inbox(self, key: str, capacity: int, *, lossless: bool) -> Inbox:
+        """Subscribe with an inbox; once it is full, senders wait, or the oldest is dropped."""
+        return Inbox(self._session, key, capacity, lossless=lossless)
 
     def mailbox(self, key: str, capacity: int, *, lossless: bool) -> Mailbox:
         """Subscribe with a mailbox; once it is full, senders wait, or the oldest is dropped."""

@@ -114,6 +114,11 @@ class EchoPair:
             text=True,
         )
 
+    @property
+    def near_pid(self) -> int:
+        """Process id of the end that asks; the other one is its only child."""
+        return self._near.pid
+
     def __enter__(self) -> EchoPair:
         self.round_trips_us(_WARM_UP)
         return self

@@ -26,9 +26,11 @@ _PATIENCE_MS = 2000
 """A busy machine may hold up a run for a while; that ends no measurement of medians."""
 
 BARE_ZENOH, SECURED_ZENOH = "bare Zenoh", "Zenoh with TLS and access control"
+CALLBACKS = "Zenoh with callbacks"
 _TRANSPORTS = {
     BARE_ZENOH: ("zenoh", "zenoh"),
     SECURED_ZENOH: ("zenoh_tls", "zenoh"),
+    CALLBACKS: ("zenoh_callbacks", "zenoh"),
     "raw UDP": ("udp", "socket"),
     "pyzmq": ("pyzmq", "zmq"),
     "LCM": ("lcm_udp", "lcm"),
@@ -66,9 +68,10 @@ def measure_round_trips(scenario: str, seconds: float, repetitions: int) -> Sect
         else:
             notes.append(why_not)
         costs = interleave(candidates, repetitions)
-    ratios = [ratio(costs, LOOP, name) for name in transports if name != SECURED_ZENOH]
-    if {BARE_ZENOH, SECURED_ZENOH} <= transports.keys():
-        ratios.append(ratio(costs, SECURED_ZENOH, BARE_ZENOH))
+    variants = [name for name in (SECURED_ZENOH, CALLBACKS) if name in transports]
+    ratios = [ratio(costs, LOOP, name) for name in transports if name not in variants]
+    if BARE_ZENOH in transports:
+        ratios += [ratio(costs, name, BARE_ZENOH) for name in variants]
     if why_not is None:
         ratios += [ratio(costs, WAKE_UP_P50, KERNEL_P50), ratio(costs, WAKE_UP_P99, KERNEL_P99)]
     return Section("Real time", costs, ratios, notes)

@@ -22,7 +22,7 @@ class ZenohKind(InProcessKind):
     def open_plant(self, run: LinkRun, arm: ArmPlant, clock: Clock) -> PlantLink:
         if run.bus is not None:
             return super().open_plant(run, arm, clock)
-        return ZenohPlantLink(run.link, clock, lossless=run.lockstep, agreement=run.agreement)
+        return ZenohPlantLink(run.link, clock, lockstep=run.lockstep, agreement=run.agreement)
 
     def open_controller(self, run: LinkRun) -> ControllerLink:
         if run.bus is not None:

@@ -23,7 +23,7 @@ from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 from bus_schema.recording.mcap_log import McapLog
 from bus_schema.runtime.clock import VirtualClock
 from bus_schema.runtime.modes import Mode
-from bus_schema.zenoh.link import arrival_of
+from bus_schema.zenoh.arrivals import arrival_of
 from bus_schema.zenoh.ros_graph import Attachment, Entity, EntityKind, endpoint_token
 from controller.control_loop import ControlLoop
 from controller.torque_guard import ControllerError

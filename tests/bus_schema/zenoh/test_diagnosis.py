@@ -27,7 +27,7 @@ def make_link(port: int, folder: Path | None = None) -> LinkConfiguration:
 
 @contextmanager
 def plant_at(link: LinkConfiguration) -> Iterator[None]:
-    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True)
+    plant = ZenohPlantLink(link, MonotonicClock(), lockstep=True)
     try:
         yield
     finally:

@@ -14,6 +14,7 @@ from bus_schema.zenoh.ros_graph import (
     Attachment,
     Entity,
     EntityKind,
+    beside,
     endpoint_gid,
     endpoint_token,
     graph_key_expression,
@@ -55,16 +56,22 @@ def test_attachment_survives_the_way_there_and_back() -> None:
     assert Attachment.decode(attachment.encode()) == attachment
 
 
+def test_what_follows_an_attachment_is_no_part_of_it() -> None:
+    attachment = Attachment(1, 2, GID)
+    assert Attachment.decode(attachment.encode() + b"more") == attachment
+    assert beside(attachment.encode() + b"more") == b"more"
+    assert beside(attachment.encode()) == b""
+
+
 @pytest.mark.parametrize(
     "data",
     [
         b"",
         Attachment(1, 2, GID).encode()[:-1],
-        Attachment(1, 2, GID).encode() + b"\0",
         bytes(8) + bytes(8) + b"\x0f" + GID,  # another length of the id
         b"\xff" * 8 + bytes(8) + b"\x10" + GID,  # number −1
     ],
-    ids=["empty", "short", "long", "id of 15", "negative"],
+    ids=["empty", "short", "id of 15", "negative"],
 )
 def test_bytes_that_are_no_attachment_are_none(data: bytes) -> None:
     assert Attachment.decode(data) is None

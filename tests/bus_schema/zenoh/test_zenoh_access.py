@@ -53,7 +53,7 @@ def secured_plant(keys: KeyFolder) -> Iterator[tuple[LinkConfiguration, ZenohPla
         controller_endpoint=f"tcp/127.0.0.1:{free_port()}",
         reply_timeout_s=HANG_S,
     )
-    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True)
+    plant = ZenohPlantLink(link, MonotonicClock(), lockstep=True)
     try:
         yield link, plant
     finally:

@@ -14,11 +14,12 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import (
     CONTROL_STATUS,
     JOINT_COMMANDS,
+    JOINT_REFERENCE,
     JOINT_STATES,
-    PLANT_STATUS,
     Role,
     layout,
 )
+from bus_schema.zenoh import arrivals
 from bus_schema.zenoh import link as zenoh_link
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
@@ -31,16 +32,18 @@ from tests.bus_schema.zenoh.zenoh_pair import (
     controller_on,
     fresh_link,
     plant_on,
+    spinning,
     state,
     status,
 )
 
 
-def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
+@pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
+def test_state_and_reply_cross_the_link_with_their_bytes(lockstep: bool) -> None:
     link = fresh_link()
     reply = layout(JOINT_COMMANDS, JOINTS).template
     heard: list[tuple[bytes, bytes | None]] = []
-    with plant_on(link) as plant, controller_on(link) as controller:
+    with plant_on(link, lockstep=lockstep) as plant, controller_on(link) as controller:
 
         def answer(payload: bytes, status: bytes | None) -> None:
             heard.append((payload, status))
@@ -50,13 +53,14 @@ def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
         controller.serve(answer)
         controller.activate()
         plant.await_controller(HANG_S)
-        for tick in range(50):
-            plant.send_state(state(tick), status())
-            assert plant.await_command(HANG_S)
-            (arrival,) = plant.take_commands()
-            assert arrival.payload == reply
-            assert arrival.sequence == tick + 1  # numbers begin with 1 and have no gaps
-            assert len(arrival.sender) == 16
+        with spinning(controller):
+            for tick in range(50):
+                plant.send_state(state(tick), status())
+                assert plant.await_command(HANG_S)
+                (arrival,) = plant.take_commands()
+                assert arrival.payload == reply
+                assert arrival.sequence == tick + 1  # numbers begin with 1 and have no gaps
+                assert len(arrival.sender) == 16
     assert heard == [(state(tick), status()) for tick in range(50)]
 
 
@@ -71,14 +75,14 @@ def test_controller_that_joins_a_run_under_way_answers_once_it_is_in_command() -
         await_true(lambda: plant.sees(Role.CONTROLLER))
         for tick in range(3):
             plant.send_state(state(tick), status())
-        plant.publish(PLANT_STATUS, b"the last of what came too early")
-        await_true(lambda: controller._status == b"the last of what came too early")
+        plant.advertise(JOINT_REFERENCE)  # comes behind the states, on the same connection
+        await_true(lambda: controller.has_publisher(JOINT_REFERENCE))
         controller.activate()
         plant.await_controller(HANG_S)
-        plant.send_state(state(3), status())
-        assert plant.await_command(HANG_S)
+        with spinning(controller):
+            plant.send_state(state(3), status())
+            assert plant.await_command(HANG_S)
         assert [arrival.sequence for arrival in plant.take_commands()] == [1]
-    assert controller.failure is None
 
 
 def test_state_of_a_foreign_plant_comes_without_a_status() -> None:
@@ -88,10 +92,11 @@ def test_state_of_a_foreign_plant_comes_without_a_status() -> None:
         controller.serve(lambda _, status: heard.append(status))
         controller.activate()
         plant.await_controller(HANG_S)
-        plant.send_state(state(0), status())
-        plant.publish(JOINT_STATES, state(1))
-        plant.send_state(state(2), status())
-        await_true(lambda: len(heard) == 3)
+        with spinning(controller):
+            plant.send_state(state(0), status())
+            plant.publish(JOINT_STATES, state(1))
+            plant.send_state(state(2), status())
+            await_true(lambda: len(heard) == 3)
     assert heard == [status(), None, status()]
 
 
@@ -134,16 +139,36 @@ def test_commander_is_followed_only_once_it_has_left() -> None:
     assert not gate.rejections.counts
 
 
-def test_commands_beyond_the_largest_backlog_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zenoh_link, "_LARGEST_BACKLOG", 20)
+@pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
+def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
+    lockstep: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(arrivals, "LARGEST_BACKLOG", 20)
+    monkeypatch.setattr(zenoh_link, "LARGEST_BACKLOG", 20)
     link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
-    with plant_on(link) as plant, controller_on(link) as controller:
+    with plant_on(link, lockstep=lockstep) as plant:
+        with controller_on(link) as controller:
+            controller.activate()
+            plant.await_controller(HANG_S)
+            for _ in range(50):
+                controller.publish(JOINT_COMMANDS, reply)
+            await_true(lambda: plant.overflow() == 30)
+        await_true(plant.controller_has_left)  # though nobody has taken anything
+        assert [arrival.sequence for arrival in plant.take_commands()] == list(range(1, 21))
+
+
+def test_commands_are_stamped_when_they_come_not_when_they_are_taken() -> None:
+    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
+    with plant_on(link, lockstep=False) as plant, controller_on(link) as controller:
         controller.activate()
         plant.await_controller(HANG_S)
-        for _ in range(50):
+        between: list[int] = []
+        for count in (1, 2):
             controller.publish(JOINT_COMMANDS, reply)
-        await_true(lambda: plant.overflow() == 30)
-        assert [arrival.sequence for arrival in plant.take_commands()] == list(range(1, 21))
+            await_true(lambda count=count: plant._arrivals._kept.qsize() == count)
+            between.append(plant._arrivals._clock.now_ns())
+        first, second = plant.take_commands()
+        assert first.arrival_ns <= between[0] <= second.arrival_ns <= between[1]
 
 
 def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it() -> None:
@@ -155,7 +180,7 @@ def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it
         plant.await_controller(HANG_S, lambda: True)  # a stop request ends the wait
 
 
-def test_error_of_the_handler_ends_the_service_and_reaches_the_main_thread() -> None:
+def test_error_of_the_handler_ends_the_service_and_reaches_whoever_spins() -> None:
     link = fresh_link()
 
     def fail(_payload: bytes, _status: bytes | None) -> None:
@@ -209,5 +234,5 @@ def test_command_before_the_start_is_a_sign_of_life(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 2 * HANG_S)
     with plant_on(link) as plant, recorder_on(link, plant), tokenless_client(link) as client:
         publisher = client.publisher(JOINT_COMMANDS.key_expression(0))
-        await_true(lambda: publisher.put(b"hello", b"") or not plant._arrivals.empty())
+        await_true(lambda: publisher.put(b"hello", b"") or not plant._arrivals.is_empty())
         plant.await_controller(HANG_S)

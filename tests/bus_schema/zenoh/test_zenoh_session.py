@@ -1,4 +1,4 @@
-"""What a session knows of its connections."""
+"""What a session knows of its connections, and waits for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import pytest
 from zenoh_pair import free_endpoint
 
-from bus_schema.zenoh.session import ZenohSession
+from bus_schema.zenoh.session import Delivery, ZenohSession
 
 
 @pytest.mark.parametrize("low_latency", [True, False])
@@ -32,6 +32,37 @@ def test_who_is_connected_while_others_come_and_go(low_latency: bool) -> None:
     lasting.close()
     assert wait_for(session, set())
     session.close()
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_knock_ends_a_wait_and_is_no_delivery(lossless: bool) -> None:
+    session = ZenohSession([], [], low_latency=True)
+    inbox = session.inbox("a/key", 10, lossless=lossless)
+    inbox.knock()
+    assert inbox.wait() is None
+    session.publisher("a/key").put(b"", b"")  # as empty as a knock
+    inbox.knock()
+    session.publisher("a/key").put(b"second", b"beside")
+    assert inbox.wait() == Delivery(b"", b"")
+    assert inbox.take() == Delivery(b"second", b"beside")
+    assert inbox.take() is None
+    session.close()
+
+
+def test_knocks_stay_in_the_session() -> None:
+    endpoint = free_endpoint()
+    near = ZenohSession([endpoint], [], low_latency=True)
+    far = ZenohSession([], [endpoint], low_latency=True)
+    theirs = far.inbox("a/key", 10, lossless=True)
+    far.announce("far/is/ready")
+    is_ready = threading.Event()
+    near.watch_tokens("far/*/*", lambda _token, _alive: is_ready.set())
+    assert is_ready.wait(60.0)
+    near.inbox("a/key", 10, lossless=True).knock()
+    near.publisher("a/key").put(b"for all", b"")
+    assert theirs.wait() == Delivery(b"for all", b"")
+    for session in (near, far):
+        session.close()
 
 
 def wait_for(session: ZenohSession, expected: set[str]) -> bool:

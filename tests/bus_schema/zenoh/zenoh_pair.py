@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,8 +19,8 @@ JOINTS = ("base_yaw", "shoulder", "elbow")
 
 
 @contextmanager
-def plant_on(link: LinkConfiguration) -> Iterator[ZenohPlantLink]:
-    plant = ZenohPlantLink(link, MonotonicClock(), lossless=True)
+def plant_on(link: LinkConfiguration, *, lockstep: bool = True) -> Iterator[ZenohPlantLink]:
+    plant = ZenohPlantLink(link, MonotonicClock(), lockstep=lockstep)
     try:
         yield plant
     finally:
@@ -33,6 +34,20 @@ def controller_on(link: LinkConfiguration) -> Iterator[ZenohControllerLink]:
         yield controller
     finally:
         controller.close()
+
+
+@contextmanager
+def spinning(controller: ZenohControllerLink) -> Iterator[None]:
+    """Have a thread answer states."""
+    over = threading.Event()
+    thread = threading.Thread(target=controller.spin, args=[over.is_set])
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(HANG_S)
+        assert not thread.is_alive()
 
 
 def fresh_link() -> LinkConfiguration:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 
 import pytest
 from rich.console import Console
 
 from deploy.benchmarks import bench, cyclictest, echo
+from deploy.benchmarks.context_switches import switches_per_exchange
 from deploy.benchmarks.control_step import measure_control_steps
 from deploy.benchmarks.finishing import measure_finishing
 from deploy.benchmarks.long_arm import write_long_arm
@@ -144,7 +146,9 @@ def test_what_comes_after_a_run_is_measured():
     assert all(cost.lowest > 0 for cost in section.costs_us.values())
 
 
-@pytest.mark.parametrize("transport", ["zenoh", "udp", "pyzmq", "lcm_udp", "cyclone"])
+@pytest.mark.parametrize(
+    "transport", ["zenoh", "zenoh_callbacks", "udp", "pyzmq", "lcm_udp", "cyclone"]
+)
 def test_every_transport_carries_an_exchange(transport):
     library = {"pyzmq": "zmq", "lcm_udp": "lcm", "cyclone": "cyclonedds"}.get(transport, "socket")
     pytest.importorskip(library)
@@ -189,3 +193,10 @@ def test_a_file_that_cannot_be_written_is_refused_before_measuring(monkeypatch, 
     (tmp_path / "file").touch()
     with pytest.raises(ScenarioError, match="--json"):
         bench.run_bench(Console(), tmp_path / "file" / "bench.json", quick=True)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts are read from /proc")
+def test_waits_are_counted_at_both_ends():
+    waits = switches_per_exchange("udp", 50)
+    assert set(waits) == {"near", "far"}
+    assert all(sum(by_thread.values()) > 0.0 for by_thread in waits.values())
