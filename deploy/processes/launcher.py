@@ -18,6 +18,7 @@ from typing import Any
 from bus_schema.messages.topics import Role
 from deploy.processes.child import Child, ChildProcess, Failure
 from deploy.processes.fault_injector import ProcessFaultInjector
+from deploy.processes.live.feed import clear_left_behind
 from deploy.processes.live.viewer import LiveViewer
 from deploy.processes.network.real_delay import RELAY, RealDelay
 from deploy.processes.program import Program
@@ -113,6 +114,7 @@ class Launcher:
             self._clear_up()
             if self._viewer is not None:
                 self._viewer.end()
+            clear_left_behind()
         self._handle_messages(on_message)
         self._note_what_program_said()
         return self._outcome

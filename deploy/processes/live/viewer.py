@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 from deploy.processes.child import Child
-from deploy.processes.live.feed import clear_left_behind
 from deploy.processes.status import StatusMessage
 
 VIEWER = "viewer"
@@ -36,7 +35,6 @@ class LiveViewer:
             self._child.join(_STOP_TIMEOUT_S)
         was_running = self._child.is_running()
         self._child.kill()
-        clear_left_behind()
         failure = None if was_running else self._child.failure()
         if failure is not None:
             text = f"{failure.text}; the run went on without it"
