@@ -147,9 +147,9 @@ def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> Non
     assert disrupted.causes == ["the recorder was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
     assert not disrupted.run.data.complete
-    # Whole chunks of a quarter second are on the disk; how far behind the recorder was then,
-    # a busy machine decides.
-    assert disrupted.run.data.times_s(PLANT_TRUTH)[-1] >= 0.2
+    # What was in whole chunks is on the disk; how far behind the recorder was then, a busy machine
+    # decides, where virtual time goes several times as fast as the wall's.
+    assert disrupted.run.data.times_s(PLANT_TRUTH)[-1] > 0.0
     assert not (disrupted.run.folder / "run.mcap").exists()  # there is no whole recording
     assert disrupted.run.summary["recorder"]["lost"] is None  # nobody counted to the end
     for command in ("report", "replay") if clock == "lockstep" else ():
