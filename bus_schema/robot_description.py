@@ -193,7 +193,7 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
     if root.tag != "robot" and not is_mjcf(root):
         raise RobotDescriptionError(
-            f"{path} is neither URDF nor MJCF: its root element is <{root.tag}>"
+            f"{path} is no URDF, nor MJCF: its root element is <{root.tag}>"
         )
     return text, root
 
