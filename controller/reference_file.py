@@ -19,6 +19,7 @@ KEY = "reference.file"
 TIME = "time_s"
 KINDS = ("position_rad", "velocity_rad_s", "acceleration_rad_s2")
 """Columns of a joint, as ``<joint>.<kind>``; in m where it slides."""
+_SHORTEST_STEP_S = 0.999e-6  # a microsecond, as far as a sum of seconds tells it
 _LARGEST_BYTES = 200_000_000
 _MOST_WARNINGS = 3
 _AT_REST_RAD_S = 1e-3
@@ -88,10 +89,10 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
         name: np.array(list(_numbers(file, cells, name, place))) for name, place in places.items()
     }
     times_s = columns.pop(TIME)
-    late = np.flatnonzero(np.diff(times_s) <= 0.0)
+    late = np.flatnonzero(np.diff(times_s) < _SHORTEST_STEP_S)
     if late.size:
         at = int(late[0]) + 1
-        allowed = f"must be later than {times_s[at - 1]:g}, the time of the row before"
+        allowed = f"must be later than {times_s[at - 1]:g}, the time of the row before, by 1 us"
         raise _cell(file, numbers[at], TIME, f"{times_s[at]:g}", allowed)
     joints = [_motion(columns, name, times_s) for name in robot.joint_names]
     return ReferenceRows(file, numbers, times_s, np.stack(joints, axis=-1))
@@ -174,10 +175,13 @@ def spline_curvatures(times_s: Vector, values: Vector, slopes: Vector) -> Vector
 
 
 def _slope_at_first(times_s: Vector, values: Vector) -> float:
-    """Slope at the first of up to four times of the polynomial through them."""
-    unit = times_s[-1] - times_s[0]
-    powers = np.vander((times_s - times_s[0]) / unit, increasing=True)
-    return float(np.linalg.solve(powers, values)[1] / unit)
+    """Slope at the first of up to four times of the polynomial through them, as Newton has it."""
+    slope, differences, product = 0.0, values, 1.0
+    for order in range(1, len(times_s)):
+        differences = np.diff(differences) / (times_s[order:] - times_s[:-order])
+        slope += product * differences[0]
+        product *= times_s[0] - times_s[order]
+    return float(slope)
 
 
 @compiled

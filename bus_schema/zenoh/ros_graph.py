@@ -50,7 +50,7 @@ class Attachment:
 
 def beside(data: bytes) -> bytes:
     """What follows an attachment, with a joint state its plant status; empty if nothing does."""
-    return data[_ATTACHMENT.size :]
+    return data[_ATTACHMENT.size :] if Attachment.decode(data) is not None else b""
 
 
 class EntityKind(StrEnum):

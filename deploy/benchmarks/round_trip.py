@@ -105,7 +105,7 @@ def _start_transports(setup: Setup, stack: ExitStack, notes: list[str]) -> dict[
     pairs = {}
     for name, (module, library) in _TRANSPORTS.items():
         if importlib.util.find_spec(library) is None:
-            notes.append(f"{name} is not installed: pip install 'funnel-hil[bench]'")
+            notes.append(f"{name} is not installed: pip install -e '.[bench]'")
             continue
         try:
             pair = EchoPair(module, setup.robot.joint_names, realtime=True)

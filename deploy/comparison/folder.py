@@ -23,6 +23,7 @@ from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
     RunFolderError,
+    grown_from,
     load_run,
     manifest_of,
     read_manifest,
@@ -68,15 +69,17 @@ class ComparisonFolder(ResultFolder):
         Raises:
             ScenarioError: as `new_folder`, or the folder has a comparison of something else.
         """
-        name = f"compare-{setups[0].scenario.name}"
+        name, before = f"compare-{setups[0].scenario.name}", {}
         if out is not None and not overwrite and read_summary(out).get("kind") == KIND:
             folder = ComparisonFolder(resolved_out(out))
             folder._require_same_scenario(setups)
+            before = read_manifest(folder.path)
         else:
             folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
         folder.lock()
         laws = [setup.scenario.controller.name for setup in setups]
-        write_json(folder.manifest, {**manifest_of(setups), "laws": laws})
+        now = {**manifest_of(setups), "laws": laws}
+        write_json(folder.manifest, grown_from(before, now) if before else now)
         return folder
 
     def known(self, setup: Setup) -> LawRun | None:

@@ -77,7 +77,7 @@ class Viewer:
     def places(self) -> str:
         """Where to look, a line each."""
         if self._foxglove is None:
-            return f"live view: {self._page.url}\nFoxglove:  needs pip install 'funnel-hil[live]'"
+            return f"live view: {self._page.url}\nFoxglove:  needs pip install -e '.[live]'"
         return f"live view: {self._page.url}\nFoxglove:  {self._foxglove.url}"
 
     def run(self, source: Source, is_over: Callable[[], bool]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
@@ -38,11 +38,10 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
 
 
 def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
-    """Which version it was, and when."""
-    version = manifest.get("versions", {}).get("funnel-hil")
+    """Which versions it was, and when; several of results that have grown."""
     return {
-        "version": f"funnel-hil {version or _UNKNOWN}",
-        "date": str(manifest.get("started", _UNKNOWN)),
+        "version": _each(manifest, _version_text),
+        "date": _each(manifest, lambda made: str(made.get("started", _UNKNOWN))),
     }
 
 
@@ -54,10 +53,10 @@ def warnings_of(manifest: Mapping[str, Any]) -> Conditions:
 
 def host_of(manifest: Mapping[str, Any]) -> Conditions:
     """On what machine it was, and what that granted."""
-    host, grants = manifest.get("host"), manifest.get("realtime") or {}
+    grants = manifest.get("realtime") or {}
     granted = [f"{role} {_grants_text(settings)}" for role, settings in grants.items()]
     return {
-        "host": _host_text(host) if host else _UNKNOWN,
+        "host": _each(manifest, _host_text),
         "granted": "; ".join(granted) or "nothing asked for: no real-time loops here",
     }
 
@@ -72,7 +71,20 @@ def conditions_line(conditions: Mapping[str, str]) -> str:
     return "Conditions: " + "; ".join(f"{name}: {text}" for name, text in conditions.items()) + "."
 
 
-def _host_text(host: Mapping[str, Any]) -> str:
+def _each(manifest: Mapping[str, Any], tell: Callable[[Mapping[str, Any]], str]) -> str:
+    """What is to be told of the first results and of all that was added to them, each once."""
+    made = [*manifest.get("grown_from", ()), manifest]
+    return ", then ".join(dict.fromkeys(tell(each) for each in made))
+
+
+def _version_text(manifest: Mapping[str, Any]) -> str:
+    return f"funnel-hil {manifest.get('versions', {}).get('funnel-hil') or _UNKNOWN}"
+
+
+def _host_text(manifest: Mapping[str, Any]) -> str:
+    host = manifest.get("host")
+    if not host:
+        return _UNKNOWN
     usable = host.get("usable_cpus", host["cpus"])
     return f"{host['machine']}, kernel {host['kernel']}, {usable} of {host['cpus']} CPUs usable"
 

@@ -234,6 +234,17 @@ def provenance() -> dict[str, Any]:
     }
 
 
+def grown_from(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest of results to which more was added: what it was before goes with it.
+
+    Args:
+        before: the manifest of what was there.
+        now: that of what is added.
+    """
+    earlier = {key: value for key, value in before.items() if key != "grown_from"}
+    return {**now, "grown_from": [*before.get("grown_from", []), earlier]}
+
+
 def _version(name: str) -> str | None:
     try:
         return metadata.version(name)

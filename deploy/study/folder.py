@@ -21,6 +21,7 @@ from deploy.runs.new_folder import new_folder, resolved_out
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolderError,
+    grown_from,
     provenance,
     read_manifest,
     read_summary,
@@ -84,8 +85,7 @@ class StudyFolder(ResultFolder):
             return
         shutil.rmtree(self.scenarios, ignore_errors=True)
         before = read_manifest(self.path)
-        earlier = [*before.pop("grown_from", []), before]
-        write_json(self.manifest, {**_manifest(self._study), "grown_from": earlier})
+        write_json(self.manifest, grown_from(before, _manifest(self._study)))
         write_whole(file, to_yaml(wanted))
 
     def find(self, run: Run) -> Row | None:

@@ -136,6 +136,10 @@ def test_order_of_columns_spaces_empty_lines_and_other_columns_do_not_matter(tmp
         (POSITIONS + "\n0,0,0,fast\n", "column elbow.position_rad = 'fast'"),
         (POSITIONS + "\n0,0,0\n", "line 2, column elbow.position_rad = '': must be a number"),
         (POSITIONS + "\n0,0,0,0\n\n0,0,0,0\n", "line 4, column time_s = '0': must be later than 0"),
+        (
+            POSITIONS + "\n0,0,0,0\n1e-9,1,1,1\n2e-9,0,0,0\n1,0,0,0\n",
+            "line 3, column time_s = '1e-09'",
+        ),
         (POSITIONS + "\n2,0,0,0\n1,0,0,0\n", "line 3, column time_s = '1': must be later than 2"),
         (POSITIONS + "\n", "must have a row below its first line"),
         ("", "line 1: column 'time_s' is missing"),

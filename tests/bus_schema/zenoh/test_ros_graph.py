@@ -61,6 +61,7 @@ def test_what_follows_an_attachment_is_no_part_of_it() -> None:
     assert Attachment.decode(attachment.encode() + b"more") == attachment
     assert beside(attachment.encode() + b"more") == b"more"
     assert beside(attachment.encode()) == b""
+    assert beside(b'{"from": "somebody who attaches a text of their own"}') == b""
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from pyarrow import parquet
 
 import funnel_hil as interface
 from deploy.reports.conclude import conclude_study
+from deploy.runs.conditions import host_of, provenance_of
+from deploy.runs.run_folder import grown_from
 from deploy.runs.run_rows import read_rows
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.conduct import carry_out
@@ -198,3 +202,33 @@ def test_real_runs_from_the_command_and_from_python(tmp_path, funnel_hil):
     assert code == 0, said
     one = interface.load_run(tmp_path / "one")
     assert one.summary["digest"] == table.to_pylist()[2]["digest"]
+
+
+def test_what_has_grown_names_every_version_and_host_that_made_it():
+    def made(version, kernel, started):
+        host = {"machine": "x86_64", "kernel": kernel, "cpus": 2}
+        return {"versions": {"funnel-hil": version}, "host": host, "started": started}
+
+    first, second, third = (
+        made("0.0.9", "5", "Monday"),
+        made("1", "6", "Tuesday"),
+        made("1", "6", "W"),
+    )
+    manifest = grown_from(grown_from(first, second), third)
+    told = {**provenance_of(manifest), **host_of(manifest)}
+    assert told["version"] == "funnel-hil 0.0.9, then funnel-hil 1"
+    assert told["date"] == "Monday, then Tuesday, then W"
+    assert told["host"] == (
+        "x86_64, kernel 5, 2 of 2 CPUs usable, then x86_64, kernel 6, 2 of 2 CPUs usable"
+    )
+
+
+def test_conditions_of_a_grown_study_are_not_the_last_calls_alone(tmp_path):
+    path = tmp_path / "grown"
+    conclude(make_sweep({KEY: [1.0]}, seeds=1), path, Here(made_up))
+    manifest = json.loads((path / "manifest.json").read_text())
+    manifest["versions"]["funnel-hil"] = "0.0.9"
+    (path / "manifest.json").write_text(json.dumps(manifest))
+    conclude(make_sweep({KEY: [1.0]}, seeds=2), path, Here(made_up))
+    summary = json.loads((path / "summary.json").read_text())
+    assert summary["conditions"]["version"].startswith("funnel-hil 0.0.9, then funnel-hil ")
