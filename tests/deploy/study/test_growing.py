@@ -225,10 +225,10 @@ def test_what_has_grown_names_every_version_and_host_that_made_it():
 
 def test_conditions_of_a_grown_study_are_not_the_last_calls_alone(tmp_path):
     path = tmp_path / "grown"
-    conclude(make_sweep({KEY: [1.0]}, seeds=1), path, Here(made_up))
+    conclude(make_sweep(tmp_path, {KEY: [1.0]}, seeds=1), path, Here(made_up))
     manifest = json.loads((path / "manifest.json").read_text())
     manifest["versions"]["funnel-hil"] = "0.0.9"
     (path / "manifest.json").write_text(json.dumps(manifest))
-    conclude(make_sweep({KEY: [1.0]}, seeds=2), path, Here(made_up))
+    conclude(make_sweep(tmp_path, {KEY: [1.0]}, seeds=2), path, Here(made_up))
     summary = json.loads((path / "summary.json").read_text())
     assert summary["conditions"]["version"].startswith("funnel-hil 0.0.9, then funnel-hil ")
