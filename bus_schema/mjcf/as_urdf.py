@@ -78,6 +78,7 @@ class _Converter:
         self._numbers = count(1)
         self._left_out: dict[str, None] = {}
         self._passive: list[str] = []
+        self._floated: list[str] = []
 
     def convert(self, worldbody: ET.Element) -> tuple[ET.Element, list[str]]:
         ET.SubElement(self._urdf, "link", name="world")
@@ -98,6 +99,9 @@ class _Converter:
         if self._left_out:
             names = ", ".join(self._left_out)
             said.append(f"MJCF: {names} of its joints are left out (plant.friction has the arm's)")
+        if self._floated:
+            names = ", ".join(self._floated)
+            said.append(f"MJCF: gravcomp of {names} is left out: gravity pulls on all of it here")
         gravity = next((each.get("gravity") for each in self._root.iter("option")), None)
         if gravity is not None and gravity.split() != ["0", "0", "-9.81"]:
             said.append(f"MJCF: its gravity {shortened(gravity)} is left out: it is 0 0 -9.81 here")
@@ -120,6 +124,8 @@ class _Converter:
         child_class = body.get("childclass", child_class)
         name = body.get("name") or f"body_{next(self._numbers)}"
         owner = f"body {name}"
+        if numbers(owner, body.attrib, "gravcomp", "0").any():
+            self._floated.append(owner)
         position = vector(owner, body.attrib, "pos", "0 0 0") - shift
         turn = orientation_of(owner, body.attrib, self._compiler)
         place = np.zeros(3)
@@ -198,16 +204,14 @@ class _Converter:
     def _link(self, name: str, body: ET.Element, place: Vector, child_class: str | None) -> None:
         """Write a link, whose origin is at its joint."""
         link = ET.SubElement(self._urdf, "link", name=name)
-        found = (
-            solid_of(geom, f"body {name}", self._defaults, child_class, self._compiler)
-            for geom in body.findall("geom")
-        )
-        solids = [each for each in found if each is not None]
-        inertial = inertial_of(name, body, solids, self._compiler)
+        found = [self._defaults.of(geom, child_class) for geom in body.findall("geom")]
+        geoms = [(each, solid_of(each, f"body {name}", self._compiler)) for each in found]
+        inertial = inertial_of(name, body, geoms, self._compiler)
         if inertial is not None:
             _write_inertial(link, inertial, place)
-        for _, solid in solids:
-            _write_visual(link, solid, place)
+        for _, solid in geoms:
+            if solid is not None:
+                _write_visual(link, solid, place)
 
 
 def _is_free(body: ET.Element) -> bool:

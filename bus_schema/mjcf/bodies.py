@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,16 +15,17 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.mjcf.settings import (
     Attributes,
     Compiler,
-    Defaults,
     numbers,
     onto_z,
     orientation,
     vector,
 )
+from bus_schema.urdf_checks import shortened
 
 _WATER = "1000"
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 """How many numbers give the size of a geom that has a mass."""
+_MESHES = ("mesh", "sdf")
 
 
 class Inertial(NamedTuple):
@@ -45,39 +47,51 @@ class Solid:
 
 
 def inertial_of(
-    name: str, body: ET.Element, solids: list[tuple[Attributes, Solid]], compiler: Compiler
+    name: str,
+    body: ET.Element,
+    geoms: Sequence[tuple[Attributes, Solid | None]],
+    compiler: Compiler,
 ) -> Inertial | None:
     """The inertia of a body; None for a body without.
+
+    Args:
+        name: of the body.
+        body: its element.
+        geoms: the attributes of its geoms, defaults applied, and what they are.
+        compiler: settings of the file.
 
     Raises:
         RobotDescriptionError: it has none where it must, or it cannot be read.
     """
-    given = body.find("inertial")
-    if given is not None and compiler.inertia_from_geoms is not True:
-        return _given(f"inertial of body {name}", given.attrib, compiler)
-    if compiler.inertia_from_geoms is False:
-        return None
-    if any(geom.get("type") == "mesh" for geom in body.findall("geom")):
-        raise RobotDescriptionError(
-            f"body {name} has the inertia of a mesh: give it an <inertial> with mass and inertia"
-        )
-    parts = [_of_solid(attributes, solid) for attributes, solid in solids]
-    return _sum([part for part in parts if part.mass_kg > 0.0])
+    element = body.find("inertial")
+    given = None
+    if element is not None:
+        given = _given(f"inertial of body {name}", element.attrib, compiler)
+    by_geoms = compiler.inertia_from_geoms
+    if by_geoms is False or (given is not None and not by_geoms):
+        return given
+    weighing = [(attributes, solid) for attributes, solid in geoms if _weighs(attributes)]
+    for attributes, _ in weighing:
+        _require_known_inertia(name, attributes)
+    parts = [_of_solid(attributes, solid) for attributes, solid in weighing if solid is not None]
+    return _sum([part for part in parts if part.mass_kg > 0.0]) or given
 
 
-def solid_of(
-    geom: ET.Element, owner: str, defaults: Defaults, child_class: str | None, compiler: Compiler
-) -> tuple[Attributes, Solid] | None:
+def solid_of(attributes: Attributes, owner: str, compiler: Compiler) -> Solid | None:
     """What a geom is; None for planes, fields and meshes, which have no simple shape.
+
+    Args:
+        attributes: of the geom, defaults applied.
+        owner: what it is a part of.
+        compiler: settings of the file.
 
     Raises:
         RobotDescriptionError: it cannot be read.
     """
-    attributes = defaults.of(geom, child_class)
     kind = attributes.get("type", "sphere")
     if kind not in _SIZES:
         return None
-    owner = f"geom {attributes.get('name', '')}".strip() + f" of {owner}"
+    owner = _shown(attributes, owner)
     size = numbers(owner, attributes, "size", "")
     centre = vector(owner, attributes, "pos", "0 0 0")
     if "fromto" in attributes:
@@ -92,7 +106,36 @@ def solid_of(
         raise RobotDescriptionError(
             f"size of {owner}: must be {_SIZES[kind]} positive numbers for a {kind}"
         )
-    return attributes, Solid(kind, size[: _SIZES[kind]], centre, turn)
+    return Solid(kind, size[: _SIZES[kind]], centre, turn)
+
+
+def _shown(attributes: Attributes, owner: str) -> str:
+    return f"geom {shortened(attributes.get('name', ''))}".strip() + f" of {owner}"
+
+
+def _weighs(attributes: Attributes) -> bool:
+    """Whether a geom adds to its body's inertia: what is only to be seen has no mass or density."""
+    (factor,) = vector("geom", attributes, "mass" if "mass" in attributes else "density", _WATER)
+    return bool(factor != 0.0)
+
+
+def _require_known_inertia(body: str, attributes: Attributes) -> None:
+    """Refuse a geom whose inertia is none of a uniform solid's.
+
+    Raises:
+        RobotDescriptionError: it is a mesh, or a shell.
+    """
+    if attributes.get("type") in _MESHES:
+        raise RobotDescriptionError(
+            f"body {body} has the inertia of a mesh: give it an <inertial> with mass and inertia,"
+            ' or its mesh mass="0"'
+        )
+    shell = attributes.get("shellinertia", "false")
+    if shell != "false":
+        raise RobotDescriptionError(
+            f"shellinertia={shortened(shell)!r} of {_shown(attributes, f'body {body}')}:"
+            " must be false, or the body must have an <inertial>"
+        )
 
 
 def _given(owner: str, attributes: Attributes, compiler: Compiler) -> Inertial:

@@ -17,6 +17,10 @@ from bus_schema.urdf_checks import finite_number, shortened
 DEEPEST = 100
 """How many elements may lie within one another."""
 _SEQUENCE = "eulerseq"
+_ACTUATORS = {
+    *("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle"),
+    *("adhesion", "dcmotor", "plugin"),
+}
 Attributes = Mapping[str, str]
 
 
@@ -44,7 +48,7 @@ class Defaults:
             raise RobotDescriptionError(
                 f"class={shortened(name)!r} of {_shown(element)}: must be one of {known}"
             )
-        return {**self._classes[name].get(element.tag, {}), **element.attrib}
+        return {**self._classes[name].get(_setting(element), {}), **element.attrib}
 
     def _read(
         self, default: ET.Element, inherited: dict[str, dict[str, str]], name: str, depth: int
@@ -54,7 +58,8 @@ class Defaults:
         values = {tag: dict(attributes) for tag, attributes in inherited.items()}
         for each in default:
             if each.tag != "default":
-                values[each.tag] = {**values.get(each.tag, {}), **each.attrib}
+                setting = _setting(each)
+                values[setting] = {**values.get(setting, {}), **each.attrib}
         self._classes[name] = values
         for inner in default.findall("default"):
             self._read(inner, values, inner.get("class", ""), depth + 1)
@@ -201,6 +206,11 @@ def _matrix(w: float, v: Vector) -> Matrix:
 
 def _refused(owner: str, name: str, value: str, allowed: str) -> RobotDescriptionError:
     return RobotDescriptionError(f"{name}={shortened(value)!r} of {owner}: must be {allowed}")
+
+
+def _setting(element: ET.Element) -> str:
+    """What an element's defaults go by: all actuators share theirs, as each is a `general` one."""
+    return "general" if element.tag in _ACTUATORS else element.tag
 
 
 def _shown(element: ET.Element) -> str:

@@ -157,6 +157,97 @@ def test_what_is_left_out_is_told(tmp_path: Path) -> None:
     assert any("gravity 0 0 0" in each for each in striker.warnings)
 
 
+def test_compensated_gravity_is_told_by_body(tmp_path: Path) -> None:
+    text = ARM.replace('<body name="slider"', '<body name="slider" gravcomp="1"')
+    assert text != ARM
+    said = [each for each in load(tmp_path, text).warnings if "gravcomp" in each]
+    assert said == ["MJCF: gravcomp of body slider is left out: gravity pulls on all of it here"]
+    assert not any("gravcomp" in each for each in load(tmp_path, ARM).warnings)
+    with pytest.raises(RobotDescriptionError, match="gravcomp='high' of body slider"):
+        load(tmp_path, text.replace('gravcomp="1"', 'gravcomp="high"'))
+
+
+@pytest.mark.parametrize(
+    ("defaults", "actuator", "effort"),
+    [
+        ('<general forcerange="-5 5"/>', '<motor joint="j" ctrlrange="-100 100"/>', 5.0),
+        ('<position forcerange="-5 5"/>', '<velocity joint="j"/>', 5.0),
+        ('<general gear="3"/><motor gear="4"/>', '<motor joint="j" ctrlrange="-2 2"/>', 8.0),
+        ('<motor gear="4"/><general gear="3"/>', '<motor joint="j" ctrlrange="-2 2"/>', 6.0),
+        ('<motor gear="4"/><default class="c"><general forcerange="-5 5"/></default>',
+         '<position class="c" joint="j"/>', 20.0),
+        ('<general ctrlrange="-2 2"/>', '<position joint="j"/>', np.inf),
+    ],
+)  # fmt: skip
+def test_actuators_of_all_kinds_share_their_defaults(
+    tmp_path: Path, defaults: str, actuator: str, effort: float
+) -> None:
+    """As for MuJoCo, where the last word of a class holds for every kind."""
+    robot = load(
+        tmp_path,
+        f"<mujoco><default>{defaults}</default><worldbody>{BODY.format(HINGE)}</worldbody>"
+        f"<actuator>{actuator}</actuator></mujoco>",
+    )
+    assert robot.effort_limits_nm.tolist() == [effort]
+
+
+MESH = '<geom class="seen" mesh="m"/>'
+SHELL = '<geom name="g" class="hollow" size="0.2"/>'
+OWN = '<inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.2 0.3"/>'
+BALL = '<geom name="ball" size="0.1" mass="3"/>'
+
+
+def with_geoms(inside: str, seen: str = "", compiler: str = "") -> str:
+    """One body that turns, with geoms or an inertia of its own."""
+    return f"""<mujoco><compiler {compiler}/>
+      <default>
+        <default class="seen"><geom type="mesh" {seen}/></default>
+        <default class="hollow"><geom shellinertia="true"/></default>
+      </default>
+      <worldbody><body name="b"><joint name="j"/>{inside}</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (with_geoms(MESH + BALL), "body b has the inertia of a mesh"),
+        (with_geoms(MESH + BALL, seen='density="0" mass="1"'), "body b has the inertia of a mesh"),
+        (with_geoms('<geom type="sdf" mesh="m"/>' + BALL), "body b has the inertia of a mesh"),
+        (with_geoms(MESH + OWN, compiler='inertiafromgeom="true"'),
+         "body b has the inertia of a mesh"),
+        (with_geoms(SHELL + BALL),
+         "shellinertia='true' of geom g of body b: must be false, or the body must have"),
+        (with_geoms(SHELL + OWN, compiler='inertiafromgeom="true"'), "shellinertia='true'"),
+    ],
+)  # fmt: skip
+def test_inertias_of_meshes_and_shells_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(RobotDescriptionError) as raised:
+        load(tmp_path, text)
+    assert said in str(raised.value)
+    assert str(tmp_path / "arm.xml") in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "inertia"),
+    [
+        (with_geoms(MESH + BALL, seen='mass="0"'), 0.4 * 3 * 0.1**2),
+        (with_geoms(MESH + BALL, seen='density="0.0"'), 0.4 * 3 * 0.1**2),
+        (with_geoms(MESH + BALL, seen='density="9" mass="0"'), 0.4 * 3 * 0.1**2),
+        (with_geoms('<geom class="seen" type="sphere" size="0.1" mass="3"/>'), 0.4 * 3 * 0.1**2),
+        (with_geoms(SHELL.replace("/>", ' mass="0"/>') + BALL), 0.4 * 3 * 0.1**2),
+        (with_geoms(MESH + SHELL + OWN), 0.3 + 2 * 0.1**2),
+        (with_geoms(MESH + SHELL + OWN, compiler='inertiafromgeom="false"'), 0.3 + 2 * 0.1**2),
+        (with_geoms(MESH + OWN, seen='mass="0"', compiler='inertiafromgeom="true"'),
+         0.3 + 2 * 0.1**2),
+    ],
+)  # fmt: skip
+def test_meshes_and_shells_that_weigh_nothing_are_taken(
+    tmp_path: Path, text: str, inertia: float
+) -> None:
+    model = ManipulatorModel(load(tmp_path, text))
+    np.testing.assert_allclose(model.mass_matrix(np.zeros(1)), [[inertia]], rtol=1e-12)
+
+
 BODY = '<body name="b">{}<geom size="0.1"/></body>'
 HINGE = '<joint name="j" type="hinge"/>'
 
