@@ -12,9 +12,16 @@ import numpy as np
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.folder import KIND as OF_LAWS
-from deploy.comparison.folder import judged_again
+from deploy.processes.recorder import DATA_ATTACHMENTS
+from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import RunFolderError, read_manifest, read_summary
+from deploy.runs.run_folder import (
+    RunFolderError,
+    load_run,
+    read_manifest,
+    read_summary,
+    unrecorded_faults,
+)
 from deploy.scenario.agreement import values_in_common
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -89,12 +96,11 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
             raise RunFolderError(
                 f"{path}: is a comparison; must be a run, such as one of the folders inside"
             )
-    runs = [judged_again(label, path) for label, path in zip(_labels(places), paths, strict=True)]
+    read = [_read(label, path) for label, path in zip(_labels(places), paths, strict=True)]
+    runs = [run for run, _ in read]
     _require_same_joints(paths, runs)
-    first = runs[0].data
-    return RecordedRuns(
-        places, Comparison(runs), [_parting(first, run.data) for run in runs], _differing(runs)
-    )
+    partings = [_parting(runs[0].data, run.data) for run in runs]
+    return RecordedRuns(places, Comparison(runs), partings, _differing([each for _, each in read]))
 
 
 def read_again(path: Path) -> RecordedRuns:
@@ -103,6 +109,21 @@ def read_again(path: Path) -> RecordedRuns:
     if not isinstance(told, list) or not all(isinstance(each, str) for each in told):
         raise RunFolderError(f"{path}: names no runs")
     return recorded_runs([Path(each) for each in told])
+
+
+def _read(label: str, path: Path) -> tuple[LawRun, dict[str, str]]:
+    """A recorded run, judged again, and its scenario's values; files are as the recording has them.
+
+    Where the scenario came from they may be gone or changed by now.
+    """
+    data, contents = load_run(path)
+    texts = {
+        key: contents.attachments[name].decode(errors="replace")
+        for key, name in DATA_ATTACHMENTS.items()
+        if name in contents.attachments
+    }
+    run = LawRun(label, data, summarise(data, unrecorded_faults(path)))
+    return run, values_in_common(data.setup, texts)
 
 
 def _labels(places: Sequence[Path]) -> list[str]:
@@ -142,8 +163,7 @@ def _parting(first: RunData, other: RunData) -> Parting | None:
     return Parting(tick, tick * first.setup.grid.period_ns * 1e-9, largest)
 
 
-def _differing(runs: Sequence[LawRun]) -> dict[str, list[str | None]]:
-    values = [values_in_common(run.data.setup) for run in runs]
+def _differing(values: Sequence[dict[str, str]]) -> dict[str, list[str | None]]:
     keys = dict.fromkeys(key for each in values for key in each)
     by_key = {key: [each.get(key) for each in values] for key in keys}
     return {key: _told(key, each) for key, each in by_key.items() if len(set(each)) > 1}

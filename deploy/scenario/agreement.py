@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import PurePath
+from types import MappingProxyType
 from typing import Any
 
 from bus_schema.link.agreement import Agreement
@@ -26,14 +27,21 @@ def agreement_of(setup: Setup) -> Agreement:
     return Agreement(values_in_common(setup))
 
 
-def values_in_common(setup: Setup) -> dict[str, str]:
-    """Every value in force but for those of the host, as JSON; files count by what they hold."""
+def values_in_common(
+    setup: Setup, recorded: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, str]:
+    """Every value in force but for those of the host, as JSON; files count by what they hold.
+
+    Args:
+        setup: the scenario.
+        recorded: texts of files that only a recording holds, by dotted key; others are read.
+    """
     values = dict(_leaves(effective_values(setup)))
     for key in _OF_EACH_HOST:
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)
     for key, file in data_files(setup.scenario).items():
-        values[key] = file.read_text()
+        values[key] = recorded[key] if key in recorded else file.read_text()
     return values
 
 

@@ -121,6 +121,29 @@ def test_the_command_shows_writes_and_reports_again(folder, tmp_path, funnel_hil
     assert "first pushed" in said
 
 
+def test_files_are_compared_as_they_were_recorded(tmp_path, funnel_hil):
+    names = load_setup("paper_arm").robot.joint_names
+    columns = ",".join(["time_s", *(f"{name}.position_rad" for name in names)])
+    delays = tmp_path / "delays.txt"
+    delays.write_text("0.1 0.2")
+    for run, angle in (("a", "0.1"), ("b", "0.1"), ("c", "0.2")):
+        rows = [",".join([time, *[angle] * len(names)]) for time in ("0", "0.5", "1")]
+        (tmp_path / "reference.csv").write_text("\n".join([columns, *rows]))
+        record(
+            tmp_path / run,
+            f"reference={{kind: csv, file: {tmp_path / 'reference.csv'}}}",
+            f"link.uplink={{distribution: empirical, distribution_file: {delays}}}",
+            "duration_s=0.1",
+        )
+    (tmp_path / "reference.csv").unlink()
+    delays.unlink()
+    code, said = funnel_hil("diff", *(tmp_path / run for run in "ab"), "--out", tmp_path / "diff")
+    assert code == 0, said
+    assert recorded_runs([tmp_path / "a", tmp_path / "b"]).differing == {}
+    other = recorded_runs([tmp_path / "a", tmp_path / "c"])
+    assert other.differing == {"reference.file": ["file 1", "file 2"]}
+
+
 def test_labels_are_as_long_as_they_must_be(folder, tmp_path):
     other = record(tmp_path / "elsewhere" / "first")
     compared = recorded_runs([folder / "first", other / "run.mcap"])
