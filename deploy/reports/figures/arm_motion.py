@@ -41,7 +41,7 @@ def arm_motion(run: RunData) -> Motion | None:
     ])  # fmt: skip
     style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
-        scene={"aspectmode": "data", "camera": _CAMERA, **_axes(np.concatenate([ghost, arm]))},
+        scene={"camera": _CAMERA, **still_space(np.concatenate([ghost, arm]))},
         margin={"l": 0, "r": 0, "b": 0},
         legend={"y": 0},
     )
@@ -60,13 +60,23 @@ def _skeleton(points: Matrix, name: str, mode: str, **look: object) -> go.Scatte
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode=mode, hoverinfo="skip", **look)
 
 
-def _axes(points: NDArray[np.float64]) -> dict[str, object]:
-    """Axes that hold all points, so that they stand still while the arm moves."""
+def still_space(points: NDArray[np.float64]) -> dict[str, object]:
+    """A scene that stands still while something moves in it, of one scale along all axes.
+
+    Left to itself, the scale would follow what is shown at the instant.
+
+    Args:
+        points: all that the axes have to hold, shape (..., 3), m; NaN where there is none.
+    """
     lower, upper = (
         extreme(points.reshape(-1, 3), axis=0) + room
         for extreme, room in ((np.nanmin, -_ROOM_M), (np.nanmax, _ROOM_M))
     )
-    return {
+    spans = upper - lower
+    aspects = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, whatever its form
+    axes = {
         f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5, "range": [low, high]}
         for name, low, high in zip("xyz", lower.tolist(), upper.tolist(), strict=True)
     }
+    ratio = dict(zip("xyz", aspects.tolist(), strict=True))
+    return {"aspectmode": "manual", "aspectratio": ratio, **axes}

@@ -72,13 +72,18 @@ def test_a_skeleton_hangs_together(run):
     np.testing.assert_array_equal(bones[1:, 0], bones[:-1, 1])
 
 
-def test_the_axes_hold_the_arm_wherever_it_goes(run):
+def test_the_space_stands_still_and_holds_the_arm_wherever_it_goes(run):
     motion = arm_motion(run)
-    points = motion.points.reshape(-1, 3)
+    points, scene = motion.points.reshape(-1, 3), motion.figure.layout.scene
+    assert scene.aspectmode == "manual"  # or it would follow the instant that is shown
+    scales = []
     for axis, name in enumerate("xyz"):
-        low, high = motion.figure.layout.scene[f"{name}axis"].range
+        low, high = scene[f"{name}axis"].range
         assert low < np.nanmin(points[:, axis])
         assert high > np.nanmax(points[:, axis])
+        scales.append(scene.aspectratio[name] / (high - low))
+    assert scales == pytest.approx([scales[0]] * 3)
+    assert 0 < scales[0] < np.inf
 
 
 def test_a_run_without_data_has_no_arm_that_moves(run):
