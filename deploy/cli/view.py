@@ -75,12 +75,23 @@ def view(
             reporter.report("note", text=viewer.places())
         return viewer
 
-    folder = RunFolder(Path(target or ""))
     if parent_pid is not None:  # which knows when the run is over
-        setup = load_setup(str(folder.scenario))
-        receiver = FeedReceiver(setup.scenario.link.plant_endpoint)
-        _serve(open_viewer(setup, "under way"), receiver, lambda: stop.is_set)
+        _follow(RunFolder(Path(target or "")), open_viewer, stop)
         raise typer.Exit(FINISHED)
+    _show(target, speed, open_viewer, stop)
+    raise typer.Exit(INTERRUPTED if stop.is_set else FINISHED)
+
+
+def _follow(folder: RunFolder, open_viewer: OpenViewer, stop: StopRequest) -> None:
+    """Show the run that is to begin in a folder until told to stop."""
+    setup = load_setup(str(folder.scenario))
+    receiver = FeedReceiver(setup.scenario.link.plant_endpoint)
+    _serve(open_viewer(setup, "under way"), receiver, lambda: stop.is_set)
+
+
+def _show(target: str | None, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:
+    """Show what a user asks for: a run under way, or else a recorded one."""
+    folder = RunFolder(Path(target or ""))
     if target is None or (_ENDPOINT.fullmatch(target) and not folder.path.exists()):
         endpoint = target or LinkConfiguration().plant_endpoint
         if not _watch(endpoint, open_viewer, stop) and not stop.is_set:
@@ -92,7 +103,6 @@ def view(
         endpoint = load_setup(str(folder.scenario)).scenario.link.plant_endpoint
         if not _watch(endpoint, open_viewer, stop):
             _play(folder.path, speed, open_viewer, stop)
-    raise typer.Exit(INTERRUPTED if stop.is_set else FINISHED)
 
 
 def _watch(endpoint: str, open_viewer: OpenViewer, stop: StopRequest) -> bool:

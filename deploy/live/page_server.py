@@ -155,8 +155,9 @@ class _Handler(BaseHTTPRequestHandler):
         self._begin(HTTPStatus.OK, "text/event-stream")
         self.end_headers()
         self.server.is_watched.set()
-        number = 0
-        while not self.server.frames.is_over:
+        number, is_over = 0, False
+        while not is_over:
+            is_over = self.server.frames.is_over  # before they are asked for: none is left then
             number, fresh = self.server.frames.after(number, _KEEP_ALIVE_S)
             self._write_event("frames", json.dumps(fresh, allow_nan=False))
         self._write_event("over", "true")

@@ -66,7 +66,7 @@ class Viewer:
         self._foxglove = _foxglove(setup, foxglove_port)
         self._page = PageServer(self._frames, documents, port)
         self._page.start()
-        self._frame_due_s = 0.0
+        self._has_news, self._frame_due_s = False, 0.0
 
     @property
     def is_watched(self) -> bool:
@@ -85,7 +85,10 @@ class Viewer:
         while not is_over():
             glimpse = source.receive(_WAIT_S)
             if glimpse is not None:
-                self._show(glimpse)
+                self._take(glimpse)
+            if time.monotonic() >= self._frame_due_s:
+                self._show()
+        self._show()
         self._frames.end()
         time.sleep(_LAST_WORDS_S)
 
@@ -96,16 +99,20 @@ class Viewer:
         if self._foxglove is not None:
             self._foxglove.close()
 
-    def _show(self, glimpse: Glimpse) -> None:
+    def _take(self, glimpse: Glimpse) -> None:
         self._state.take(glimpse)
+        self._has_news = True
         if self._foxglove is not None:
             self._foxglove.publish(glimpse)
-        now_s = time.monotonic()
-        if now_s >= self._frame_due_s:
-            self._frame_due_s = now_s + _FRAME_S
-            frame = self._state.frame()
-            if frame is not None:
-                self._frames.add(frame)
+
+    def _show(self) -> None:
+        """Add a frame, if anything has come since the last one."""
+        if not self._has_news:
+            return
+        self._has_news, self._frame_due_s = False, time.monotonic() + _FRAME_S
+        frame = self._state.frame()
+        if frame is not None:
+            self._frames.add(frame)
 
 
 def stand_back() -> None:

@@ -27,6 +27,8 @@ _FORGET_S = 5.0
 _MOST_VIEWERS = 8
 _MOST_ASKED = 50
 """At a look: nobody can keep a recorder from its work by asking."""
+_MOST_TRIES = 10
+"""To have a folder that others remove at their end."""
 _LONGEST_FOLDER = 60
 """The path of a socket has room for 107 characters."""
 
@@ -187,23 +189,32 @@ def _name(endpoint: str) -> str:
 def _bound(name: str) -> tuple[socket.socket, Path]:
     """A socket of this process in the user's folder, where those of dead ones are cleared away."""
     folder = _folder()
-    for _ in range(3):  # another process may remove the folder at its end
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-            raise PermissionError(f"{folder}: is not a folder that only this user can enter")
-        _clear(folder)
-        made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    for _ in range(_MOST_TRIES):
+        with contextlib.suppress(FileNotFoundError):  # another process removed it at its end
+            _make_private(folder)
+            _clear(folder)
+            return _bound_in(folder, name)
+    raise FileNotFoundError(f"{folder}: is being removed again and again")
+
+
+def _make_private(folder: Path) -> None:
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise PermissionError(f"{folder}: is not a folder that only this user can enter")
+
+
+def _bound_in(folder: Path, name: str) -> tuple[socket.socket, Path]:
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    place = folder / f"{name}-{os.getpid()}-{made.fileno()}"
+    try:
         made.setblocking(False)
         made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-        place = folder / f"{name}-{os.getpid()}-{made.fileno()}"
-        try:
-            made.bind(str(place))
-        except FileNotFoundError:
-            made.close()
-            continue
-        return made, place
-    raise FileNotFoundError(f"{folder}: is being removed again and again")
+        made.bind(str(place))
+    except OSError:
+        made.close()
+        raise
+    return made, place
 
 
 def _folder() -> Path:

@@ -1,6 +1,7 @@
 """What a recorder passes on to live views, and that nobody waits for who takes it."""
 
 import socket
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -168,6 +169,23 @@ def test_what_killed_processes_left_is_cleared_away(folder, tmp_path):
     assert len(list(folder.iterdir())) == 1
     feed.close()
     assert not folder.exists()
+
+
+@pytest.mark.parametrize("step", ["lstat", "iterdir"])
+def test_a_folder_that_others_remove_meanwhile_is_made_again(folder, tmp_path, monkeypatch, step):
+    removed, proper = [], getattr(Path, step)
+
+    def after_removal(self):
+        if self == folder and not removed:
+            removed.append(self)
+            self.rmdir()
+        return proper(self)
+
+    monkeypatch.setattr(Path, step, after_removal)
+    feed = LiveFeed(ENDPOINT, tmp_path / "scenario.yaml", NAMES)
+    assert removed == [folder]
+    assert feed._place.is_socket()
+    feed.close()
 
 
 def test_a_folder_that_others_can_enter_is_not_used(folder):

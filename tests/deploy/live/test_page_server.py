@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+import time
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -15,6 +16,7 @@ from deploy.live.arm_lines import ArmLines
 from deploy.live.frames import RunState
 from deploy.live.viewer import Viewer
 from deploy.scenario.scenario import load_setup
+from tests.warm_process import HANG_S
 
 
 @pytest.fixture
@@ -120,6 +122,60 @@ def test_frames_say_what_the_judge_says(viewer, url):
         assert frame["lower"] == pytest.approx(1e3 * lower[0])
         assert (frame["ticks"], frame["missed"]) == (tick + 1, 0)
         assert (frame["mode"], frame["age_ms"]) == ("tracking", pytest.approx(1.0)) or tick < 2
+
+
+class Burst:
+    """All of a run at once, as after a stall, and nothing more."""
+
+    def __init__(self, run):
+        self._glimpses = list(glimpses(run))
+        self.ticks = self._glimpses[-1].ticks
+
+    @property
+    def is_over(self):
+        return not self._glimpses
+
+    def receive(self, timeout_s):
+        if self._glimpses:
+            return self._glimpses.pop(0)
+        time.sleep(0.01)
+        return None
+
+    def close(self):
+        """Nothing is open."""
+
+
+def shown(viewer):
+    """Ticks of the newest frame."""
+    _, frames = viewer._frames.after(0, 0.0)
+    return frames[-1]["ticks"] if frames else 0
+
+
+def test_what_came_too_soon_after_a_frame_is_shown_when_the_next_one_is_due(viewer):
+    source, give_up_s = Burst(short_run()), time.monotonic() + HANG_S
+    seen = []
+
+    def is_over():
+        seen.append(shown(viewer))  # while the run is under way
+        return seen[-1] == source.ticks or time.monotonic() > give_up_s
+
+    viewer.run(source, is_over)
+    assert seen[-1] == source.ticks
+
+
+def test_the_last_of_a_run_is_shown_at_its_end(viewer, monkeypatch):
+    monkeypatch.setattr("deploy.live.viewer._FRAME_S", 1e6)  # none but the first would be due
+    source = Burst(short_run())
+    viewer.run(source, lambda: source.is_over)
+    assert shown(viewer) == source.ticks
+
+
+def test_who_comes_when_the_run_is_over_sees_it(viewer, url):
+    viewer._frames.add({"time_s": 1.0})
+    viewer._frames.end()
+    events = Events(url)
+    assert list(events.frames()) == [{"time_s": 1.0}]
+    events.close()
 
 
 def test_the_arm_ends_where_its_tip_is():

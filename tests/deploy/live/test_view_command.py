@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 
 import pytest
 from watched import Events, short_run
 
-from tests.warm_process import WarmProcess
+from tests.warm_process import HANG_S, WarmProcess
 
 
 @pytest.mark.parametrize(
@@ -31,8 +32,11 @@ def test_a_recording_is_played_and_its_layout_written(tmp_path):
     run.write_log(tmp_path / "run.mcap")
     viewer = WarmProcess("view", tmp_path, "--layout", tmp_path / "layout.json", "--speed", "4")
     try:
+        give_up_s = time.monotonic() + HANG_S
         while "token=" not in viewer.said():
             assert viewer.poll() is None, viewer.said()
+            assert time.monotonic() < give_up_s
+            time.sleep(0.01)
         assert "3D!arm" in json.loads((tmp_path / "layout.json").read_text())["configById"]
         last = run.data().true_errors_rad[-1]
         events = Events(viewer.said().split()[2])

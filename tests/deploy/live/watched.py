@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import time
 from collections.abc import Iterator
 from functools import cache
 from urllib.parse import urlsplit
@@ -57,7 +58,7 @@ def place(url: str, path: str) -> str:
 
 
 class Events:
-    """A client of server-sent events."""
+    """A client of server-sent events, who does not wait for ever: the page keeps it alive."""
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(place(url, "events"))
@@ -67,8 +68,9 @@ class Events:
         assert self._answer.status == 200
 
     def __iter__(self) -> Iterator[tuple[str, object]]:
-        name = ""
+        name, give_up_s = "", time.monotonic() + HANG_S
         for line in self._answer:
+            assert time.monotonic() < give_up_s, "waited in vain for what the page is to show"
             word, _, value = line.decode().rstrip("\n").partition(": ")
             if word == "event":
                 name = value
