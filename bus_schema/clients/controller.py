@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 import uuid
+from typing import Any
 
 import numpy as np
 import zenoh
@@ -21,9 +22,11 @@ from rosbags.typesys import Stores, get_typestore
 
 DOMAIN, TYPE = 0, "sensor_msgs/msg/JointState"
 STIFFNESS_NM_RAD, DAMPING_NM_S = 4000.0, 300.0
+MOST_KEPT, MOST_WAITED_S = 1000, 60.0  # states and references, each; for the recorder
 types = get_typestore(Stores.ROS2_JAZZY)
 type_and_hash = f"sensor_msgs::msg::dds_::JointState_/{types.hash_rihs01(TYPE)}"
 
+is_recorded = not sys.argv[1:]  # `run` has a recorder; without one nobody is to be waited for
 plant, listen = sys.argv[1:] or [
     os.environ[f"FUNNEL_HIL_{role}_ENDPOINT"] for role in ("PLANT", "CONTROLLER")
 ]
@@ -48,40 +51,74 @@ with zenoh.open(config) as session:
         f"{DOMAIN}/joint_commands/{type_and_hash}",
         congestion_control=zenoh.CongestionControl.BLOCK,
     )
-    reference = {"stamp": None, "position": 0.0, "velocity": 0.0}
-    sequence, is_over = 0, threading.Event()
+    sequence, lock = 0, threading.Lock()
+    is_over, recorder_is_there = threading.Event(), threading.Event()
+    references: dict[tuple[int, int], Any] = {}  # by stamp
+    unanswered: dict[tuple[int, int], list[Any]] = {}  # states whose reference has not come, too
 
-    def on_reference(sample: zenoh.Sample) -> None:
+    def read(sample: zenoh.Sample) -> tuple[Any, tuple[int, int]]:
         message = types.deserialize_cdr(sample.payload.to_bytes(), TYPE)
-        reference.update(vars(message))
+        return message, (message.header.stamp.sec, message.header.stamp.nanosec)
+
+    def forget_oldest(kept: dict[tuple[int, int], Any]) -> None:
+        if len(kept) > MOST_KEPT:
+            del kept[next(iter(kept))]
+
+    # Each topic comes on a thread of its own, so that a state may overtake its reference.
+    def on_reference(sample: zenoh.Sample) -> None:
+        reference, stamp = read(sample)
+        with lock:
+            references[stamp] = reference
+            for state in unanswered.pop(stamp, ()):
+                answer(state, reference)
+            forget_oldest(references)
 
     def on_state(sample: zenoh.Sample) -> None:
+        state, stamp = read(sample)
+        with lock:
+            if stamp in references:
+                answer(state, references[stamp])
+            else:
+                unanswered.setdefault(stamp, []).append(state)
+                forget_oldest(unanswered)
+
+    def answer(state: Any, reference: Any) -> None:
         global sequence
-        message = types.deserialize_cdr(sample.payload.to_bytes(), TYPE)
-        error = reference["position"] - message.position
-        message.effort = STIFFNESS_NM_RAD * error + DAMPING_NM_S * (
-            reference["velocity"] - message.velocity
+        error = reference.position - state.position
+        state.effort = STIFFNESS_NM_RAD * error + DAMPING_NM_S * (
+            reference.velocity - state.velocity
         )
-        message.position = message.velocity = np.empty(0)  # torques alone; the stamp stays
+        state.position = state.velocity = np.empty(0)  # torques alone; names and stamp stay
         sequence += 1
         attachment = struct.pack("<qqB16s", sequence, time.time_ns(), 16, gid)
-        commands.put(bytes(types.serialize_cdr(message, TYPE)), attachment=attachment)
+        commands.put(bytes(types.serialize_cdr(state, TYPE)), attachment=attachment)
+
+    def on_recorder(_: zenoh.Sample) -> None:
+        recorder_is_there.set()
 
     def on_plant(sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.DELETE:
             is_over.set()
+            recorder_is_there.set()  # it will not come
 
-    kept = [
+    declared: list[Any] = [
         session.declare_subscriber(f"{DOMAIN}/joint_reference/{type_and_hash}", on_reference),
         session.declare_subscriber(f"{DOMAIN}/joint_states/{type_and_hash}", on_state),
         session.liveliness().declare_subscriber(
             f"@ros2_lv/{DOMAIN}/*/*/*/NN/*/*/funnel_hil_plant", on_plant, history=True
         ),
-        # Once all is ready: from here on the plant knows of a publisher of commands, and starts.
+        session.liveliness().declare_subscriber(
+            f"@ros2_lv/{DOMAIN}/*/*/*/NN/*/*/funnel_hil_recorder", on_recorder, history=True
+        ),
+    ]
+    if is_recorded:
+        recorder_is_there.wait(MOST_WAITED_S)  # else it would miss the first commands
+    # Once all is ready: from here on the plant knows of a publisher of commands, and starts.
+    declared.append(
         session.liveliness().declare_token(
             os.environ.get("FUNNEL_HIL_COMMAND_TOKEN")
             or f"@ros2_lv/{DOMAIN}/{session_id}/0/1/MP/%/%/my_controller/%joint_commands"
             f"/{type_and_hash}/::,10:,:,:,,"
-        ),
-    ]
+        )
+    )
     is_over.wait()
