@@ -19,9 +19,12 @@ def bound_usage(run: RunData) -> Matrix:
 
 
 def judge_bounds(run: RunData) -> dict[str, Any]:
-    """Whether the true error stayed inside the funnel at every tick."""
+    """Whether the true error stayed inside the funnel at every tick.
+
+    Where the plant came to no tick there is nothing to judge, and nothing is kept.
+    """
     usage = bound_usage(run)
-    if not len(usage):
+    if len(usage) < 2:  # the first is where the arm stood before any tick
         return {"kept": False, "violation_fraction": None, "first_violation_s": None,
                 "margin_min": None}  # fmt: skip
     outside = (usage >= 1.0).any(axis=1)

@@ -25,6 +25,7 @@ from bus_schema.messages.topics import (
     Topic,
     layout,
 )
+from deploy.reports.verdict import verdict_on_run
 from deploy.runs.judging.metrics import settling_times_s, summarise
 from deploy.runs.run_data import RunData, build_run_data, digest
 from deploy.scenario.scenario import load_setup
@@ -85,7 +86,7 @@ def at(*errors_rad: float, **values: Any) -> dict[str, Any]:
 
 
 def test_errors_inside_keep_the_bounds(setup: Setup) -> None:
-    bounds = judged(setup, [at(0.1, -0.035, 0.0)])["bounds"]
+    bounds = judged(setup, [at(0.1, -0.035, 0.0), at(0.0)])["bounds"]
     assert bounds == {
         "kept": True,
         "violation_fraction": 0.0,
@@ -96,15 +97,15 @@ def test_errors_inside_keep_the_bounds(setup: Setup) -> None:
 
 
 def test_each_side_of_the_funnel_has_its_own_width(setup: Setup) -> None:
-    assert judged(setup, [at(0.08)])["bounds"]["kept"]
-    below = judged(setup, [at(-0.08)])["bounds"]
+    assert judged(setup, [at(0.08), at(0.0)])["bounds"]["kept"]
+    below = judged(setup, [at(-0.08), at(0.0)])["bounds"]
     assert not below["kept"]
     assert below["margin_min"] == pytest.approx(1.0 - 0.08 / LOWER_RAD)
 
 
 def test_error_on_the_bound_is_outside(setup: Setup) -> None:
-    assert judged(setup, [at(UPPER_RAD * (1 - 1e-9))])["bounds"]["kept"]
-    assert not judged(setup, [at(UPPER_RAD * (1 + 1e-9))])["bounds"]["kept"]
+    assert judged(setup, [at(UPPER_RAD * (1 - 1e-9)), at(0.0)])["bounds"]["kept"]
+    assert not judged(setup, [at(UPPER_RAD * (1 + 1e-9)), at(0.0)])["bounds"]["kept"]
 
 
 def test_violations_are_ticks_at_which_any_joint_is_outside(setup: Setup) -> None:
@@ -125,6 +126,18 @@ def test_run_without_ticks_has_not_kept_its_bounds(setup: Setup) -> None:
     assert summary["tracking"]["rms_rad"] is None
     assert summary["timing"]["success_rate"] is None
     assert summary["completed"] is False
+
+
+def test_where_the_arm_stood_before_any_tick_is_not_judged(setup: Setup) -> None:
+    for place_rad in (0.0, 1.0):
+        run = run_of(setup, [at(place_rad)])
+        summary = summarise(run, ["the controller is gone"])
+        assert summary["ticks"] == 0
+        assert summary["bounds"]["kept"] is False
+        assert summary["bounds"]["violation_fraction"] is None
+        verdict = verdict_on_run(run, summary)
+        assert verdict.headline == "Run faulted"
+        assert verdict.reasons[0] == "No tick was recorded, so there is nothing to judge."
 
 
 def test_tracking_counts_from_the_time_the_scenario_says(setup: Setup) -> None:
