@@ -119,7 +119,8 @@ class RunCounter:
         self._failed += values["error"] is not None
         notes = {"runs were there from before": self._before, "failed": self._failed}
         note = ", ".join(f"{count} {what}" for what, count in notes.items() if count)
-        self._progress.skip_to(self._before)
+        if before:
+            self._progress.skip_to(self._before)
         self._progress.update(self._done, total=expected, note=note)
 
 

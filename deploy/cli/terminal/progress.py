@@ -75,8 +75,10 @@ class CommandProgress:
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:
-        """So much was done before what has a speed begins, which is now."""
-        self._done_before, self._started_s = done, time.monotonic()
+        """So much of all was done before; what has a speed begins now, if it has not yet."""
+        if self._done <= self._done_before:
+            self._started_s = time.monotonic()
+        self._done_before = done
 
     def follow(self, position: Callable[[], float], name: str) -> None:
         """Ask again and again how much is done, until the end or until this is called again."""

@@ -79,6 +79,16 @@ def test_runs_of_earlier_commands_are_told_apart_and_have_no_speed(console):
     assert lines(console) == ["2 of 4 runs, 2 runs were there from before, 1 failed"]
 
 
+def test_the_speed_of_runs_is_that_of_all_that_this_command_did(console, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
+    with CommandProgress(console, "study", 8, "runs") as progress:
+        counter = RunCounter(progress)
+        for now_s[0], before in ((10.0, True), (11.0, False), (12.0, True), (14.0, False)):
+            counter.done({"error": None}, 8, before=before)
+    assert lines(console)[-1] == "4 of 8 runs, 0.5 runs/s, 8 s left, 2 runs were there from before"
+
+
 def test_what_processes_say_is_shown(console):
     with CommandProgress(console, "arm", 8, "s") as progress:
         handle = status_handler(progress)
