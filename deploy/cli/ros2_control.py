@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,18 +25,36 @@ def ros2_control(
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder; by default <scenario>_ros2_control.")
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files there that differ.")
+    ] = False,
 ) -> None:
     """Write the arm's URDF with its ros2_control element, and a controllers.yaml for it."""
     setup = load_setup(scenario, overrides or [])
     folder = out or Path(f"{setup.scenario.name}_ros2_control")
-    controllers = yaml.safe_dump(controllers_of(setup), sort_keys=False)
+    texts = {
+        folder / "robot.urdf": description(setup.robot),
+        folder / "controllers.yaml": yaml.safe_dump(controllers_of(setup), sort_keys=False),
+    }
     try:
+        if not overwrite:
+            _require_nothing_else(texts)
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / "robot.urdf", description(setup.robot))
-        write_whole(folder / "controllers.yaml", controllers)
+        for file, text in texts.items():
+            write_whole(file, text)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written: {error.strerror}") from error
     print(folder)
+
+
+def _require_nothing_else(texts: Mapping[Path, str]) -> None:
+    """Check that no file is there with another text, which may be somebody's work."""
+    for file, text in texts.items():
+        if file.exists() and file.read_bytes() != text.encode():
+            raise InputError(
+                f"{file}: is there already and differs from what would be written: must be moved"
+                " away, or give --overwrite or another --out"
+            )
 
 
 def controllers_of(setup: Setup) -> dict[str, Any]:

@@ -62,6 +62,23 @@ def test_the_page_shows_the_element_that_is_written(funnel_hil, tmp_path):
     )
 
 
+@pytest.mark.parametrize("name", ["controllers.yaml", "robot.urdf"])
+def test_files_that_were_edited_are_replaced_only_when_asked(funnel_hil, tmp_path, name):
+    words = ("ros2-control", "paper_arm", "--out", tmp_path)
+    assert funnel_hil(*words)[0] == 0
+    assert funnel_hil(*words)[0] == 0  # the same once more
+    file = tmp_path / name
+    written = file.read_text()
+    file.write_text(f"{written}\n")
+    code, said = funnel_hil(*words)
+    assert code == 2
+    assert name in said
+    assert "--overwrite" in said
+    assert file.read_text() == f"{written}\n"
+    assert funnel_hil(*words, "--overwrite")[0] == 0
+    assert file.read_text() == written
+
+
 def test_folder_that_cannot_be_written_is_bad_input(funnel_hil, tmp_path):
     (tmp_path / "file").write_text("")
     code, said = funnel_hil("ros2-control", "paper_arm", "--out", tmp_path / "file")
