@@ -22,6 +22,7 @@ from deploy.study.study import SHIPPED as SHIPPED_STUDIES
 app = typer.Typer(help="Folders of results: list, tag, prune.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(help="Folder with folders of results.")]
 _MIB = 1 << 20
+_WIDEST = 100_000
 
 
 def scenarios() -> None:
@@ -88,7 +89,7 @@ def prune(
         typer.Option("--older-than", metavar="DAYS", min=0.0, help="What was begun before that."),
     ] = None,
     incomplete: Annotated[
-        bool, typer.Option("--incomplete", help="What came to no end, or had a fault.")
+        bool, typer.Option("--incomplete", help="What came to no end, unless by a fault.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Remove it; otherwise it is shown.")] = False,
 ) -> None:
@@ -102,7 +103,7 @@ def prune(
         each for each in shelved(folder)
         if not each.tags
         and (older_than is None or _is_older(each, older_than))
-        and not (incomplete and each.completed)
+        and not (incomplete and (each.completed or each.faulted))
     ]  # fmt: skip
     _show(chosen, Console())
     if not yes:
@@ -125,11 +126,15 @@ def _show(found: list[Shelved], console: Console) -> None:
     for each in found:
         begun = "" if each.started is None else f"{each.started:%Y-%m-%d %H:%M}"
         bounds = {True: "bounds kept", False: "bounds not kept", None: "complete"}
-        result = bounds[each.bounds_kept] if each.completed else "incomplete"
+        unsound = "faulted" if each.faulted else "incomplete"
+        result = bounds[each.bounds_kept] if each.completed else unsound
         table.add_row(
             str(each.path), begun, each.kind, each.what, result, ", ".join(each.tags),
             f"{each.size_bytes / _MIB:.1f}",
         )  # fmt: skip
+    if not console.is_terminal:  # another program reads it: a row is a line, however long
+        whole = console.options.update(width=_WIDEST)
+        console.width = console.measure(table, options=whole).maximum
     console.print(table)
 
 

@@ -29,6 +29,7 @@ class Shelved:
         what: name of the scenario or study, and the law of a run.
         started: when it was begun; None where nothing says so.
         completed: whether it came to its end, without a fault.
+        faulted: whether it had a fault and was judged all the same.
         bounds_kept: of a run; None for all else.
         tags: in alphabetical order.
     """
@@ -38,6 +39,7 @@ class Shelved:
     what: str
     started: datetime | None
     completed: bool
+    faulted: bool
     bounds_kept: bool | None
     tags: list[str]
 
@@ -96,13 +98,14 @@ def _looked_at(path: Path) -> Shelved:
     names = [summary.get("name") or summary.get("scenario") or _scenario_of(manifest)]
     if kind == "run":
         names.append(summary.get("law"))
-    bounds = summary.get("bounds")
+    bounds, completed = summary.get("bounds"), _is_complete(kind, summary)
     return Shelved(
         path,
         kind,
         " ".join(str(name) for name in names if name),
         _time(manifest.get("started")),
-        completed=_is_complete(kind, summary),
+        completed=completed,
+        faulted=not completed and _was_judged(kind, summary),
         bounds_kept=bounds.get("kept") if isinstance(bounds, dict) else None,
         tags=tags_of(path),
     )
@@ -113,6 +116,17 @@ def _is_complete(kind: str, summary: dict[str, Any]) -> bool:
     if kind == "comparison" and isinstance(laws, dict):
         return all(_is_complete("run", law) for law in laws.values() if isinstance(law, dict))
     return bool(summary.get("completed")) and not summary.get("faults")
+
+
+def _was_judged(kind: str, summary: dict[str, Any]) -> bool:
+    """Whether it came to its end, or to the fault that ended it, and there was a tick to judge."""
+    laws = summary.get("laws")
+    if kind == "comparison" and isinstance(laws, dict):
+        return all(_was_judged("run", law) for law in laws.values() if isinstance(law, dict))
+    if not summary.get("faults"):
+        return bool(summary.get("completed"))
+    bounds = summary.get("bounds")
+    return isinstance(bounds, dict) and bounds.get("violation_fraction") is not None
 
 
 def _scenario_of(manifest: dict[str, Any]) -> Any:

@@ -116,6 +116,40 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
     assert names_in(shelf / "broken") == ["notes.txt"]
 
 
+def test_runs_with_a_fault_are_told_from_those_that_came_to_no_end(funnel_hil, shelf):
+    summary = json.loads((shelf / "new" / "summary.json").read_text())
+    faults = ["controller: the process is gone"]
+    nothing = {"kept": False, "violation_fraction": None, "first_violation_s": None}
+    for name, changes in (
+        ("whole", {"faults": faults}),
+        ("ended", {"faults": faults, "completed": False}),
+        ("never_began", {"faults": faults, "completed": False, "bounds": nothing}),
+        ("of_laws", {"kind": "comparison", "laws": {"a": summary, "b": {**summary, "faults": [""]}}}),
+        ("half", {"kind": "comparison", "laws": {"a": {**summary, "completed": False}}}),
+    ):  # fmt: skip
+        shutil.copytree(shelf / "new", shelf / name)
+        write_json(shelf / name / "summary.json", summary | changes)
+    rows = funnel_hil("runs", "list", shelf)[1].splitlines()[1:]
+    told = {row.split()[0].rpartition("/")[2]: row for row in rows}
+    assert {name for name, row in told.items() if "faulted" in row} == {"whole", "ended", "of_laws"}
+    gone = {"broken", "never_began", "half"}
+    assert {name for name, row in told.items() if "incomplete" in row} == gone
+    assert "3 removed" in funnel_hil("runs", "prune", shelf, "--incomplete", "--yes")[1]
+    assert set(names_in(shelf)) == {*told, "somebody_elses"} - gone
+
+
+def test_through_a_pipe_a_row_is_a_line(funnel_hil, shelf):
+    name = "a_name_that_is_longer_than_lines_are_" * 6
+    (shelf / "new").rename(shelf / name)
+    said = funnel_hil("runs", "list", shelf)[1].splitlines()
+    assert len(said) == 4
+    (row,) = [line for line in said if line.startswith(f"{shelf / name} ")]
+    assert "bounds kept" in row
+    pruned = funnel_hil("runs", "prune", shelf, "--older-than", "0")[1].splitlines()
+    assert len(pruned) == 5
+    assert any(line.startswith(f"{shelf / name} ") for line in pruned)
+
+
 def test_prune_removes_all_that_a_run_and_its_export_left(funnel_hil, recorded, tmp_path):
     run = tmp_path / "compared" / "pid"
     shutil.copytree(recorded, run)
