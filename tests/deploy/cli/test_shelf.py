@@ -118,13 +118,13 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
 
 def test_runs_with_a_fault_are_told_from_those_that_came_to_no_end(funnel_hil, shelf):
     summary = json.loads((shelf / "new" / "summary.json").read_text())
-    faults = ["controller: the process is gone"]
+    faulted = {"faults": ["controller: the process is gone"]}
     nothing = {"kept": False, "violation_fraction": None, "first_violation_s": None}
     for name, changes in (
-        ("whole", {"faults": faults}),
-        ("ended", {"faults": faults, "completed": False}),
-        ("never_began", {"faults": faults, "completed": False, "bounds": nothing}),
-        ("of_laws", {"kind": "comparison", "laws": {"a": summary, "b": {**summary, "faults": [""]}}}),
+        ("whole", faulted),
+        ("ended", {**faulted, "completed": False}),
+        ("never_began", {**faulted, "completed": False, "bounds": nothing}),
+        ("of_laws", {"kind": "comparison", "laws": {"a": summary, "b": {**summary, **faulted}}}),
         ("half", {"kind": "comparison", "laws": {"a": {**summary, "completed": False}}}),
     ):  # fmt: skip
         shutil.copytree(shelf / "new", shelf / name)
