@@ -114,11 +114,11 @@ def read_again(path: Path) -> RecordedRuns:
 def _read(label: str, path: Path) -> tuple[LawRun, dict[str, str]]:
     """A recorded run, judged again, and its scenario's values; files are as the recording has them.
 
-    Where the scenario came from they may be gone or changed by now.
+    Where the scenario came from they may be gone or changed by now. Copies may end lines otherwise.
     """
     data, contents = load_run(path)
     texts = {
-        key: contents.attachments[name].decode(errors="replace")
+        key: "\n".join(contents.attachments[name].decode(errors="replace").splitlines())
         for key, name in DATA_ATTACHMENTS.items()
         if name in contents.attachments
     }

@@ -126,9 +126,9 @@ def test_files_are_compared_as_they_were_recorded(tmp_path, funnel_hil):
     columns = ",".join(["time_s", *(f"{name}.position_rad" for name in names)])
     delays = tmp_path / "delays.txt"
     delays.write_text("0.1 0.2")
-    for run, angle in (("a", "0.1"), ("b", "0.1"), ("c", "0.2")):
+    for run, angle, end in (("a", "0.1", "\r\n"), ("b", "0.1", "\n"), ("c", "0.2", "\n")):
         rows = [",".join([time, *[angle] * len(names)]) for time in ("0", "0.5", "1")]
-        (tmp_path / "reference.csv").write_text("\n".join([columns, *rows]))
+        (tmp_path / "reference.csv").write_bytes(end.join([columns, *rows, ""]).encode())
         record(
             tmp_path / run,
             f"reference={{kind: csv, file: {tmp_path / 'reference.csv'}}}",
