@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 _SHOWN_KEYS = 12
@@ -35,6 +36,12 @@ class PeerSilentError(BusError, TimeoutError):
         super().__init__(f"the {peer} is silent: no {awaited} within {waited_s:g} s")
         self.peer = peer
         self.waited_s = waited_s
+
+
+def silent_peer(text: str) -> str | None:
+    """The peer whose silence a sentence tells of, as `PeerSilentError` does; None for none."""
+    found = re.search(r"\bthe (\w+) is silent: no ", text)
+    return found and found[1]
 
 
 class ScenarioMismatchError(BusError):

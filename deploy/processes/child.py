@@ -8,10 +8,12 @@ import queue
 import signal
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from bus_schema.errors import silent_peer
 from deploy.exit_codes import INTERRUPTED
 from deploy.processes.command_process import start
 from deploy.processes.status import StatusMessage
@@ -31,6 +33,18 @@ class Failure(NamedTuple):
 
     text: str
     is_cause: bool
+
+
+def in_causal_order(failures: Sequence[str]) -> list[str]:
+    """Sentences about failures; that a process which failed itself was silent comes last."""
+
+    def is_consequence(text: str) -> bool:
+        peer = silent_peer(text)
+        return peer is not None and any(
+            other.startswith(f"the {peer} failed") for other in failures
+        )
+
+    return sorted(failures, key=is_consequence)
 
 
 class ChildProcess(ABC):

@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bus_schema.errors import silent_peer
 from bus_schema.messages.topics import Role
-from deploy.processes.child import Child, ChildProcess, Failure
+from deploy.processes.child import Child, ChildProcess, Failure, in_causal_order
 from deploy.processes.fault_injector import ProcessFaultInjector
 from deploy.processes.live.feed import clear_left_behind
 from deploy.processes.live.viewer import LiveViewer
@@ -84,7 +85,7 @@ class Launcher:
         self._injector = ProcessFaultInjector(self._children, self._start)
         self._outcome = RunOutcome()
         self._stop_requested = False
-        self._has_begun = False
+        self._has_begun = self._plant_has_failed = self._program_left_first = False
 
     def request_stop(self) -> None:
         """End the run cleanly; a second request ends it at once."""
@@ -116,6 +117,7 @@ class Launcher:
                 self._viewer.end()
             clear_left_behind()
         self._handle_messages(on_message)
+        self._outcome.failures = in_causal_order(self._outcome.failures)
         self._note_what_program_said()
         return self._outcome
 
@@ -178,6 +180,8 @@ class Launcher:
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, Program):
             return
+        if self._has_gone(Role.CONTROLLER) and self._inbox.empty() and not self._plant_has_failed:
+            self._program_left_first = True
         if self._has_gone(Role.PLANT):
             program.ask_to_stop()
             if not self._has_begun:
@@ -238,7 +242,9 @@ class Launcher:
         if not isinstance(program, Program) or program.failure() is not None:
             return
         if self._outcome.failures or not (self._has_begun or self._outcome.interrupted):
-            self._note_failure(program.suspicion())
+            awaited = Role.CONTROLLER in map(silent_peer, self._outcome.failures)
+            gave_up = awaited and not self._program_left_first
+            self._note_failure(program.suspicion(plant_gave_up_first=gave_up))
 
     def _note_failure(self, failure: Failure | None) -> None:
         if failure is not None:
@@ -250,6 +256,8 @@ class Launcher:
             message = self._inbox.get()
             if message.kind == "progress" or message.values.get("ticks"):
                 self._has_begun = True
+            if message.kind == "fault" and message.role == Role.PLANT:
+                self._plant_has_failed = True
             if message.kind == "realtime":
                 self._outcome.realtime[message.role] = message.values["settings"]
             elif message.kind == "result" and message.role == RELAY:

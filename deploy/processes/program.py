@@ -122,14 +122,20 @@ class Program(ChildProcess):
             how = f"failed with exit code {code}"
         return Failure(f"the controller ({self._name}) {how}: {self._last_words()}", is_cause=True)
 
-    def suspicion(self) -> Failure | None:
-        """What it may have to do with a failure, for one that has not failed itself."""
+    def suspicion(self, *, plant_gave_up_first: bool) -> Failure | None:
+        """What it may have to do with a failure, for one that has not failed itself.
+
+        Args:
+            plant_gave_up_first: the plant, whose end is one for the program to end by, waited for
+                it in vain.
+        """
         who, said = f"the controller ({self._name})", self._last_words()
-        if not self._was_asked_to_stop:
+        if not self._was_asked_to_stop and not plant_gave_up_first:
             return Failure(f"{who} ended by itself with exit code 0: {said}", is_cause=True)
         if said == _SILENT:
             return None
-        return Failure(f"{who} had to be stopped; its last words: {said}", is_cause=False)
+        how = "had to be stopped" if self._was_asked_to_stop else "ended after the plant"
+        return Failure(f"{who} {how}; its last words: {said}", is_cause=False)
 
     def _last_words(self) -> str:
         """The last line on its standard error."""

@@ -1,6 +1,8 @@
 """A controller that others wrote: PID to one point, with `zenoh` and `struct` and nothing of ours.
 
-python foreign_controller.py [--fail-after N | --leave-after N]
+python foreign_controller.py [--fail-after N | --leave-after N | --silent-after N]
+
+Where it falls silent it stays on the bus until the plant has left.
 """
 
 import os
@@ -82,7 +84,8 @@ def main() -> None:
     def answer(sample: zenoh.Sample) -> None:
         nonlocal answered
         if answered >= min(limit.values(), default=1 << 60):
-            over.set()
+            if "--silent-after" not in limit:
+                over.set()
             return
         state = Reader(sample.payload.to_bytes())
         stamp = state.take("i", 4) + state.take("I", 4)
@@ -102,11 +105,17 @@ def main() -> None:
         publisher.put(command(stamp, names, torque_nm), attachment=attachment)
 
     subscriber = session.declare_subscriber(variable["FUNNEL_HIL_STATE_KEY"], answer)
+    domain = variable["FUNNEL_HIL_DOMAIN"]
+    plant = session.liveliness().declare_subscriber(
+        f"@ros2_lv/{domain}/*/*/*/NN/*/*/funnel_hil_plant",
+        lambda sample: sample.kind == zenoh.SampleKind.DELETE and over.set(),
+        history=True,
+    )
     token = session.liveliness().declare_token(variable["FUNNEL_HIL_COMMAND_TOKEN"])
     signal.signal(signal.SIGTERM, lambda *_: over.set())
     while not over.wait(0.05):
         pass
-    for entity in (token, subscriber):
+    for entity in (token, subscriber, plant):
         entity.undeclare()
     session.close()
     if "--fail-after" in limit:

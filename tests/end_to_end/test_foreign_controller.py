@@ -93,6 +93,18 @@ def test_how_it_failed_is_the_first_cause(
     assert not ended.summary["completed"]
 
 
+def test_silence_that_the_plant_gave_up_on_comes_before_the_end_of_the_process(
+    tmp_path: Path,
+) -> None:
+    """Whoever falls silent, and ends in order once the plant has left, did not end the run."""
+    silent = [*CLIENT, "--silent-after", 100]
+    ended = run(tmp_path / "run", **LOCKSTEP, link__reply_timeout_s=2, controller__process=silent)
+    assert ended.code == 1
+    faults = ended.summary["faults"]
+    assert faults[0] == "the plant failed: the controller is silent: no reply to a state within 2 s"
+    assert not any("ended by itself" in fault for fault in faults)
+
+
 def test_what_it_started_itself_does_not_outlive_the_run(tmp_path: Path) -> None:
     pid = tmp_path / "pid"
     script = f'sleep 1000 & echo $! > {pid}; exec "$0" "$@"'
@@ -139,11 +151,13 @@ def test_a_controller_from_elsewhere_is_awaited_at_the_given_endpoints(
 
 
 def test_nobody_came(tmp_path: Path) -> None:
-    given = {**LOCKSTEP, "link__connect_timeout_s": 0.5, "link__plant_endpoint": free_endpoint(),
+    given = {**LOCKSTEP, "link__connect_timeout_s": 3, "link__plant_endpoint": free_endpoint(),
              "link__controller_endpoint": free_endpoint()}  # fmt: skip
     ended = run(tmp_path / "run", "--await-controller", **given)
     assert ended.code == 1
-    assert "the controller is silent: no sign of life within 0.5 s" in ended.output
+    first = "the controller is silent: no sign of life within 3 s"
+    assert first in ended.output
+    assert ended.summary["faults"][0] == f"the plant failed: {first}"
 
 
 def test_compare_sets_it_beside_a_law(tmp_path: Path) -> None:
