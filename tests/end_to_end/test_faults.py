@@ -39,7 +39,7 @@ DISRUPTED_AT_S = 0.5
 PERIOD_S = 0.001
 # In real time a busy machine may well hold up a loop for the 200 ms that are the default.
 COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 1.0}
-LONG = settings(duration_s=40, link__reply_timeout_s=1, link__connect_timeout_s=60)
+LONG = settings(duration_s=90, link__reply_timeout_s=1, link__connect_timeout_s=60)
 ROLES = {"controller", "plant", "recorder"}
 
 both_clocks = pytest.mark.parametrize(

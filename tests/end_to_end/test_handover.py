@@ -19,7 +19,7 @@ from running import (
 from bus_schema.messages.run_event import EventKind
 from tests.warm_process import WarmProcess
 
-LONG = settings(clock="lockstep", duration_s=40, link__connect_timeout_s=60)
+LONG = settings(clock="lockstep", duration_s=90, link__connect_timeout_s=60)
 
 
 @contextmanager
