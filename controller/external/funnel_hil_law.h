@@ -41,8 +41,8 @@ static int funnel_hil_serve(funnel_hil_torque torque, funnel_hil_reset reset) {
         }
         if (rows == NULL) {
             joints = (size_t)header[2];
-            rows = calloc(FUNNEL_HIL_ROWS * joints, sizeof(double));
-            answer = calloc(1 + joints, sizeof(double));
+            rows = (double *)calloc(FUNNEL_HIL_ROWS * joints, sizeof(double));
+            answer = (double *)calloc(1 + joints, sizeof(double));
             if (rows == NULL || answer == NULL) return 1;
         }
         if (fread(rows, sizeof(double), FUNNEL_HIL_ROWS * joints, stdin) != FUNNEL_HIL_ROWS * joints)
