@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -29,13 +29,15 @@ class ConfigurationError(BusError, ValueError):
         key: dotted key of the value.
         value: the value as given.
         allowed: what is allowed there.
+        beside: dotted keys of other values, or sections, that this one does not fit with.
     """
 
-    def __init__(self, key: str, value: Any, allowed: str) -> None:
+    def __init__(self, key: str, value: Any, allowed: str, beside: Sequence[str] = ()) -> None:
         super().__init__(f"{key} = {shown(value)}: {allowed}")
         self.key = key
         self.value = value
         self.allowed = allowed
+        self.beside = beside
 
 
 class StrictModel(BaseModel):

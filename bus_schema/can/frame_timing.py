@@ -154,7 +154,7 @@ def check_cycle_fits(
         f"a cycle of {joints} drives takes {cycle.words.format(n=joints)} = up to"
         f" {bits.words(can)}, and of the period of"
         f" {period_us:.0f} µs {_LARGEST_SHARE:.0%} may be used; the nearest rate that fits is"
-        f" {fitting} Hz (at most {limit_hz:.0f})",
+        f" {fitting} Hz (at most {limit_hz:.0f})", ["link.kind", "link.can", "robot"],
     )  # fmt: skip
 
 

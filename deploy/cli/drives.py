@@ -54,13 +54,13 @@ def drives(
     setup = load_setup(scenario, overrides or [])
     say_oddities(setup)
     can = setup.scenario.link.can
-    with naming(setup.source):
+    with naming(setup.origin):
         node_ids = PROTOCOLS.build(can.protocol).node_ids(can, setup.robot.joints)
     try:
         plan = [parse_fault(text, node_ids) for text in faults or []]
     except ConfigurationError as error:
         raise ScenarioError(str(error)) from error
-    with naming(setup.source):
+    with naming(setup.origin):
         bus = open_can_bus(can)
     with closing(bus):
         raise typer.Exit(_serve(setup, bus, plan, duration_s, verbose=verbose))
@@ -73,7 +73,7 @@ def _serve(
     clock = MonotonicClock()
     monitor = BusMonitor(bus, clock, verbose=verbose)
     can, robot = setup.scenario.link.can, setup.robot
-    with naming(setup.source):
+    with naming(setup.origin):
         monitor.bank = build_bank(
             can, robot, setup.scenario.plant, monitor.send, tuned=setup.tuned_drive
         )

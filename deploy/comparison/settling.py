@@ -9,7 +9,6 @@ import numpy as np
 
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
-from deploy.scenario.explanation import Origin
 from deploy.scenario.scenario import check
 from deploy.scenario.setup import Setup
 
@@ -92,4 +91,4 @@ def _started_off(setup: Setup, size_rad: float) -> Setup:
         "robot": scenario.robot.model_copy(update={"initial_offset_rad": offset}),
         "duration_s": min(LONGEST_S, scenario.duration_s),
     }
-    return check(scenario.model_copy(update=changes), Origin(setup.source))
+    return check(scenario.model_copy(update=changes), setup.origin)

@@ -74,7 +74,8 @@ def check_physics_can_be_replaced(setup: Setup) -> None:
     kind = setup.scenario.link.kind
     if setup.link_kind.arm_type is not ArmPlant:
         raise ScenarioError(
-            f"{setup.source}: link.kind = {kind!r}: must be zenoh or in_process for this check"
+            f"{setup.origin.of('link.kind')}: link.kind = {kind!r}: must be zenoh or in_process"
+            " for this check"
         )
 
 

@@ -65,6 +65,7 @@ class CanKind(LinkKind[DrivenArm]):
             raise ConfigurationError(
                 f"{side}.drive_feedback.enabled", True,
                 f"false over CAN with {protocol.title}: these drives take torques alone",
+                ["link.kind", "link.can.protocol"],
             )  # fmt: skip
         if run.drive is not None:
             protocol.check_gains(can, run.drive)
@@ -81,7 +82,7 @@ class CanKind(LinkKind[DrivenArm]):
             raise ConfigurationError(
                 "link.can.interface", "virtual",
                 "reaches no other process: must be udp_multicast, socketcan or hardware for"
-                " run; simulate runs in one process",
+                " run; simulate runs in one process", ["link.kind"],
             )  # fmt: skip
         check_can_bus(link.can)
 
@@ -158,7 +159,7 @@ def _check_unimpaired(link: LinkConfiguration) -> None:
             raise ConfigurationError(
                 f"link.{name}", shown,
                 "must be left out with link.kind = can: what a CAN bus does to frames is up to"
-                " link.can.bitrate and link.can.faults",
+                " link.can.bitrate and link.can.faults", ["link.kind"],
             )  # fmt: skip
 
 
@@ -167,12 +168,14 @@ def _check_fd(can: CanConfiguration, protocol: DriveProtocol) -> None:
         return
     if not protocol.has_fd_process_data:
         raise ConfigurationError(
-            "link.can.fd_process_data", True, f"must be false with {protocol.title}"
-        )
+            "link.can.fd_process_data", True, f"must be false with {protocol.title}",
+            ["link.kind", "link.can.protocol"],
+        )  # fmt: skip
     if not can.fd:
         raise ConfigurationError(
-            "link.can.fd", False, "must be true with link.can.fd_process_data = true"
-        )
+            "link.can.fd", False, "must be true with link.can.fd_process_data = true",
+            ["link.kind", "link.can.fd_process_data"],
+        )  # fmt: skip
 
 
 def _free_udp_port() -> int:

@@ -33,7 +33,7 @@ def require_program(setup: Setup) -> None:
     """
     command = setup.scenario.controller.process
     if command is not None and shutil.which(command[0]) is None:
-        with naming(setup.source):
+        with naming(setup.origin):
             raise ConfigurationError(
                 "controller.process", list(command),
                 f"must begin with a program that can be run; {command[0]!r} is none, from"

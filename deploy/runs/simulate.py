@@ -176,15 +176,16 @@ def _control(
 
 
 def _require_simulable(setup: Setup) -> None:
+    source = setup.origin.of("faults")
     for fault in process_faults(setup.scenario.faults):
         if not setup.link_kind.simulates_process_faults:
             raise ScenarioError(
-                f"{setup.source}: faults: kind = {fault.kind!r}: must be of another kind for"
+                f"{source}: faults: kind = {fault.kind!r}: must be of another kind for"
                 " simulate over this link; run has processes"
             )
         if Role(fault.target) is not Role.CONTROLLER:
             raise ScenarioError(
-                f"{setup.source}: faults: target = {fault.target!r}: must be controller for"
+                f"{source}: faults: target = {fault.target!r}: must be controller for"
                 " simulate, which has no other process; run has"
             )
 

@@ -35,13 +35,23 @@ class Origin:
     overrides: Sequence[str] = ()
     given_by: str = "--set"
 
-    def of(self, key: str) -> str:
-        """Where the value of a dotted key comes from: the last that set it, or a part of it."""
+    def of(self, key: str, beside: Sequence[str] = ()) -> str:
+        """Where the value of a dotted key comes from: the last that set it, or a part of it.
+
+        Where that is the file, what set the keys `beside` it is told too.
+        """
+        own = self._set(key)
+        if own is not None:
+            return own
+        others = [other for each in beside if (other := self._set(each)) is not None]
+        return ", ".join([str(self.file), *dict.fromkeys(f"with {other}" for other in others)])
+
+    def _set(self, key: str) -> str | None:
         for override in reversed(self.overrides):
             given = override.partition("=")[0]
             if _is_within(key, given) or _is_within(given, key):
                 return f"{self.given_by} {shortened(override)}"
-        return str(self.file)
+        return None
 
 
 def explain(error: ValidationError, model: type[BaseModel], origin: Origin) -> str:

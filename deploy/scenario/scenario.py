@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
@@ -91,7 +90,7 @@ def build_setup(
     scenario = validated(given_values(values, source, overrides), Scenario, origin)
     with naming(origin):
         scenario = _judged_over_some_time(scenario, origin)
-    return replace(check(scenario, origin), overrides=tuple(overrides))
+    return check(scenario, origin)
 
 
 def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType({})) -> str:
@@ -173,7 +172,7 @@ def _judged_over_some_time(scenario: Scenario, origin: Origin) -> Scenario:
         return scenario
     if is_chosen or origin.of("metrics.from_s") != str(origin.file):
         allowed = f"must be before the end of the run, {end_s:g} s"
-        raise ConfigurationError("metrics.from_s", judge.from_s, allowed)
+        raise ConfigurationError("metrics.from_s", judge.from_s, allowed, ["duration_s"])
     chosen = judge.model_fields_set - {"from_s"}
     second_half = judge.model_construct(chosen, **{**dict(judge), "from_s": 0.5 * end_s})
     return scenario.model_copy(update={"metrics": second_half})
@@ -238,12 +237,13 @@ def check(scenario: Scenario, origin: Origin) -> Setup:
     """
     with naming(origin):
         try:
-            return _check(scenario, origin.file)
+            return _check(scenario, origin)
         except RobotDescriptionError as error:
             raise ConfigurationError("robot.urdf", scenario.robot.urdf, str(error)) from error
 
 
-def _check(scenario: Scenario, source: Path) -> Setup:
+def _check(scenario: Scenario, origin: Origin) -> Setup:
+    source = origin.file
     link_kind = LINK_KINDS.build(scenario.link.kind)
     PROTOCOLS.check(scenario.link.can.protocol)
     given = scenario.robot
@@ -253,14 +253,15 @@ def _check(scenario: Scenario, source: Path) -> Setup:
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
     if scenario.duration_s * 1e9 < grid.period_ns:
         allowed = f"at least a tick, {grid.period_ns * 1e-9} s"
-        raise ConfigurationError("duration_s", scenario.duration_s, allowed)
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed, ["rate_hz"])
     key = "robot.initial_offset_rad"
     offset = expand(scenario.robot.initial_offset_rad, robot.joints, key)
     motion = _reachable_motion(reference, robot, scenario)
     start = sample_positions(reference, np.zeros(1), robot.joints)[0] + offset
     if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
         allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
-        raise ConfigurationError(key, offset.tolist(), f"{allowed} {_ranges(robot)}")
+        allowed = f"{allowed} {_ranges(robot)}"
+        raise ConfigurationError(key, offset.tolist(), allowed, ["reference", "robot"])
     context = FaultContext(
         robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
     )
@@ -278,12 +279,14 @@ def _check(scenario: Scenario, source: Path) -> Setup:
         start_position_rad=start,
         governing_inertia_kg_m2=inertia,
         grid=grid,
+        overrides=tuple(origin.overrides),
+        given_by=origin.given_by,
     )
     if scenario.controller.process is None:
         setup.control_task()
     elif scenario.link.kind != "zenoh":
         allowed = "must be zenoh, which controller.process speaks"
-        raise ConfigurationError("link.kind", scenario.link.kind, allowed)
+        raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
     link_kind.check(setup.link_run(lockstep=True))
     ArmPlant.check(scenario.plant, robot, grid, scenario.limits)
     if scenario.uncertainty:
@@ -299,7 +302,7 @@ def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: S
             f"must be within the {first_s:g} to {last_s:g} s of reference.file; reference.beyond:"
             " hold rests before and after"
         )
-        raise ConfigurationError("duration_s", scenario.duration_s, allowed)
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed, ["reference"])
     samples = min(round(scenario.duration_s * _CHECKED_PER_SECOND), _MOST_CHECKED) + 1
     times = np.linspace(0.0, scenario.duration_s, samples)
     positions = sample_positions(reference, times, robot.joints)
@@ -311,6 +314,7 @@ def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: S
             "reference",
             f"{what} at {times[first]:g} s",
             f"must stay within the arm's reach and joint limits {_ranges(robot)}",
+            ["duration_s", "robot"],
         )
     return positions
 

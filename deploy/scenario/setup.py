@@ -18,6 +18,7 @@ from controller.reference import Reference
 from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
+from deploy.scenario.explanation import Origin
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.faults.process_faults import plant_faults
@@ -36,6 +37,7 @@ class Setup:
         start_position_rad: joint positions at the start, shape (joints,).
         governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
         overrides: what was set beside the file, as ``dotted.key=value``.
+        given_by: what they were set with.
         bodies: makes the arm's rigid bodies: Bullet's, or what a check sets in their place.
     """
 
@@ -49,7 +51,13 @@ class Setup:
     governing_inertia_kg_m2: Vector
     grid: TickGrid
     overrides: tuple[str, ...] = ()
+    given_by: str = "--set"
     bodies: Callable[..., Any] = BulletArm
+
+    @property
+    def origin(self) -> Origin:
+        """Where the scenario's values come from, for messages."""
+        return Origin(self.source, self.overrides, self.given_by)
 
     @property
     def ticks(self) -> int:

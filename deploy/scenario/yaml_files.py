@@ -39,7 +39,7 @@ def naming(source: Path | Origin) -> Iterator[None]:
     try:
         yield
     except ConfigurationError as error:
-        raise ScenarioError(f"{origin.of(error.key)}: {error}") from error
+        raise ScenarioError(f"{origin.of(error.key, error.beside)}: {error}") from error
     except ScenarioError as error:
         raise ScenarioError(f"{origin.file}: {error}") from error
 

@@ -29,7 +29,7 @@ def check_link(setup: Setup, *, one_process: bool) -> None:
     """
     if one_process:
         require_own_controller(setup)
-    with naming(setup.source):
+    with naming(setup.origin):
         setup.link_kind.check_machine(setup.scenario.link, one_process=one_process)
 
 
@@ -42,7 +42,7 @@ def require_own_controller(setup: Setup) -> None:
     process = setup.scenario.controller.process
     if process is not None:
         allowed = "must be null here: run starts it, with clock lockstep in virtual time"
-        with naming(setup.source):
+        with naming(setup.origin):
             raise ConfigurationError("controller.process", list(process), allowed)
 
 
@@ -68,7 +68,7 @@ def check_awaiting(setup: Setup) -> None:
         ScenarioError: it cannot.
     """
     controller = setup.scenario.controller
-    with naming(setup.source):
+    with naming(setup.origin):
         if controller.process is not None:
             allowed = "must be null with --await-controller, which starts no controller"
             raise ConfigurationError("controller.process", list(controller.process), allowed)
@@ -105,11 +105,13 @@ def with_free_endpoints(setup: Setup) -> Setup:
 @contextlib.contextmanager
 def _refusing(setup: Setup, key: str) -> Iterator[None]:
     """Tell of an endpoint that cannot be listened at as of bad input."""
+    endpoint = getattr(setup.scenario.link, key)
     try:
         yield
     except (OSError, OverflowError, UnicodeError) as error:
+        key = f"link.{key}"
         raise ScenarioError(
-            f"{setup.source}: link.{key} = {getattr(setup.scenario.link, key)!r}: must be an"
+            f"{setup.origin.of(key)}: {key} = {endpoint!r}: must be an"
             f" endpoint that this machine can listen at: {error}"
         ) from error
 

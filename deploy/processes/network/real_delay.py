@@ -73,7 +73,7 @@ def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
     for key, value, is_met, allowed in needs:
         if not is_met:
             raise ScenarioError(
-                f"{setup.source}: {key} = {value!r}: must be {allowed} (with --real-delay)"
+                f"{setup.origin.of(key)}: {key} = {value!r}: must be {allowed} (with --real-delay)"
             )
 
 

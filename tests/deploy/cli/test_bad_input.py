@@ -252,3 +252,53 @@ def test_what_is_there_but_no_file_is_said_to_be_so(tmp_path, funnel_hil):
         code, said = funnel_hil("simulate", place)
         assert code == 2
         assert f"{place}: is no regular file, nor one of the shipped" in said
+
+
+LATE = [
+    # command, scenario, what is set, what is refused: by a check that comes after the schema
+    ("drives", "paper_arm", "link.can.interface=nonsense", "link.can.interface = 'nonsense'"),
+    ("run", "paper_arm", "controller.process=[./nope]", "controller.process = "),
+    ("run", "paper_arm", "link.plant_endpoint=tcp/1.2.3.4:7000", "link.plant_endpoint = "),
+    ("simulate", "paper_arm", "controller.process=[./nope]", "controller.process = "),
+]
+
+
+@pytest.mark.parametrize(("command", "scenario", "given", "said"), LATE)
+def test_what_is_set_is_blamed_on_what_set_it_however_late_it_is_refused(
+    command, scenario, given, said, funnel_hil, nothing_starts
+):
+    code, text = funnel_hil(command, scenario, "--set", given)
+    assert code == 2
+    assert text.startswith(f"error: --set {given}: {said}")
+
+
+UNFIT = [
+    # scenario, what is set, the value of the file that does not fit with it
+    ("iiwa_can", "link.can.protocol=cansimple", "link.can.fd_process_data = True"),
+    ("iiwa_can", "link.can.fd=false", None),
+    ("paper_arm_can", "link.can.bitrate=125000", "rate_hz = 500.0"),
+    ("paper_arm", "duration_s=600", "reference = "),
+]
+
+
+@pytest.mark.parametrize(("scenario", "given", "said"), UNFIT)
+def test_a_value_that_does_not_fit_with_what_is_set_is_told_with_both(scenario, given, said):
+    with pytest.raises(ScenarioError) as refused:
+        load_setup(scenario, ["seed=3", given])
+    place = f"{SHIPPED / scenario}.yaml, with --set" if said else "--set"
+    assert str(refused.value).startswith(f"{place} {given}: {said or 'link.can.fd = False'}")
+
+
+def test_a_recorded_reference_that_is_played_too_fast_is_told_with_the_speed(tmp_path, funnel_hil):
+    short = ("--set", "duration_s=0.1")
+    funnel_hil("reference", "paper_arm", "--csv", *short, "--out", tmp_path / "way.csv")
+    file = tmp_path / "csv.yaml"
+    base = re.sub(r"(?ms)^reference:.*?(?=^\S)", "", BASE)
+    file.write_text(
+        re.sub("(?m)^duration_s:.*", "duration_s: 0.1", base)
+        + f"reference:\n  kind: csv\n  file: {tmp_path / 'way.csv'}\n"
+    )
+    load_setup(str(file))
+    with pytest.raises(ScenarioError) as refused:
+        load_setup(str(file), ["reference.speed=2"])
+    assert str(refused.value).startswith(f"{file}, with --set reference.speed=2: duration_s = 0.1")
