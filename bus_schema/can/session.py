@@ -15,8 +15,8 @@ import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.multicast import Envelopes, MulticastBus
-from bus_schema.can.socket_drops import dropped_by_socket
+from bus_schema.can.sockets.drops import dropped_by_socket
+from bus_schema.can.sockets.multicast import Envelopes, MulticastBus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.benchmarks.can_cycle import measure_can_cycles
+from deploy.benchmarks.can.cycle import measure_can_cycles
 from deploy.benchmarks.control_step import measure_control_steps
 from deploy.benchmarks.finishing import measure_finishing
 from deploy.benchmarks.loop_costs import measure_loop_costs

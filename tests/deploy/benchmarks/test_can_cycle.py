@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.benchmarks import can_cycle
-from deploy.benchmarks.can_compiled import compiled_cycle_us
+from deploy.benchmarks.can import cycle
+from deploy.benchmarks.can.compiled import compiled_cycle_us
 
 
 def test_every_side_is_set_beside_the_bare_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(can_cycle, "SIZES", (1, 2))
-    section = can_cycle.measure_can_cycles(cycles=3, repetitions=1)
+    monkeypatch.setattr(cycle, "SIZES", (1, 2))
+    section = cycle.measure_can_cycles(cycles=3, repetitions=1)
     named = {ratio.name for ratio in section.ratios}
     for bus in ("virtual", "udp_multicast"):
         for side in ("master", "drives"):

@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable, Sequence
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.socket_drops import dropped_by_socket
-from bus_schema.can.socket_filter import keep_out
+from bus_schema.can.sockets.drops import dropped_by_socket
+from bus_schema.can.sockets.filter import keep_out
 from bus_schema.errors import BusError
 
 _LONGEST_DATAGRAM = 4096

@@ -25,7 +25,7 @@ from bus_schema.can.frame import CanFrame
 from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import open_can_bus, open_python_can, to_message
 from bus_schema.link.can_configuration import CanConfiguration
-from deploy.benchmarks.can_compiled import compiled_cycle_us
+from deploy.benchmarks.can.compiled import compiled_cycle_us
 from deploy.benchmarks.measure import Costs, Ratio, Section, interleave, ratio
 from deploy.processes.network.free_ports import free_ports
 from plant_emulator.drives.bank import DriveBank

@@ -1,0 +1,1 @@
+"""Sockets that stand for a CAN bus: frames over multicast, who hears them, and what they drop."""

@@ -1,0 +1,1 @@
+"""What a cycle over CAN costs, beside a compiled one."""
