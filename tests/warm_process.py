@@ -31,8 +31,9 @@ HANG_S = 120.0
 """Longer than anything here takes on a slow machine; only a hang lasts so long."""
 
 IMPORTED = (
-    "deploy.cli.experiments", "deploy.cli.processes", "deploy.cli.run", "deploy.cli.studies",
-    "deploy.reports.run_report", "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
+    "deploy.cli.processes", "deploy.cli.run", "deploy.cli.study.experiments",
+    "deploy.cli.study.studies", "deploy.reports.run_report",
+    "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
 FUNNEL_HIL = "deploy.cli:main"
 WITHOUT_REPORT = "tests.warm_process:without_report"

@@ -42,27 +42,27 @@ COMMANDS = {
         "Make, issue and list keys for link.security.",
     ),
     "compare": (
-        "deploy.cli.experiments:compare",
+        "deploy.cli.study.experiments:compare",
         "Run a scenario under several laws in virtual time, and set their results side by side.",
     ),
     "sweep": (
-        "deploy.cli.studies:sweep",
+        "deploy.cli.study.studies:sweep",
         "Run every point of a grid with every seed, on all cores or a Dask cluster.",
     ),
     "margin": (
-        "deploy.cli.studies:margin",
+        "deploy.cli.study.studies:margin",
         "Find the largest delay, or anything else, at which each law keeps its bounds.",
     ),
     "report": (
-        "deploy.cli.experiments:report",
+        "deploy.cli.study.experiments:report",
         "Judge what was recorded again: summary.json and report.html of what a folder holds.",
     ),
     "diff": (
-        "deploy.cli.diff:diff",
+        "deploy.cli.study.diff:diff",
         "Set recorded runs side by side: real time and lockstep, two laws, two versions.",
     ),
     "replay": (
-        "deploy.cli.experiments:replay",
+        "deploy.cli.study.experiments:replay",
         "Feed a recorded run to the law again and compare the torques bit for bit.",
     ),
     "reference": (
@@ -70,7 +70,7 @@ COMMANDS = {
         "Write where the joints are to be at each tick: position, velocity and acceleration.",
     ),
     "bench": (
-        "deploy.cli.experiments:bench",
+        "deploy.cli.study.experiments:bench",
         "Measure what things cost on this machine, as ratios of medians side by side.",
     ),
     "drives": (
@@ -98,11 +98,11 @@ COMMANDS = {
         "Folders of results: list, tag, prune.",
     ),
     "ros-package": (
-        "deploy.cli.ros_package:ros_package",
+        "deploy.cli.ros.package:ros_package",
         "Write our message types as a ROS 2 package, for colcon to build.",
     ),
     "ros2-control": (
-        "deploy.cli.ros2_control:ros2_control",
+        "deploy.cli.ros.ros2_control:ros2_control",
         "Write the arm's URDF with its ros2_control element, and a controllers.yaml for it.",
     ),
     "includes": (

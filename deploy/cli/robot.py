@@ -12,7 +12,7 @@ from rich.console import Console
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
-from deploy.reports.figures.arm_pictures import arm_picture
+from deploy.reports.figures.arm.pictures import arm_picture
 from deploy.reports.robot_tables import funnel_line, gains_table, joints_table, other_joints_table
 from deploy.reports.terminal import print_table
 from deploy.scenario.definition import Scenario

@@ -7,9 +7,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from deploy.reports.figures.arm_motion import arm_motion
-from deploy.reports.figures.arm_pictures import arm_pictures
-from deploy.reports.figures.end_effector import tip_error, tip_path
+from deploy.reports.figures.arm.end_effector import tip_error, tip_path
+from deploy.reports.figures.arm.motion import arm_motion
+from deploy.reports.figures.arm.pictures import arm_pictures
 from deploy.reports.figures.errors import error_first_second, error_in_funnel, transformed_error
 from deploy.reports.figures.faults import with_faults
 from deploy.reports.figures.learned import (

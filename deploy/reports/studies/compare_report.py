@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deploy.comparison.comparison import Comparison
 from deploy.reports import plotly_library, quantities
-from deploy.reports.figures.end_effector import tip_error_envelopes, tip_paths
+from deploy.reports.figures.arm.end_effector import tip_error_envelopes, tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
 from deploy.reports.figures.network import first_network_output

@@ -9,7 +9,7 @@ from bus_schema.recording.atomic_files import write_json
 from deploy.comparison.comparison import Comparison
 from deploy.comparison.recorded import KIND, RecordedRuns
 from deploy.reports import quantities
-from deploy.reports.figures.end_effector import tip_paths
+from deploy.reports.figures.arm.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
 from deploy.reports.figures.recorded import positions_apart, time_percentiles

@@ -8,7 +8,7 @@ import time
 import pytest
 from rich.console import Console
 
-from deploy.cli.studies import RunCounter
+from deploy.cli.study.studies import RunCounter
 from deploy.cli.terminal import progress as progress_module
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler

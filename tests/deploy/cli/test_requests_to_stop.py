@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.cli import experiments
+from deploy.cli.study import experiments
 from deploy.cli.terminal.closed_output import outlive_readers
 from deploy.stop_signals import STOPS
 

@@ -8,7 +8,7 @@ import pytest
 from pyarrow import parquet
 
 import funnel_hil as interface
-from deploy.cli import experiments
+from deploy.cli.study import experiments
 from deploy.runs.run_folder import read_summary
 
 SHORT = ("--set", "duration_s=0.2", "--set", "metrics.from_s=0")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deploy.cli.experiments import settling_sentence
+from deploy.cli.study.experiments import settling_sentence
 from deploy.comparison.folder import SETTLING
 from deploy.comparison.settling import OFFSETS_RAD, SettlingTest, Start, settling_test
 from deploy.scenario.scenario import load_setup

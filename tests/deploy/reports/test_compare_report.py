@@ -9,7 +9,7 @@ import pytest
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest, Start
-from deploy.reports.figures.end_effector import tip_paths
+from deploy.reports.figures.arm.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
 from deploy.reports.figures.settling import settling, settling_from_afar

@@ -17,7 +17,7 @@ from controller.reference import sample_positions
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.reports import plotly_library
 from deploy.reports.figure_json import figure_json
-from deploy.reports.figures.arm_motion import arm_motion
+from deploy.reports.figures.arm.motion import arm_motion
 from deploy.reports.run_report import PANELS, write_report
 from deploy.reports.studies.compare_report import write_comparison_report
 from deploy.runs.judging.metrics import summarise

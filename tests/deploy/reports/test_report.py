@@ -12,7 +12,7 @@ from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.reports import plotly_library, run_report
-from deploy.reports.figures.arm_pictures import arm_pictures
+from deploy.reports.figures.arm.pictures import arm_pictures
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.errors import error_in_funnel
 from deploy.reports.figures.faults import fault_spans_s, with_faults

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from deploy.cli.studies import show_study
+from deploy.cli.study.studies import show_study
 from deploy.reports.studies.study_report import write_study_report
 
 HOSTILE = "</script><script>alert(1)</script>"

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import RUN_EVENTS, Role
-from deploy.cli.experiments import replay, report
+from deploy.cli.study.experiments import replay, report
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import load_run
 from deploy.runs.simulate import Simulation, simulate

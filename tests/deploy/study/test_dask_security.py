@@ -9,7 +9,7 @@ import yaml
 from distributed import LocalCluster
 from distributed.security import Security
 
-from deploy.cli import studies
+from deploy.cli.study import studies
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.dask_workers import DaskWorkers
 

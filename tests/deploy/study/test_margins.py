@@ -7,7 +7,7 @@ import json
 import pytest
 
 from controller.laws import LAWS
-from deploy.cli.margin_options import MarginOptions, definition_with
+from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.reports.studies.study_report import write_study_report
 from deploy.reports.studies.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown

@@ -11,7 +11,7 @@ import pytest
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
 from controller.laws import LAWS
-from deploy.cli.margin_options import MarginOptions, definition_with
+from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.comparison.comparison import load_setups
 from deploy.processes.network.keys import create_authority, issue
 from deploy.runs.process_run import lockstep_setup

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from deploy.cli.common import Out, Overrides, Overwrite, judging, say_oddities, show_places
-from deploy.cli.margin_options import (
+from deploy.cli.study.margin_options import (
     MarginOptions,
     Plants,
     PlantSeed,

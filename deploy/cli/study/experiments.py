@@ -26,7 +26,7 @@ from deploy.cli.common import (
     show_places,
     watching,
 )
-from deploy.cli.studies import is_study, report_study
+from deploy.cli.study.studies import is_study, report_study
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
 from deploy.comparison.comparison import Comparison, LawRun, load_setups
@@ -162,7 +162,7 @@ def report(
         with comparison_folder:
             _conclude_comparison(comparison_folder.load(), comparison_folder, console)
     elif read_summary(run_dir).get("kind") == DIFF:
-        from deploy.cli.diff import show_diff  # with all figures
+        from deploy.cli.study.diff import show_diff  # with all figures
 
         compared, diff_folder = read_again(run_dir), ResultFolder(run_dir.resolve())
         diff_folder.lock()

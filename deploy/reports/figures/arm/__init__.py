@@ -1,0 +1,1 @@
+"""Figures of the arm in space: how it moves, how it stands, where its tip goes."""
