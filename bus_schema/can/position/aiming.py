@@ -1,7 +1,8 @@
-"""What masters of drives that take targets have in common."""
+"""What codecs and masters of drives that take targets have in common."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -27,6 +28,41 @@ class TargetCodec(CanCodec, Protocol):
             target: positions, rad, and velocities, rad/s, as rows, shape (2, joints).
             gains: of the loop that the drives close around it.
         """
+
+
+class AimingCodec(ABC):
+    """Makes the codec that it is mixed into a `TargetCodec` for drives that were set their gains.
+
+    Torques without a target go with where the joints were seen last, and how they moved.
+
+    Attributes:
+        _seen: that, as rows like those of a target; zeros at first, set by the codec.
+    """
+
+    _seen: Matrix
+
+    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
+        joint: int | None = super().read_state(  # type: ignore[misc]  # that of the codec
+            frame, position, velocity
+        )
+        if joint is not None:
+            self._seen[:, joint] = position[joint], velocity[joint]
+        return joint
+
+    def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
+        return self._frames(torque_nm, self._seen)
+
+    def command_frames(
+        self,
+        torque_nm: Vector,
+        target: Matrix,
+        gains: DriveGains,  # noqa: ARG002 (the drives have them already)
+    ) -> Sequence[CanFrame]:
+        return self._frames(torque_nm, target)
+
+    @abstractmethod
+    def _frames(self, torque_nm: Vector, target: Matrix) -> Sequence[CanFrame]:
+        """Frames with a torque and a target for each joint."""
 
 
 class AimingMaster(CanMaster):

@@ -18,7 +18,7 @@ from bus_schema.can.cansimple_codec import SET_INPUT_POS, CanSimpleCodec, identi
 from bus_schema.can.cansimple_master import CanSimpleMaster
 from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
 from bus_schema.can.frame_timing import CycleFrames
-from bus_schema.can.position.aiming import AimingMaster
+from bus_schema.can.position.aiming import AimingCodec, AimingMaster
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration, CanSimpleConfiguration
 
@@ -28,10 +28,8 @@ _TURN_RAD = 2.0 * math.pi
 _WORD = np.iinfo(np.int16)
 
 
-class CanSimplePositionCodec(CanSimpleCodec):
-    """Frames of one control cycle, see `TargetCodec`.
-
-    Torques without a target go with where the joints were seen last, and how they moved.
+class CanSimplePositionCodec(AimingCodec, CanSimpleCodec):
+    """Frames of one control cycle, see `TargetCodec` and `AimingCodec`.
 
     Args:
         node_ids: addresses of the axes, one for each joint.
@@ -48,23 +46,6 @@ class CanSimplePositionCodec(CanSimpleCodec):
         self._inputs = [identifier(node_id, SET_INPUT_POS) for node_id in node_ids]
         self._joint_of_input = {each: joint for joint, each in enumerate(self._inputs)}
         self._seen = np.zeros((2, len(node_ids)))
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        joint = super().read_state(frame, position, velocity)
-        if joint is not None:
-            self._seen[:, joint] = position[joint], velocity[joint]
-        return joint
-
-    def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
-        return self._frames(torque_nm, self._seen)
-
-    def command_frames(
-        self,
-        torque_nm: Vector,
-        target: Matrix,
-        gains: DriveGains,  # noqa: ARG002 (the axes have them already)
-    ) -> Sequence[CanFrame]:
-        return self._frames(torque_nm, target)
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_input.get(frame.identifier)

@@ -18,7 +18,7 @@ from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.cia402_master import Cia402Master
 from bus_schema.can.frame import CanBus, CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
-from bus_schema.can.position.aiming import AimingMaster
+from bus_schema.can.position.aiming import AimingCodec, AimingMaster
 from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
@@ -31,11 +31,8 @@ _MILLI = 1e-3
 _LARGEST_GAIN = 0xFFFF_FFFF
 
 
-class Cia402PositionCodec(Cia402Codec):
-    """Frames of one control cycle, see `TargetCodec`.
-
-    Torques without a target go with where the joints were seen last, and how they moved.
-    """
+class Cia402PositionCodec(AimingCodec, Cia402Codec):
+    """Frames of one control cycle, see `TargetCodec` and `AimingCodec`."""
 
     cycle = CycleFrames((0,), (8, 8, 4), "SYNC + {n} × (TPDO 8 bytes + RPDOs 8 and 4 bytes)")
 
@@ -52,23 +49,6 @@ class Cia402PositionCodec(Cia402Codec):
         self._offsets = [_RPDO_4 + node_id for node_id in node_ids]
         self._joint_of_target = {each: joint for joint, each in enumerate(self._targets)}
         self._seen = np.zeros((2, len(node_ids)))
-
-    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
-        joint = super().read_state(frame, position, velocity)
-        if joint is not None:
-            self._seen[:, joint] = position[joint], velocity[joint]
-        return joint
-
-    def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
-        return self._frames(torque_nm, self._seen)
-
-    def command_frames(
-        self,
-        torque_nm: Vector,
-        target: Matrix,
-        gains: DriveGains,  # noqa: ARG002 (the drives have them already)
-    ) -> Sequence[CanFrame]:
-        return self._frames(torque_nm, target)
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_target.get(frame.identifier)

@@ -29,7 +29,7 @@ from plant_emulator.drives.mit.wire import (
 
 
 class MitCodec:
-    """Frames of one control cycle, see `CanCodec`.
+    """Frames of one control cycle, see `TargetCodec`.
 
     Args:
         node_ids: addresses of the drives, one for each joint.
@@ -90,13 +90,6 @@ class MitCodec:
     def command_frames(
         self, torque_nm: Vector, target: Matrix, gains: DriveGains
     ) -> Sequence[CanFrame]:
-        """Frames with a torque and a target for each joint.
-
-        Args:
-            torque_nm: shape (joints,).
-            target: positions, rad, and velocities, rad/s, as rows, shape (2, joints).
-            gains: of the loop that the drives close around it.
-        """
         rows = zip(
             *target.tolist(), gains.stiffness_nm_rad.tolist(), gains.damping_nm_s.tolist(),
             torque_nm.tolist(), strict=True,
