@@ -162,7 +162,7 @@ class CanControllerLink(ControllerLink):
             yield from self._bring_to_rest(tick, is_stop_requested)
 
     def _cycle(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
-        self._master.sample(self._run.grid.tick_ns(tick))
+        self._sample(tick)
         is_complete = yield from self._await_state(tick, is_stop_requested)
         if not is_complete:
             return
@@ -173,6 +173,11 @@ class CanControllerLink(ControllerLink):
             self._on_state(self._state.payload(), None)
         if self._is_answered:
             self._master.command(self._torque)
+
+    def _sample(self, tick: int) -> None:
+        if not self._run.lockstep:  # where every answer is waited for, none is late
+            self._master.skip_late()
+        self._master.sample(self._run.grid.tick_ns(tick))
 
     def _await_state(
         self, tick: int, is_stop_requested: Callable[[], bool]
@@ -221,7 +226,7 @@ class CanControllerLink(ControllerLink):
             while not self._master.is_stopped() and tick < last:
                 self._master.command(self._torque)
                 tick = self._next(tick)
-                self._master.sample(self._run.grid.tick_ns(tick))
+                self._sample(tick)
                 yield from self._read_while_stopping(tick, is_stop_requested)
             self._master.leave()
         except Exception as error:  # noqa: BLE001 (what led here matters more)

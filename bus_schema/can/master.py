@@ -7,12 +7,16 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable
 
+import numpy as np
+
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
+
+_MOST_LATE = 100
 
 
 class DriveError(BusError):
@@ -44,6 +48,7 @@ class CanMaster(ABC):
         self._is_stopping = False
         self._strangers: Counter[str] = Counter()
         self._samplings, self._answers = 0, [0] * len(node_ids)
+        self._skipped = np.zeros((2, len(node_ids)))
         self._now_ns = 0
         self._next_heartbeat_ns = 0
 
@@ -59,6 +64,18 @@ class CanMaster(ABC):
             DriveError: a drive does not come, is another than expected, or does not follow.
             BusError: the bus itself was lost.
         """
+
+    def skip_late(self) -> None:
+        """Take in what has come meanwhile; states among it answer a sampling that is past.
+
+        One that is left would be taken for the answer to the next sampling, the answer to that one
+        for the one after it, and so on for the rest of the run.
+        """
+        for _ in range(_MOST_LATE):  # on a flooded bus there is no end of them
+            frame = self._bus.receive(0.0)
+            if frame is None:
+                return
+            self._take_in(frame, *self._skipped)
 
     def sample(self, now_ns: int) -> None:
         """Have all drives sample their joints; `now_ns` is the time of the run."""
@@ -86,11 +103,8 @@ class CanMaster(ABC):
             frame = self._bus.receive(max(0.0, give_up_s - time.monotonic()))
             if frame is None:
                 break
-            joint = self._codec.read_state(frame, position, velocity)
-            if joint is None:
-                self._handle(frame)
-            else:
-                self._answers[joint] += 1
+            joint = self._take_in(frame, position, velocity)
+            if joint is not None:
                 self._awaited.discard(joint)
         faults, self._faults = self._faults + self._missed_heartbeats(), []
         if faults and not self._is_stopping:
@@ -162,6 +176,15 @@ class CanMaster(ABC):
     def _missed_heartbeats(self) -> list[str]:
         """One sentence for each drive whose heartbeat has become overdue; none is awaited here."""
         return []
+
+    def _take_in(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
+        """Take in any frame; the joint whose state it has, None for no state."""
+        joint = self._codec.read_state(frame, position, velocity)
+        if joint is None:
+            self._handle(frame)
+        else:
+            self._answers[joint] += 1
+        return joint
 
     def _is_heartbeat_due(self) -> bool:
         return self._now_ns >= self._next_heartbeat_ns

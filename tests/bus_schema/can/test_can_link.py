@@ -54,6 +54,9 @@ class Master:
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         return True
 
+    def skip_late(self) -> None:
+        pass
+
     def sample(self, now_ns: int) -> None:
         pass
 
