@@ -85,8 +85,8 @@ def view(
 def _follow(folder: RunFolder, open_viewer: OpenViewer, stop: StopRequest) -> None:
     """Show the run that is to begin in a folder until told to stop."""
     setup = load_setup(str(folder.scenario))
-    receiver = FeedReceiver(setup.scenario.link.plant_endpoint)
-    _serve(open_viewer(setup, "under way"), receiver, lambda: stop.is_set)
+    endpoint = setup.scenario.link.plant_endpoint
+    _serve(open_viewer(setup, f"at {endpoint}"), FeedReceiver(endpoint), lambda: stop.is_set)
 
 
 def _show(target: str | None, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:
@@ -114,7 +114,7 @@ def _watch(endpoint: str, open_viewer: OpenViewer, stop: StopRequest) -> bool:
             if stop.is_set or time.monotonic() > give_up_s:
                 return False
             receiver.receive(_POLL_S)
-        viewer = open_viewer(load_setup(str(receiver.scenario)), f"under way at {endpoint}")
+        viewer = open_viewer(load_setup(str(receiver.scenario)), f"at {endpoint}")
         _serve(viewer, receiver, lambda: stop.is_set or receiver.is_over)
     finally:
         receiver.close()
@@ -124,17 +124,25 @@ def _watch(endpoint: str, open_viewer: OpenViewer, stop: StopRequest) -> bool:
 
 
 def _play(path: Path, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:
-    """Play a recording once somebody looks, and go on showing its end."""
+    """Play a recording once somebody looks, and go on showing it to whoever looks then."""
     data, contents = load_run(path)
     viewer = open_viewer(data.setup, f"recorded, {path}")
     names = data.setup.robot.joint_names
     playback = Playback(contents.payloads, names, speed, lambda: viewer.is_watched)
-    _serve(viewer, playback, lambda: stop.is_set)
+    _serve(viewer, playback, lambda: stop.is_set or playback.is_over, lambda: stop.is_set)
 
 
-def _serve(viewer: Viewer, source: Source, is_over: Callable[[], bool]) -> None:
+def _serve(
+    viewer: Viewer,
+    source: Source,
+    is_over: Callable[[], bool],
+    may_close: Callable[[], bool] = lambda: True,
+) -> None:
+    """Show what a source has until it is over, and the end of it until the viewer may close."""
     try:
         viewer.run(source, is_over)
+        while not may_close():
+            time.sleep(_POLL_S)
     finally:
         source.close()
         viewer.close()

@@ -8,16 +8,21 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 
+from bus_schema.arrays import Matrix
+from controller.manipulator_model import ManipulatorModel
+from controller.reference import sample_positions
 from deploy.reports.figures import style
+from deploy.reports.figures.arm.motion import CAMERA, skeletons, still_space
 from deploy.scenario.setup import Setup
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 
 _HEADROOM = 1.3
+_POSTURES = 200
 WINDOW_S = 10.0
 """How much of a run the figures over time show."""
-_CAMERA = {"eye": {"x": 1.5, "y": 1.3, "z": 0.8}, "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
 def live_figures(setup: Setup) -> dict[str, Any]:
@@ -26,7 +31,7 @@ def live_figures(setup: Setup) -> dict[str, Any]:
         "error": _errors(setup),
         "torque": _torques(setup),
         "age": _ages(setup),
-        "arm": _arm(),
+        "arm": _arm(setup),
     }
     return {name: figure.to_plotly_json() for name, figure in figures.items()}
 
@@ -74,20 +79,31 @@ def _deadline_ms(setup: Setup) -> float:
     return 1e-6 * link.deadline_ns(setup.grid.period_ns, max(mean_ns, link.playout_ns))
 
 
-def _arm() -> go.Figure:
+def _arm(setup: Setup) -> go.Figure:
+    """The arm in a cube, which grows in the browser where the arm leaves it."""
     figure = go.Figure([
         _in_space("reference", style.MUTED, 6).update(meta={"lines": "reference_arm"}),
         _in_space("arm", style.palette(0), 9).update(meta={"lines": "arm"}),
         _in_space("path of the tip", style.palette(1), 3).update(meta={"path": "arm"}),
     ])  # fmt: skip
     style.apply(figure, 480, legend=True)
-    axes = {f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5} for name in "xyz"}
     figure.update_layout(
-        scene={"aspectmode": "data", "camera": _CAMERA, "uirevision": "arm", **axes},
+        scene={"camera": CAMERA, "uirevision": "arm", **still_space(_cube(setup))},
         margin={"l": 0, "r": 0, "b": 0, "t": 10},
         legend={"y": 0},
     )
     return figure
+
+
+def _cube(setup: Setup) -> Matrix:
+    """Two opposite corners of the cube around all that the arm is to do, shape (2, 3), m."""
+    times_s = np.linspace(0.0, setup.scenario.duration_s, _POSTURES)
+    wanted = sample_positions(setup.reference, times_s, setup.robot.joints)
+    postures = np.vstack([setup.start_position_rad, wanted])
+    points = skeletons(ManipulatorModel(setup.robot), postures).reshape(-1, 3)
+    lower, upper = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    reach = (upper - lower).max() / 2
+    return np.asarray(np.outer([-reach, reach], np.ones(3)) + (lower + upper) / 2)
 
 
 def _line(colour: str) -> go.Scatter:

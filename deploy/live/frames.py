@@ -16,9 +16,10 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Topic
 from bus_schema.runtime.modes import Mode
+from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.live.arm_lines import ArmLines
 from deploy.processes.live.glimpse import Glimpse
+from deploy.reports.figures.arm.motion import skeletons
 from deploy.scenario.setup import Setup
 
 _KEPT = 1200
@@ -45,7 +46,7 @@ class RunState:
             for topic in topics.TOPICS
             if topic is not topics.RUN_EVENTS
         }
-        self._arm = ArmLines(setup.robot)
+        self._model = ManipulatorModel(setup.robot)
         self._newest: dict[str, Record] = {}
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._ticks = self._missed = 0
@@ -80,13 +81,20 @@ class RunState:
             "upper": _numbers(_MRAD * upper[0]),
             "lower": _numbers(_MRAD * lower[0]),
             "torque": _numbers(self._torque(joints)),
-            "arm": self._arm.lines(position),
-            "reference_arm": self._arm.lines(reference),
+            "arm": self._skeleton(position),
+            "reference_arm": self._skeleton(reference),
             "ticks": self._ticks,
             "missed": self._missed,
             "events": list(self._events),
             **self._timing(truth),
         }
+
+    def _skeleton(self, position: Vector) -> dict[str, list[float | None]] | None:
+        """Coordinates of its broken line, m; None where a position is not finite."""
+        if not np.isfinite(position).all():
+            return None
+        points = skeletons(self._model, position[np.newaxis])[0, :-1].round(5)
+        return dict(zip("xyz", map(_numbers, points.T), strict=True))
 
     def _torque(self, joints: int) -> Vector:
         for topic, field in ((topics.JOINT_COMMANDS, "effort"), (topics.PLANT_TRUTH, "torque")):

@@ -7,6 +7,7 @@ const element = (id) => document.getElementById(id);
 const DRAW_SHARE = 0.25; // of the time is spent on drawing, at most
 const SHORTEST_PAUSE_MS = 50;
 const STALLED_MS = 3000;
+const ROOM = 1.1; // around an arm that has left its space
 
 let frames = [];
 let figures = {};
@@ -18,6 +19,7 @@ function take(fresh) {
   for (const frame of fresh) {
     if (frames.length && frame.time_s < frames[frames.length - 1].time_s) frames = [];
     frames.push(frame);
+    if (frame.arm) grow(figures.arm.layout.scene, frame.arm);
   }
   if (!fresh.length) return;
   lastFrameAt = performance.now();
@@ -39,6 +41,23 @@ function fill(trace) {
   return trace;
 }
 
+// A cube stays one: it grows on all sides, as far as it must to hold all points.
+function grow(scene, points) {
+  let growth = 1;
+  for (const axis of "xyz") {
+    const [low, high] = scene[`${axis}axis`].range;
+    for (const value of points[axis]) {
+      if (value !== null) growth = Math.max(growth, Math.abs(2 * value - low - high) / (high - low));
+    }
+  }
+  if (growth === 1) return;
+  for (const axis of "xyz") {
+    const [low, high] = scene[`${axis}axis`].range;
+    const middle = (low + high) / 2, half = growth * ROOM * (high - low) / 2;
+    scene[`${axis}axis`].range = [middle - half, middle + half];
+  }
+}
+
 function draw() {
   const begun = performance.now();
   if (frames.length) {
@@ -46,7 +65,8 @@ function draw() {
     const range = [Math.max(0, end - run.window_s), Math.max(end, 0.1)];
     for (const [id, figure] of Object.entries(figures)) {
       for (const name of Object.keys(figure.layout)) {
-        if (/^xaxis\d*$/.test(name)) figure.layout[name] = { ...figure.layout[name], range: [...range] };
+        if (!/^xaxis\d*$/.test(name)) continue;
+        figure.layout[name] = { ...figure.layout[name], range: [...range], autorange: false };
       }
       Plotly.react(id, figure.data.map(fill).map((trace) => ({ ...trace })), figure.layout);
     }

@@ -31,7 +31,7 @@ class Glimpse(NamedTuple):
     """What a viewer gets to see at a time.
 
     Attributes:
-        ticks: ticks of the plant so far, as far as they were seen.
+        ticks: ticks of the plant that ended so far, as far as they were seen.
         deadlines_missed: how many of their deadlines were missed.
         messages: the newest of each topic since the last glimpse, and all events.
     """
@@ -83,7 +83,7 @@ class Sampler:
         self._truth_bytes = truth.size
         places: Mapping[str, Any] = truth.dtype.fields or {}
         self._deadline_met_at = places["deadline_met"][1]
-        self._ticks = self._missed = 0
+        self._truths = self._missed = 0
         self._newest: dict[str, Message] = {}
         self._events: list[Message] = []
 
@@ -96,11 +96,12 @@ class Sampler:
             return
         self._newest[topic.name] = message
         if topic is topics.PLANT_TRUTH and len(payload) == self._truth_bytes:
-            self._ticks += 1
+            self._truths += 1
             self._missed += not payload[self._deadline_met_at]
 
     def glimpse(self) -> Glimpse | None:
         """What came since this was last asked; None for nothing."""
         messages = (*self._newest.values(), *self._events)
         self._newest, self._events = {}, []
-        return Glimpse(self._ticks, self._missed, messages) if messages else None
+        ticks = max(0, self._truths - 1)  # the first is told when a tick begins
+        return Glimpse(ticks, self._missed, messages) if messages else None

@@ -15,6 +15,10 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 TRACES = (
     "id => document.getElementById(id).data.map(trace => trace.y.filter(Number.isFinite).length)"
 )
+SPACE_AROUND_AN_ARM_THAT_LEFT_IT = """
+grow(figures.arm.layout.scene, { x: [0, 5], y: [0, null], z: [0, 0] }),
+["x", "z"].flatMap(axis => figures.arm.layout.scene[`${axis}axis`].range)
+"""
 
 
 @pytest.fixture
@@ -40,6 +44,10 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
             for figure in ("error", "torque", "age"):
                 seen[figure] = await page.value(f"({TRACES})('{figure}')")
             seen["arm"] = await page.value("document.getElementById('arm').data[1].x.length")
+            seen["from_s"] = await page.value(
+                "document.getElementById('error').layout.xaxis.range[0]"
+            )
+            seen["space"] = await page.value(SPACE_AROUND_AN_ARM_THAT_LEFT_IT)
             seen["drawn"] = await page.value(
                 "!!document.querySelector('#arm canvas, #arm .no-webgl')"
             )
@@ -54,6 +62,11 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
     assert len(seen["error"]) == 9  # two bounds and an error for each joint
     assert min(*seen["error"], *seen["torque"], *seen["age"]) >= 2
     assert seen["arm"] > 3
+    assert seen["from_s"] == 0  # all of the last ten seconds, whatever came of them
+    low_x, high_x, low_z, high_z = seen["space"]
+    assert low_x < high_x
+    assert high_x > 5.0
+    assert high_z - low_z == pytest.approx(high_x - low_x)
     assert seen["drawn"]
     assert (tmp_path / "page.png").stat().st_size > 20_000
     wrong = [

@@ -40,10 +40,10 @@ def test_a_recording_is_played_and_its_layout_written(tmp_path):
         assert "3D!arm" in json.loads((tmp_path / "layout.json").read_text())["configById"]
         last = run.data().true_errors_rad[-1]
         events = Events(viewer.said().split()[2])
-        for frame in events.frames():  # it begins once somebody looks
-            if frame["time_s"] > 0.2:
-                break
-        assert frame["error"] == pytest.approx(1e3 * last, abs=50)
+        *_, frame = events.frames()  # from when somebody looks to the recording's end
+        assert frame["time_s"] == pytest.approx(run.setup.scenario.duration_s)
+        assert viewer.poll() is None  # others may look
+        assert frame["error"] == pytest.approx(1e3 * last, abs=1e-3)
         events.close()
     finally:
         viewer.send_signal(signal.SIGINT)

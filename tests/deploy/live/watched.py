@@ -17,8 +17,8 @@ from tests.warm_process import HANG_S
 
 
 @cache
-def short_run(*overrides: str) -> Simulation:
-    return simulate(load_setup("paper_arm", ["duration_s=0.3", "metrics.from_s=0.1", *overrides]))
+def short_run(*overrides: str, scenario: str = "paper_arm") -> Simulation:
+    return simulate(load_setup(scenario, ["duration_s=0.3", "metrics.from_s=0.1", *overrides]))
 
 
 def payloads(run: Simulation) -> dict[str, list[bytes]]:

@@ -18,7 +18,7 @@ _FRAMES = 400
 _HEIGHT_PX = 480
 _ROOM_M = 0.05
 _GHOST = {"color": style.MUTED, "width": 18}
-_CAMERA = {"eye": {"x": 2.0, "y": 1.7, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}}
+CAMERA = {"eye": {"x": 1.5, "y": 1.3, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.16}}
 
 
 def arm_motion(run: RunData) -> Motion | None:
@@ -33,7 +33,7 @@ def arm_motion(run: RunData) -> Motion | None:
     times_s, robot = stamps_s(truth[shown]), run.setup.robot
     wanted = sample_positions(run.setup.reference, times_s, robot.joints)
     model = ManipulatorModel(robot)
-    ghost, arm = (_skeletons(model, each) for each in (wanted, truth["position"][shown]))
+    ghost, arm = (skeletons(model, each) for each in (wanted, truth["position"][shown]))
     figure = go.Figure([
         _skeleton(ghost[0], "reference", "lines", line=_GHOST, opacity=0.35),
         _skeleton(arm[0], "true", "lines+markers", line={"color": style.palette(0), "width": 7},
@@ -41,15 +41,18 @@ def arm_motion(run: RunData) -> Motion | None:
     ])  # fmt: skip
     style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
-        scene={"camera": _CAMERA, **still_space(np.concatenate([ghost, arm]))},
+        scene={"camera": CAMERA, **still_space(np.concatenate([ghost, arm]))},
         margin={"l": 0, "r": 0, "b": 0},
         legend={"y": 0},
     )
     return Motion(figure, times_s, np.stack([ghost, arm], axis=1))
 
 
-def _skeletons(model: ManipulatorModel, positions: Matrix) -> NDArray[np.float64]:
-    """Bones of the arm in each posture as one broken line each, shape (postures, points, 3), m."""
+def skeletons(model: ManipulatorModel, positions: Matrix) -> NDArray[np.float64]:
+    """Bones of the arm in each posture as one broken line each, shape (postures, points, 3), m.
+
+    NaN follows each bone, the last of which ends at the tip.
+    """
     bones = np.array([model.skeleton(position) for position in positions])
     gaps = np.full_like(bones[:, :, :1], np.nan)
     return np.concatenate([bones, gaps], axis=2).reshape(len(bones), -1, 3)
