@@ -1,4 +1,4 @@
-"""What the commands of the command line share: options, interrupts, and how a run is concluded."""
+"""What the commands of the command line share: laws, interrupts, and how a run is concluded."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import NoReturn
 
 import typer
 from rich.console import Console
@@ -27,47 +26,9 @@ from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError, parse_override
+from deploy.scenario.yaml_files import ScenarioError
 from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
 from plant_emulator.plant_loop import PlantLoop
-
-
-def _newest(overrides: list[str] | None) -> list[str] | None:
-    """What ``--set`` gives, of each key the last, so that scripts can add theirs."""
-    if overrides is None:
-        return None
-    last = {parse_override(text)[0]: place for place, text in enumerate(overrides)}
-    for place, text in enumerate(overrides):
-        if place != last[parse_override(text)[0]]:
-            typer.echo(f"--set {text}: a later --set takes its place", err=True)
-    return [text for place, text in enumerate(overrides) if place in last.values()]
-
-
-ScenarioArgument = Annotated[
-    str, typer.Argument(help="A scenario file, or the name of a shipped scenario.")
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override a scenario value; repeatable.",
-        callback=_newest,
-    ),
-]
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Folder for the results.", show_default=False)
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
-]
-NoReport = Annotated[
-    bool,
-    typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later."),
-]
-RequireBounds = Annotated[
-    bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
-]
 
 
 def parse_laws(text: str | None) -> list[str] | None:

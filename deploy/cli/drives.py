@@ -13,7 +13,8 @@ from bus_schema.can.session import open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
-from deploy.cli.common import Overrides, ScenarioArgument, say_oddities
+from deploy.cli.common import say_oddities
+from deploy.cli.options import Overrides, ScenarioArgument
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

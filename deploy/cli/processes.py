@@ -10,7 +10,8 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import partial_path
-from deploy.cli.common import Out, Overrides, Overwrite, ScenarioArgument, finish
+from deploy.cli.common import finish
+from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
 from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.network.links import check_link, require_keys, require_own_controller

@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from bus_schema.arrays import Vector
-from deploy.cli.common import Overrides, ScenarioArgument
+from deploy.cli.options import Overrides, ScenarioArgument
 from deploy.input_error import InputError
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -42,6 +42,15 @@ class CommandProcess(NamedTuple):
     stdin: IO[str]
     stdout: IO[str]
     stderr: IO[str]
+
+
+def prepare() -> None:
+    """Have the process that others are forked from load the program, as this one does meanwhile.
+
+    To be called in the main thread. It ends with this process.
+    """
+    with _fork_server_survives():
+        forkserver.ensure_running()
 
 
 def start(words: list[str]) -> CommandProcess:

@@ -9,8 +9,8 @@ from unittest import mock
 import pytest
 
 from deploy import cli
+from deploy.cli import one_run
 from deploy.cli import processes as cli_processes
-from deploy.cli import run as cli_run
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +38,7 @@ def nothing_starts(monkeypatch):
     def start(*_):
         pytest.fail("something was started")
 
-    monkeypatch.setattr(cli_run, "Launcher", start)
-    monkeypatch.setattr(cli_run, "simulate_setup", start)
+    monkeypatch.setattr(one_run, "Launcher", start)
+    monkeypatch.setattr(one_run, "simulate_setup", start)
     for name in ("run_controller", "run_plant", "run_recorder"):
         monkeypatch.setattr(cli_processes, name, start)

@@ -11,7 +11,7 @@ import yaml
 
 from bus_schema.recording.atomic_files import write_whole
 from bus_schema.view.arm_view import description
-from deploy.cli.common import Overrides, ScenarioArgument
+from deploy.cli.options import Overrides, ScenarioArgument
 from deploy.input_error import InputError
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.common import NoReport, Out, Overwrite, show_places
+from deploy.cli.common import show_places
+from deploy.cli.options import NoReport, Out, Overwrite
 from deploy.comparison.recorded import KIND, RecordedRuns, recorded_runs
 from deploy.reports.studies.diff_report import conclude_diff
 from deploy.reports.studies.diff_tables import (

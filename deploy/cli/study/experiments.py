@@ -13,19 +13,8 @@ from rich.console import Console
 
 from controller.laws import LAWS
 from controller.laws.custom import custom_laws_left_out, is_custom
-from deploy.cli.common import (
-    Out,
-    Overrides,
-    Overwrite,
-    RequireBounds,
-    ScenarioArgument,
-    judging,
-    leave,
-    parse_laws,
-    say_oddities,
-    show_places,
-    watching,
-)
+from deploy.cli.common import judging, leave, parse_laws, say_oddities, show_places, watching
+from deploy.cli.options import Out, Overrides, Overwrite, RequireBounds, ScenarioArgument
 from deploy.cli.study.studies import is_study, report_study
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.cli.common import Out, Overrides, Overwrite, parse_laws
+from deploy.cli.common import parse_laws
+from deploy.cli.options import Out, Overrides, Overwrite
 from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override
 
 WorkerCount = Annotated[

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from deploy.cli.common import Out, Overrides, Overwrite, judging, say_oddities, show_places
+from deploy.cli.common import judging, say_oddities, show_places
+from deploy.cli.options import Out, Overrides, Overwrite
 from deploy.cli.study.margin_options import (
     MarginOptions,
     Plants,

@@ -15,8 +15,14 @@ def test_a_command_says_of_itself_what_the_table_says(name):
     assert " ".join(paragraph.split()) == command.help
 
 
-@pytest.mark.parametrize("words", [["--help"], ["nothing-of-ours"], []])
-def test_help_and_wrong_commands_import_nothing_heavy(words):
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--help"], ["nothing-of-ours"], [],
+        ["run", "--help"], ["simulate", "--help"], ["run", "--no-such-option"],
+    ],
+)  # fmt: skip
+def test_help_and_wrong_words_import_nothing_heavy(words):
     heavy = ("numba", "numpy", "pinocchio", "pybullet", "plotly", "zenoh", "yaml")
     program = (
         f"import sys; sys.argv = ['funnel-hil', *{words}]\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -42,22 +43,79 @@ def test_command_is_told_by_its_command_line(tmp_path):
     assert session == command.process.pid  # a terminal's signals are not for it
 
 
+PREPARED = """
+import os
+from multiprocessing import forkserver
+from deploy.processes.command_process import prepare, start
+
+prepare()
+pid = forkserver._forkserver._forkserver_pid
+command = start(["plant", "--help"])
+print(command.stdout.read().split()[0])
+assert forkserver._forkserver._forkserver_pid == pid
+print(pid)
+"""
+
+
+def test_what_processes_are_forked_from_can_load_before_it_is_needed():
+    done = subprocess.run(
+        [sys.executable, "-c", PREPARED], capture_output=True, text=True, check=True
+    )
+    usage, pid = done.stdout.splitlines()
+    assert usage == "Usage:"
+    assert ends(int(pid))
+
+
+@pytest.mark.parametrize("words", [["--set", "rate_hz=fast"], ["nowhere"]])
+def test_refused_run_leaves_nothing_behind_that_would_be_forked_from(tmp_path, words):
+    """Not even what loaded the program for it meanwhile: a word in its environment tells it."""
+    word = f"REFUSED_IN={tmp_path}"
+    environment = os.environ | dict([word.split("=")])
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", "run", *words, "--out", str(tmp_path / "run")],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    left = [
+        int(folder.name)
+        for folder in Path("/proc").iterdir()
+        if folder.name.isdecimal() and word.encode() in _environment(folder)
+    ]
+    assert all(ends(pid) for pid in left)
+
+
+def _environment(process: Path) -> bytes:
+    try:
+        return (process / "environ").read_bytes()
+    except OSError:  # it has ended, or is another user's
+        return b""
+
+
+def ends(pid: int) -> bool:
+    """Whether a process ends by itself."""
+    give_up_s = time.monotonic() + 60.0
+    while Path(f"/proc/{pid}").exists() and time.monotonic() < give_up_s:
+        time.sleep(0.02)
+    return not Path(f"/proc/{pid}").exists()
+
+
 KILLED_WHILE_ASKED = """
 import os, signal, threading
 from multiprocessing import forkserver
 from deploy.processes.command_process import start
 
-command = start(["--version"])
-print(command.stdout.read().strip())
+command = start(["plant", "--help"])
+print(command.stdout.read().split()[0])
 pid = forkserver._forkserver._forkserver_pid
 os.kill(pid, signal.SIGSTOP)  # so that it cannot answer before it is killed
 threading.Timer(3, os.kill, (pid, signal.SIGKILL)).start()
 try:
-    start(["--version"])
+    start(["plant", "--help"])
 except OSError as error:  # which ends commands with one message
     print(error)
 os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
-print(start(["--version"]).stdout.read().strip())
+print(start(["plant", "--help"]).stdout.read().split()[0])
 """
 
 
@@ -66,6 +124,6 @@ def test_a_fork_server_that_is_killed_is_named_and_replaced():
         [sys.executable, "-c", KILLED_WHILE_ASKED], capture_output=True, text=True, check=True,
         timeout=120,
     )  # fmt: skip
-    version, error, again = done.stdout.splitlines()
-    assert version == again
+    usage, error, again = done.stdout.splitlines()
+    assert usage == again == "Usage:"
     assert error == "what this run's processes are forked from was killed"

@@ -1,0 +1,118 @@
+"""What `funnel-hil run` and `funnel-hil simulate` do."""
+
+from __future__ import annotations
+
+import threading
+
+from rich.console import Console
+
+from bus_schema.messages.topics import Role
+from deploy.cli.common import finish, say_oddities, watching
+from deploy.cli.options import RunOptions
+from deploy.cli.terminal.progress import CommandProgress
+from deploy.cli.terminal.show_run import show_relay, status_handler
+from deploy.processes.launcher import Launcher, RunOutcome
+from deploy.processes.network.links import (
+    check_awaiting,
+    check_link,
+    require_keys,
+    with_free_endpoints,
+)
+from deploy.processes.network.real_delay import (
+    RealDelay,
+    check_real_delay,
+    knowing_real_delay,
+    real_delay,
+)
+from deploy.processes.program import require_program
+from deploy.runs.run_folder import RunFolder
+from deploy.runs.simulate import simulate as simulate_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+from deploy.stop_signals import on_stop
+
+
+def run_in_processes(
+    options: RunOptions, *, real_delay_ms: float | None, await_controller: bool, live: bool
+) -> None:
+    """Run controller, plant and recorder as separate processes, and judge the run.
+
+    Args:
+        options: what the run is asked for.
+        real_delay_ms: of a relay, for the round trip; None for no relay.
+        await_controller: start no controller, as one comes from elsewhere.
+        live: show the run while it happens.
+    """
+    as_given = _checked(options, real_delay_ms, await_controller=await_controller)
+    setup = as_given if await_controller else with_free_endpoints(as_given)
+    delay = None if real_delay_ms is None else real_delay(setup, real_delay_ms)
+    console = Console()
+    with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
+        launcher = Launcher(
+            setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay,
+            awaits_controller=await_controller, live=live,
+        )  # fmt: skip
+        notice = _waiting_sentence(setup, delay) if await_controller else None
+        outcome = _watched(launcher, console, setup, notice)
+        held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
+        folder.write_manifest(setup, outcome.realtime, held_back)
+        folder.write_scenario(as_given)
+        if held_back is not None:
+            show_relay(console, held_back)
+        finish(
+            console, folder, outcome,
+            require_bounds=options.require_bounds, draws_report=options.draws_report,
+        )  # fmt: skip
+
+
+def _checked(options: RunOptions, real_delay_ms: float | None, *, await_controller: bool) -> Setup:
+    """The scenario, where nothing keeps it from being run in processes."""
+    setup = load_setup(options.scenario, options.overrides)
+    say_oddities(setup)
+    if real_delay_ms is not None:
+        check_real_delay(setup, real_delay_ms)
+        setup = knowing_real_delay(setup, real_delay_ms)
+    check_link(setup, one_process=False)
+    require_program(setup)
+    require_keys(setup, *Role)
+    if await_controller:
+        check_awaiting(setup)
+    return setup
+
+
+def _watched(launcher: Launcher, console: Console, setup: Setup, notice: str | None) -> RunOutcome:
+    """Run the processes, and show how far they are; a notice is said first."""
+    on_stop(launcher.request_stop)
+    name, duration_s = setup.scenario.name, setup.scenario.duration_s
+    with CommandProgress(console, name, duration_s, "s") as progress:
+        if notice is not None:
+            progress.say(notice)
+        return launcher.run(status_handler(progress, setup.robot.joint_names))
+
+
+def _waiting_sentence(setup: Setup, delay: RealDelay | None) -> str:
+    """Where a controller from elsewhere finds the plant, and the recorder finds it."""
+    link = setup.scenario.link
+    place = link.plant_endpoint if delay is None else delay.endpoint
+    return (
+        f"waiting for a controller, {link.connect_timeout_s:g} s: the plant is at {place}, and the"
+        f" recorder looks for the controller at {link.controller_endpoint}"
+    )
+
+
+def run_in_virtual_time(options: RunOptions) -> None:
+    """Run a scenario in this process and in virtual time, and judge the run."""
+    setup = load_setup(options.scenario, options.overrides)
+    say_oddities(setup)
+    check_link(setup, one_process=True)
+    console = Console()
+    with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
+        name, stop = setup.scenario.name, threading.Event()
+        with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
+            watch = watching(progress, setup, name, stop)
+            simulation = simulate_setup(setup, watch, folder.can_log)
+        data = simulation.data(simulation.write_log(folder.log))
+        finish(
+            console, folder, RunOutcome(interrupted=stop.is_set()), data=data,
+            require_bounds=options.require_bounds, draws_report=options.draws_report,
+        )  # fmt: skip
