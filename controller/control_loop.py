@@ -95,7 +95,7 @@ class ControlLoop:
         self._is_finite = bind(all_finite, self.tracking.motion)
         self._guard = TorqueGuard(task.law_name, task.limits, self.tracking.motion)
         self._take_torque = copying(self._guard.torque_nm, self._command.fields["effort"])
-        self._start_ns: int | None = None
+        self._start_ns = link.start_ns
         self._feedback: CommandFeedback | None = None
         self.stamp_ns = -1
         self.cycles = 0

@@ -73,6 +73,8 @@ class CanControllerLink(ControllerLink):
             the first step, to where the drives follow, it makes by itself.
     """
 
+    start_ns = 0  # a stamp is the time since then, also where the first ticks had no state in time
+
     def __init__(
         self,
         run: CanRun,

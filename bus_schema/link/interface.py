@@ -118,7 +118,14 @@ StateHandler = Callable[[bytes, bytes | None], None]
 
 
 class ControllerLink(Link, Protocol):
-    """The controller's side."""
+    """The controller's side.
+
+    Attributes:
+        start_ns: when the run begins, on the clock of the states' stamps; None where only the
+            plant says so, with its states.
+    """
+
+    start_ns: int | None = None
 
     def serve(self, on_state: StateHandler) -> None:
         """Have `on_state` called for each joint state that arrives, one at a time."""

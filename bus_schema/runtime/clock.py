@@ -18,6 +18,12 @@ class Clock(Protocol):
         Until `start`, time goes on as before. Virtual time begins with `start` whatever was noted.
         """
 
+    def put_forward(self, by_ns: int) -> None:
+        """It is later than the clock says, by so much; a little earlier if negative.
+
+        Virtual time is what its owner makes it.
+        """
+
     def now_ns(self) -> int:
         """Time since the start of the run."""
 
@@ -36,6 +42,9 @@ class VirtualClock:
 
     def anchor(self, ago_ns: int) -> None:
         """Virtual time begins when its owner starts it."""
+
+    def put_forward(self, by_ns: int) -> None:
+        """Virtual time is never wrong."""
 
     def now_ns(self) -> int:
         return self._now_ns
@@ -61,6 +70,9 @@ class MonotonicClock:
 
     def anchor(self, ago_ns: int) -> None:
         self._anchor_ns = time.monotonic_ns() - ago_ns
+
+    def put_forward(self, by_ns: int) -> None:
+        self._start_ns -= by_ns
 
     def now_ns(self) -> int:
         return time.monotonic_ns() - self._start_ns

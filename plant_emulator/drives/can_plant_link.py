@@ -28,6 +28,7 @@ from bus_schema.runtime.clock import Clock
 from bus_schema.runtime.lateness import HostLateness
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from plant_emulator.drives.strangers import Strangers
+from plant_emulator.drives.sync_phase import SyncPhase
 
 _POLL_S, _POLL_NS = 0.02, 20_000_000
 _FAREWELL_S = 1.0
@@ -63,6 +64,9 @@ class CanPlantLink(PlantLink):
         self._samplings = 0
         self._strangers = Strangers(codec, drives.bank.node_ids, run.grid.period_ns)
         self._lateness = HostLateness()
+        # Each tick comes a little before it is asked for, so that what is sampled is fresh.
+        self._lead_ns = round(_LEAD * run.grid.period_ns)
+        self._phase = SyncPhase(run.grid.period_ns, self._lead_ns)
         self._heard_ns = 0
         self._waiting: deque[CanFrame] = deque()
         self._arrivals: deque[CommandArrival] = deque()
@@ -99,9 +103,7 @@ class CanPlantLink(PlantLink):
                 break
             self._drives.handle(frame, self._clock.now_ns())
         self._telemetry.require_same_scenario(Role.CONTROLLER)
-        # Each tick comes a little before it is asked for, so that what is sampled is fresh.
-        lead_ns = round(_LEAD * self._run.grid.period_ns)
-        self._clock.anchor(lead_ns + time.monotonic_ns() - heard_ns)
+        self._clock.anchor(self._lead_ns + time.monotonic_ns() - heard_ns)
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
         self._drives.begin_run(self._clock.now_ns())
@@ -232,6 +234,7 @@ class CanPlantLink(PlantLink):
             samplings = self._drives.bank.samplings
             if samplings != self._samplings:
                 self._samplings = samplings
+                self._clock.put_forward(self._phase.correction_ns(now_ns))
                 self._publish_state()
             if self._drives.bank.take_targets():
                 self._publish_command()

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
 
 from bus_schema.can.cansimple_codec import GET_ENCODER_ESTIMATES, HEARTBEAT, CanSimpleCodec
 from bus_schema.can.cansimple_master import CanSimpleMaster
@@ -15,26 +19,30 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, Role, layout
+from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import TickGrid, VirtualClock
+from controller.control_loop import ControlLoop
+from deploy.scenario.referenced_files import find_urdf
+from deploy.scenario.scenario import load_setup
 
-NODE = 1
+NODES = (1, 2, 3)
 GRID = TickGrid(500.0, 1)
 TICKS = 6
-CLOSED_LOOP = 8
+ROBOT = load_robot(find_urdf("paper_arm", Path()))
 
 
-class LateAxis:
-    """A bus with one axis that is held up for the first few requests, then answers them all.
+class LateAxes:
+    """A bus with axes that are held up for the first few requests, then answer them all.
 
-    The position it answers with is the number of the request, in rad.
+    The position they answer with is the number of the request, in rad.
 
     Args:
-        held_up: how many requests it only answers with the next one after them.
+        held_up: how many requests they only answer with the next one after them.
     """
 
     def __init__(self, held_up: int) -> None:
         self._held_up = held_up
-        self._asked = 0
+        self._asked: Counter[int] = Counter()
         self._state = 1
         self._owed: list[CanFrame] = []
         self._sent: list[CanFrame] = []
@@ -43,10 +51,10 @@ class LateAxis:
         for frame in frames:
             command = frame.identifier & 0x1F
             if frame.is_remote and command == GET_ENCODER_ESTIMATES:
-                turns = self._asked / (2.0 * math.pi)
+                turns = self._asked[frame.identifier] / (2.0 * math.pi)
                 self._owed.append(CanFrame(frame.identifier, struct.pack("<ff", turns, 0.0)))
-                self._asked += 1
-                if self._asked > self._held_up:
+                self._asked[frame.identifier] += 1
+                if self._asked[frame.identifier] > self._held_up:
                     self._sent += self._owed
                     self._owed = []
             elif frame.is_remote and command == HEARTBEAT:
@@ -62,21 +70,27 @@ class LateAxis:
         pass
 
 
-def positions_by_tick(bus: LateAxis) -> dict[int, int]:
-    """What the controller's link hands out as the position at each tick."""
-    can = CanConfiguration(node_ids=[NODE])
-    run = CanRun(("joint",), LinkConfiguration(kind="can", can=can), GRID, TICKS, lockstep=False)
-    master = CanSimpleMaster(bus, can, (NODE,), CanSimpleCodec((NODE,)))  # type: ignore[arg-type]
+def open_link(bus: LateAxes) -> CanControllerLink:
+    can = CanConfiguration(node_ids=list(NODES))
+    link = LinkConfiguration(kind="can", can=can)
+    run = CanRun(ROBOT.joint_names, link, GRID, TICKS, lockstep=False)
+    master = CanSimpleMaster(bus, can, NODES, CanSimpleCodec(NODES))  # type: ignore[arg-type]
     clock = VirtualClock()
     telemetry = InProcessNode(InProcessBus(clock), Role.CONTROLLER)
-    link = CanControllerLink(run, master, bus, clock, telemetry)  # type: ignore[arg-type]
-    state = Record(layout(JOINT_STATES, run.joint_names))
-    command = layout(JOINT_COMMANDS, run.joint_names).template
-    found: dict[int, int] = {}
+    return CanControllerLink(run, master, bus, clock, telemetry)  # type: ignore[arg-type]
 
-    def take(payload: bytes, _sender: bytes | None) -> None:
-        layout(JOINT_STATES, run.joint_names).decode(payload, state)
-        found[state.stamp_ns // GRID.period_ns] = round(float(state.fields["position"][0]))
+
+def positions_by_tick(bus: LateAxes) -> dict[int, set[int]]:
+    """What the controller's link hands out as the joints' positions at each tick."""
+    link = open_link(bus)
+    state = Record(layout(JOINT_STATES, ROBOT.joint_names))
+    command = layout(JOINT_COMMANDS, ROBOT.joint_names).template
+    found: dict[int, set[int]] = {}
+
+    def take(payload: bytes, _status: bytes | None) -> None:
+        layout(JOINT_STATES, ROBOT.joint_names).decode(payload, state)
+        positions = state.fields["position"].round().astype(int).tolist()
+        found[state.stamp_ns // GRID.period_ns] = set(positions)
         link.publish(JOINT_COMMANDS, command)
 
     link.serve(take)
@@ -85,10 +99,19 @@ def positions_by_tick(bus: LateAxis) -> dict[int, int]:
 
 
 def test_answers_in_time_are_those_of_their_ticks() -> None:
-    assert positions_by_tick(LateAxis(0)) == {tick: tick for tick in range(TICKS)}
+    assert positions_by_tick(LateAxes(0)) == {tick: {tick} for tick in range(TICKS)}
 
 
 def test_states_that_were_late_once_do_not_stay_late() -> None:
-    found = positions_by_tick(LateAxis(2))
-    assert {tick: found[tick] for tick in range(3, TICKS)} == {3: 3, 4: 4, 5: 5}
+    found = positions_by_tick(LateAxes(2))
     assert set(found) == {2, 3, 4, 5}
+    assert [found[tick] for tick in (3, 4, 5)] == [{3}, {4}, {5}]
+
+
+@pytest.mark.parametrize("held_up", [0, 2])
+def test_reference_begins_with_the_run_not_with_the_first_state_in_time(held_up: int) -> None:
+    link = open_link(LateAxes(held_up))
+    loop = ControlLoop(load_setup("paper_arm_can").control_task(), link)
+    link.spin()
+    assert loop.stamp_ns == (TICKS - 1) * GRID.period_ns
+    assert loop.tracking.time_s == loop.stamp_ns * 1e-9
