@@ -11,6 +11,9 @@ from controller.external.configuration import ExternalLawConfiguration
 from controller.external.program import ExternalLawError, Program, why_not_startable
 from controller.external.protocol import DONE, HEADER, ROWS, VERSION, Question
 
+_LARGEST_STATUS = 2**31
+_SHOWN_BYTES = 24
+
 
 class ExternalLaw:
     """A law whose torques come from a program; the program starts with the first question.
@@ -75,7 +78,15 @@ class ExternalLaw:
             timeout_s = max(timeout_s, self._configuration.start_timeout_s)
         self._program.ask(timeout_s)
         if self._answer[0] != DONE:
-            raise ExternalLawError(
-                f"external law {' '.join(self._configuration.command)} reports failure"
-                f" {self._answer[0]:g} at {time_s:.3f} s"
-            )
+            command = " ".join(self._configuration.command)
+            raise ExternalLawError(f"external law {command} {self._complaint()} at {time_s:.3f} s")
+
+    def _complaint(self) -> str:
+        status = float(self._answer[0])
+        if status.is_integer() and abs(status) <= _LARGEST_STATUS:
+            return f"reports failure {status:g}"
+        began = self._answer.tobytes()[:_SHOWN_BYTES]
+        return (
+            f"says {began!r}… where an answer begins with 0, or the number of a failure"
+            " (its standard output is for answers alone; what it prints must go to standard error)"
+        )

@@ -17,6 +17,7 @@ from typing import IO
 import numpy as np
 
 from bus_schema.arrays import Vector
+from bus_schema.runtime.signal_names import signal_name
 from controller.errors import ControllerError
 
 _LAST_WORDS = 2000
@@ -84,7 +85,10 @@ class Program:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_GRACE_S)
         code = self._process.poll()
-        how = "closed its output" if code is None else f"ended with exit code {code}"
+        how = "closed its output"
+        if code is not None:
+            by_signal = f"was ended by {signal_name(-code)}"
+            how = by_signal if code < 0 else f"ended with exit code {code}"
         size = os.fstat(self._words.fileno()).st_size
         said = os.pread(self._words.fileno(), _LAST_WORDS, max(0, size - _LAST_WORDS))
         lines = said.decode(errors="replace").strip().splitlines()

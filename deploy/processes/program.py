@@ -13,6 +13,7 @@ from pathlib import Path
 from bus_schema.configuration import ConfigurationError
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
+from bus_schema.runtime.signal_names import signal_name
 from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
 from deploy.processes.child import ChildProcess, Failure
 from deploy.processes.command_process import CANNOT_START, start_program
@@ -117,7 +118,7 @@ class Program(ChildProcess):
         if code == CANNOT_START:
             how = "could not be started"
         elif code < 0:
-            how = f"was killed by {signal.Signals(-code).name}"
+            how = f"was killed by {signal_name(-code)}"
         else:
             how = f"failed with exit code {code}"
         return Failure(f"the controller ({self._name}) {how}: {self._last_words()}", is_cause=True)

@@ -17,6 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bus_schema.runtime.signal_names import signal_name
 from deploy.processes.launcher import Launcher
 from deploy.processes.network.free_ports import free_ports
 from deploy.processes.parent import end_with_parent
@@ -74,7 +75,9 @@ def run_process(
     on_start(process.terminate)
     said, errors = process.communicate()
     if process.returncode:
-        last = (errors.strip() or f"exit code {process.returncode}").splitlines()[-1]
+        code = process.returncode
+        how = f"exit code {code}" if code > 0 else f"killed by {signal_name(-code)}"
+        last = (errors.strip() or how).splitlines()[-1]
         failures = [f"the run failed: {last}"]
     else:
         failures = json.loads(said)
