@@ -82,6 +82,10 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
             cells = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise _wrong(file, f"cannot be read as CSV: {error}") from error
+    for line, row in cells:
+        if any(map(str.strip, row[len(header) :])):
+            what = f"has {len(row)} values, the first line {len(header)} names: must have one each"
+            raise _wrong(file, f"line {line} {what}")
     if not cells:
         raise _wrong(file, "must have a row below its first line")
     numbers = [number for number, _ in cells]

@@ -141,6 +141,7 @@ def test_order_of_columns_spaces_empty_lines_and_other_columns_do_not_matter(tmp
             "line 3, column time_s = '1e-09'",
         ),
         (POSITIONS + "\n2,0,0,0\n1,0,0,0\n", "line 3, column time_s = '1': must be later than 2"),
+        (POSITIONS + "\n0,0,0,0\n1,0,0,0,,\n2,0,0,0,5\n", "line 4 has 5 values, the first line 4"),
         (POSITIONS + "\n", "must have a row below its first line"),
         ("", "line 1: column 'time_s' is missing"),
         ("time_s,base_yaw.position_rad\n0,0\n", "column 'shoulder.position_rad' is missing"),
