@@ -158,7 +158,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         raise RunFolderError(f"{path}: holds no run.mcap")
     contents = read_log(file)
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
-        damage = "".join(f"; it is damaged: {each}" for each in contents.damage)
+        damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""
         raise RunFolderError(
             f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
         )

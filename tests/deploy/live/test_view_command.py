@@ -27,6 +27,14 @@ def test_bad_input_is_refused(words, said, funnel_hil):
     assert said in output
 
 
+def test_a_file_that_is_no_recording_is_damaged_once(tmp_path, funnel_hil):
+    (tmp_path / "run.mcap").write_text("no recording at all")
+    code, output = funnel_hil("view", tmp_path)
+    assert code == 2
+    assert output.count("damaged") == 1
+    assert "it does not begin as an MCAP file does; " in output
+
+
 def test_a_recording_is_played_and_its_layout_written(tmp_path):
     run = short_run()
     run.write_log(tmp_path / "run.mcap")
