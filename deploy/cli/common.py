@@ -19,7 +19,7 @@ from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
-from deploy.exit_codes import BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
+from deploy.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
 from deploy.reports.conclude import conclude, conditions_in
 from deploy.runs.run_data import RunData
@@ -82,18 +82,19 @@ def watching(
     return watch
 
 
-def leave(*, interrupted: bool, whole: bool, kept: bool) -> NoReturn:
+def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> NoReturn:
     """End a command with the exit code it deserves.
 
     Args:
         interrupted: the user put an end to it.
         whole: all runs came to their end, without a fault.
         kept: the bounds were kept, or nobody requires it.
+        fault: exit code where they did not.
     """
     if interrupted:
         raise typer.Exit(INTERRUPTED)
     if not whole:
-        raise typer.Exit(FAULT)
+        raise typer.Exit(fault)
     raise typer.Exit(FINISHED if kept else BOUNDS_NOT_KEPT)
 
 
@@ -155,6 +156,7 @@ def finish(
         interrupted=outcome.interrupted,
         whole=summary["completed"] and not summary["faults"],
         kept=summary["bounds"]["kept"] or not require_bounds,
+        fault=_fault_code(outcome),
     )
 
 
@@ -167,5 +169,10 @@ def _recorded(console: Console, folder: RunFolder, outcome: RunOutcome) -> RunDa
         for fault in faults or ["stopped before the run began"]:
             console.print(escape(fault))
         write_json(folder.summary, {"completed": False, "faults": faults})
-        raise typer.Exit(INTERRUPTED if outcome.interrupted else FAULT) from error
+        raise typer.Exit(INTERRUPTED if outcome.interrupted else _fault_code(outcome)) from error
     return data
+
+
+def _fault_code(outcome: RunOutcome) -> int:
+    """What a run with a fault ends with, like that one of its processes that found it."""
+    return BAD_INPUT if outcome.is_bad_input else FAULT

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from bus_schema.errors import silent_peer
-from deploy.exit_codes import INTERRUPTED
+from bus_schema.runtime.signal_names import signal_name
+from deploy.exit_codes import BAD_INPUT, INTERRUPTED
 from deploy.processes.command_process import start
 from deploy.processes.status import StatusMessage
 
@@ -29,10 +30,12 @@ class Failure(NamedTuple):
         text: one sentence.
         is_cause: other failures are its consequences: it was killed or frozen from outside, or says
             so itself.
+        is_bad_input: it was given what does not go together, a scenario and another one say.
     """
 
     text: str
     is_cause: bool
+    is_bad_input: bool = False
 
 
 def in_causal_order(failures: Sequence[str]) -> list[str]:
@@ -147,14 +150,13 @@ class Child(ChildProcess):
         if code == INTERRUPTED and not self._faults:
             return None  # it was asked to stop, by whomever, and left in order
         if code < 0:
-            by = signal.Signals(-code).name
-            return Failure(f"the {self.role} was killed by {by}", is_cause=True)
+            return Failure(f"the {self.role} was killed by {signal_name(-code)}", is_cause=True)
         if self._faults:
-            return self._faults[0]
+            return self._faults[0]._replace(is_bad_input=code == BAD_INPUT)
         if code:
             last = self._errors[-1] if self._errors else "it left no message"
             text = f"the {self.role} failed with exit code {code}: {last}"
-            return Failure(text, is_cause=False)
+            return Failure(text, is_cause=False, is_bad_input=code == BAD_INPUT)
         return None
 
     def _read_messages(self, pipe: IO[str]) -> None:

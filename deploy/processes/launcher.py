@@ -39,12 +39,14 @@ class RunOutcome:
     Attributes:
         failures: one sentence for each process that failed; causes come before consequences.
         interrupted: the user stopped the run.
+        is_bad_input: a process of ours found that it was given what does not go together.
         realtime: real-time settings that were asked for, by role.
         relay: what the relay of a real delay reports; empty without one.
     """
 
     failures: list[str] = field(default_factory=list)
     interrupted: bool = False
+    is_bad_input: bool = False
     realtime: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     relay: dict[str, Any] = field(default_factory=dict)
 
@@ -249,6 +251,7 @@ class Launcher:
     def _note_failure(self, failure: Failure | None) -> None:
         if failure is not None:
             failures = self._outcome.failures
+            self._outcome.is_bad_input |= failure.is_bad_input
             failures.insert(0 if failure.is_cause else len(failures), failure.text)
 
     def _handle_messages(self, on_message: Callable[[StatusMessage], None]) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
-from running import await_true, free_endpoint, settings
+from running import await_true, free_endpoint, settings, started
 
 from tests.warm_process import WarmProcess
 
@@ -50,6 +51,23 @@ def test_different_scenarios_end_with_2_on_both_sides_and_name_the_keys(
             assert key in output
         assert "plant_endpoint" not in output.partition("another scenario")[2]
         assert "Traceback" not in output
+
+
+def test_a_run_that_awaits_a_controller_ends_like_its_plant(
+    endpoints: list[str], tmp_path: Path
+) -> None:
+    words = ["run", "paper_arm", *SHORT, *endpoints, "--await-controller"]
+    with started(*words, out=tmp_path / "run") as running:
+        other = settings(controller__law="pid")
+        controller = WarmProcess("controller", "paper_arm", *SHORT, *endpoints, *other)
+        try:
+            ended = running.end()
+        finally:
+            controller.kill()
+            controller.wait()
+    assert ended.code == 2, ended.output
+    assert "the controller runs another scenario" in ended.output
+    assert "Traceback" not in ended.output
 
 
 def test_what_is_up_to_each_host_may_differ(endpoints: list[str]) -> None:
