@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 
@@ -16,6 +16,7 @@ from bus_schema.configuration import Sections, shortened, shown
 _MOST_PROBLEMS = 20
 _SHOULD = re.compile(r"\w+ should ((?:be|have) .*)", re.DOTALL)
 """How pydantic says what is allowed."""
+_ITEMS: dict[Any, str] = {str: "strings", int: "whole numbers", float: "numbers"}
 _LONGEST_ALLOWED = 1000
 _LIKELY = 0.75
 """How much alike names have to be that do not even stand in the same section."""
@@ -74,6 +75,9 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
         return f"{source}: {key}: is missing"
     if problem["type"] in ("model_type", "dataclass_type", "dict_type"):
         return f"{source}: {key} = {shown(problem['input'])}: must be a mapping of keys to values"
+    if problem["type"] in ("tuple_type", "list_type"):
+        held = next(filter(None, (_held(_keys(s).get(str(place[-1]))) for s in sections)), "values")
+        return f"{source}: {key} = {shown(problem['input'])}: must be a list of {held}"
     said = problem["msg"].removeprefix("Value error, ")
     should = _SHOULD.fullmatch(said)
     allowed = f"be {said}" if should is None else should[1]
@@ -138,6 +142,17 @@ def _sections(annotation: Any) -> Iterator[type]:
         parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
         for part in parts:
             yield from _sections(part)
+
+
+def _held(annotation: Any) -> str | None:
+    """What the lists hold that an annotation allows; None where it allows none."""
+    if get_origin(annotation) in (tuple, list):
+        item = get_args(annotation)[0]
+        while get_origin(item) is Annotated:
+            item = get_args(item)[0]
+        return _ITEMS.get(item, "mappings of keys to values")
+    parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
+    return next(filter(None, map(_held, parts)), None)
 
 
 def _is_within(key: str, section: str) -> bool:

@@ -97,11 +97,26 @@ def test_no_number_may_be_a_boolean():
         try:
             load_setup("paper_arm", [f"{key}=true"])
         except ScenarioError as error:
-            if not re.search("number|is missing|a valid tuple", str(error)):
+            if not re.search("number|is missing|a list of", str(error)):
                 taken.append(f"{key}: {error}")
         else:
             taken.append(key)
     assert not taken
+
+
+@pytest.mark.parametrize(
+    ("given", "held"),
+    [
+        ("link.can.node_ids=3", "whole numbers"),
+        ("robot.joints=elbow", "strings"),
+        ("faults=1", "mappings of keys to values"),
+        ("link.uplink.schedule=1", "mappings of keys to values"),
+    ],
+)
+def test_one_value_where_a_list_belongs_is_told_what_lists_hold(given, held):
+    with pytest.raises(ScenarioError) as refused:
+        load_setup("paper_arm", [given])
+    assert str(refused.value).endswith(f": must be a list of {held}")
 
 
 @pytest.mark.parametrize("base", ["nowhere", "x" * 5000])

@@ -8,6 +8,8 @@ import yaml
 
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
+from deploy.scenario.definition import Scenario
+from deploy.scenario.explanation import _keys, _sections
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.study.robustness import margin_study
 from deploy.study.sweep import load_sweep
@@ -27,6 +29,25 @@ def scenario(tmp_path):
     (tmp_path / "two_link.urdf").write_text(block("xml", "two_link"))
     (tmp_path / "two_link.yaml").write_text(block("yaml", "two_link"))
     return tmp_path / "two_link.yaml"
+
+
+def test_the_table_of_keys_names_each_key_of_a_section():
+    rows = dict(re.findall(r"^\| `?(\w+)`? \| (.*) \|$", README, flags=re.MULTILINE))
+    listed = {"faults", "uncertainty"}  # told of where these words lead
+    for key in keys_of(Scenario):
+        section, *names = key.split(".")
+        if (len(names) == 1 and section not in listed) or names[:-1] == ["can"]:
+            assert re.search(rf"\b{names[-1]}\b", rows[section]), f"{key} is not in the table"
+        if not names:
+            assert section in rows or f"`{section}`" in rows["top"]
+
+
+def keys_of(section, prefix=""):
+    """Dotted keys of a section and of those in it."""
+    for name, annotation in _keys(section).items():
+        yield prefix + name
+        for inner in _sections(annotation):
+            yield from keys_of(inner, f"{prefix}{name}.")
 
 
 def test_own_arm_keeps_its_bounds(scenario):
