@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -55,12 +55,10 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     """
     states = contents.payloads[topics.JOINT_STATES.name]
     recorded = contents.payloads[topics.JOINT_COMMANDS.name]
-    # States and plant statuses belong together by their stamps, which stand at the same place.
-    statuses = {status[_STAMP]: status for status in contents.payloads[topics.PLANT_STATUS.name]}
     bus = InProcessBus(VirtualClock())
     loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     loop.warm_up()
-    failure = _cycle_through(loop, states, statuses)
+    failure = _cycle_through(loop, states, _statuses_beside(contents))
     replayed = [command.payload for command in bus.commands]
     rounding = setup.link_kind.wire_rounding(setup.link_run(lockstep=True))
     if rounding is not None:
@@ -80,11 +78,32 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     )
 
 
-def _cycle_through(loop: ControlLoop, states: list[bytes], statuses: Mapping[bytes, bytes]) -> str:
+def _statuses_beside(contents: LogContents) -> list[bytes | None]:
+    """The plant status that went with each joint state; None where there was none.
+
+    Both have the same stamp, at the same place, and the same number: so one that a stranger sends
+    again is told from the plant's. A plant that numbers them otherwise sends one for each stamp.
+    """
+    name = topics.PLANT_STATUS.name
+    of_number: dict[tuple[int, bytes], bytes] = {}
+    of_stamp: dict[bytes, bytes] = {}
+    for number, status in zip(contents.sequences[name], contents.payloads[name], strict=True):
+        of_number.setdefault((number, status[_STAMP]), status)
+        of_stamp.setdefault(status[_STAMP], status)
+    name = topics.JOINT_STATES.name
+    return [
+        of_number.get((number, state[_STAMP]), of_stamp.get(state[_STAMP]))
+        for number, state in zip(contents.sequences[name], contents.payloads[name], strict=True)
+    ]
+
+
+def _cycle_through(
+    loop: ControlLoop, states: Sequence[bytes], statuses: Sequence[bytes | None]
+) -> str:
     """Answer all states; what ended that early, as a law that failed in the recording will."""
-    for state in states:
+    for state, status in zip(states, statuses, strict=True):
         try:
-            loop.cycle(state, statuses.get(state[_STAMP]))
+            loop.cycle(state, status)
         except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
             return str(error)
     return ""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
 from bus_schema.recording.mcap_log import read_log
 from controller.laws import LAWS
 from deploy.runs.judging.metrics import summarise
@@ -174,3 +176,20 @@ def test_control_status_without_compensation_has_nothing_foreseen():
 def test_bad_settings_are_refused(override, reason):
     with pytest.raises(ScenarioError, match=reason):
         load_setup("paper_arm", [f"controller.delay_compensation.{override}"])
+
+
+def test_a_status_that_a_stranger_sends_again_is_not_taken_for_the_plants(tmp_path):
+    recorded = run(ON, "link.uplink.duplicate=0.1", up_ms=4, down_ms=4, duration_s=0.3)
+    recorded.write_log(tmp_path / "run.mcap")
+    contents = read_log(tmp_path / "run.mcap")
+    statuses, numbers = contents.payloads["plant_status"], contents.sequences["plant_status"]
+    layout = topics.layout(topics.PLANT_STATUS, recorded.setup.robot.joint_names)
+    status = Record(layout)
+    for number, payload in enumerate(list(statuses)):
+        layout.decode(payload, status)
+        status.scalars.command_sequence = 0
+        statuses.append(status.payload())
+        numbers.append(1000 + number)
+    assert replay(recorded.setup, contents).is_identical
+    numbers[:] = range(5000, 5000 + len(numbers))  # as of a plant that numbers them on its own
+    assert replay(recorded.setup, contents).is_identical
