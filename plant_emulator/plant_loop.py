@@ -176,10 +176,10 @@ class PlantLoop:
         """Deliver the states that fall due, and take in the commands that arrive, until then."""
         while self._uplink.next_due_ns < until_ns:
             due_ns, measurement = self._uplink.receive()
-            self._clock.wait_until(due_ns)
+            self._link.wait_until(self._clock, due_ns)
             self._deliver(measurement)
         self._telemetry.send(self._link)
-        self._lateness_ns = self._clock.wait_until(until_ns)
+        self._lateness_ns = self._link.wait_until(self._clock, until_ns)
         self._collect_commands()
         if self._arm.mode in COMMANDABLE and (reason := self._link.fault()) is not None:
             self._begin_stop(reason)

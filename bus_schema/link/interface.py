@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from bus_schema.messages.topics import Role, Topic
+from bus_schema.runtime.clock import Clock
 
 
 class CommandArrival(NamedTuple):
@@ -83,6 +84,10 @@ class PlantLink(Link, Protocol):
 
     def send_state(self, state: bytes, status: bytes) -> None:
         """Send a joint state with the plant status that belongs to it."""
+
+    def wait_until(self, clock: Clock, instant_ns: int) -> int:
+        """Let the clock reach an instant, and do what the link has to meanwhile; lateness in ns."""
+        return clock.wait_until(instant_ns)
 
     def await_command(self, timeout_s: float) -> bool:
         """Wait for a command that was not yet taken; whether there is one."""

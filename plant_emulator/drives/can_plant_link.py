@@ -1,13 +1,13 @@
 """The plant's side of the link over CAN: emulated drives between the loop and the bus.
 
 The loop has the drives measure their joints by `send_state`; a master samples them when it likes,
-and when it has given every drive a torque, that is a command. In lockstep time stands still in
-between, so frames are handled where the loop waits for the command; in real time, by a thread.
+and when it has given every drive a torque, that is a command. Frames are handled where the loop
+waits: in lockstep, where time stands still meanwhile, for the command; in real time, for its next
+instant.
 """
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -70,9 +70,6 @@ class CanPlantLink(PlantLink):
         self._heard_ns = 0
         self._waiting: deque[CanFrame] = deque()
         self._arrivals: deque[CommandArrival] = deque()
-        self._lock = threading.Lock()
-        self._over = threading.Event()
-        self._thread: threading.Thread | None = None
         self._controller_was_seen = False
         self._failure: str | None = None
 
@@ -111,20 +108,32 @@ class CanPlantLink(PlantLink):
 
     def send_state(self, state: bytes, status: bytes) -> None:
         """Have the drives measure their joints, and do what is due."""
-        with self._lock:
-            now_ns = self._clock.now_ns()
-            self._layout.decode(state, self._measured)
-            fields = self._measured.fields
-            bank = self._drives.bank
-            bank.measure(fields["position"], fields["velocity"], fields["effort"])
-            bus_off_s = self._run.link.can.faults.bus_off_s
-            if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
-                self._drives.lose_bus(now_ns)
-            self._drives.advance(self._heard_until_ns(now_ns))
+        now_ns = self._clock.now_ns()
+        self._layout.decode(state, self._measured)
+        fields = self._measured.fields
+        bank = self._drives.bank
+        bank.measure(fields["position"], fields["velocity"], fields["effort"])
+        bus_off_s = self._run.link.can.faults.bus_off_s
+        if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
+            self._drives.lose_bus(now_ns)
+        self._drives.advance(self._heard_until_ns(now_ns))
         self.publish(topics.PLANT_STATUS, status)
-        if not self._run.lockstep and self._thread is None:
-            self._thread = threading.Thread(target=self._serve, daemon=True)
-            self._thread.start()
+
+    def wait_until(self, clock: Clock, instant_ns: int) -> int:
+        """Serve the drives' frames until the instant comes, in real time."""
+        if self._run.lockstep or self._failure is not None:
+            return clock.wait_until(instant_ns)
+        try:
+            self._serve(clock, instant_ns)
+            late_ns = clock.now_ns() - instant_ns
+            if late_ns > self._run.grid.period_ns:
+                # So long held up, the drives would do without all that came meanwhile.
+                self._catch_up(clock)
+        except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
+            self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
+            return clock.wait_until(instant_ns)
+        self._lateness.note(late_ns, instant_ns + late_ns)
+        return late_ns
 
     def await_command(self, timeout_s: float) -> bool:
         give_up_s = time.monotonic() + timeout_s
@@ -166,14 +175,12 @@ class CanPlantLink(PlantLink):
 
     def await_recorded(self) -> None:
         """Stay until the master has stopped the drives, and the recorder has everything."""
-        self._stop_serving()
         if self._failure is None:
             self._await_standstill()
         self._telemetry.await_recorded()
 
     def close(self) -> None:
         """Leave the buses."""
-        self._stop_serving()
         self._drives.close()
         self._telemetry.close()
 
@@ -191,21 +198,25 @@ class CanPlantLink(PlantLink):
                 break  # a foreign master does not announce that it is done
             self._drives.advance(now_ns)
 
-    def _serve(self) -> None:
-        """Handle frames as they come, on a thread, until the run or the bus is at its end."""
-        try:
-            while not self._over.is_set():
-                frame = self._next_frame(_POLL_S)
-                if frame is not None:
-                    self._take(frame)
-                self._heard_ns = self._clock.now_ns()
-        except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
-            self._failure = f"frames are no longer served: {type(error).__name__}: {error}"
+    def _serve(self, clock: Clock, until_ns: int) -> None:
+        """Handle frames as they come, until an instant."""
+        while (left_ns := until_ns - clock.now_ns()) > 0:
+            frame = self._next_frame(left_ns * 1e-9)
+            if frame is not None:
+                self._take(frame)
+            self._heard_ns = clock.now_ns()
+
+    def _catch_up(self, clock: Clock) -> None:
+        """Handle the frames that wait, for no longer than a period: of a flood there is no end."""
+        give_up_ns = clock.now_ns() + self._run.grid.period_ns
+        while clock.now_ns() < give_up_ns and (frame := self._next_frame(0.0)) is not None:
+            self._take(frame)
+        self._heard_ns = clock.now_ns()
 
     def _heard_until_ns(self, now_ns: int) -> int:
         """Until when the drives can miss frames: in real time, not those that nobody has read yet.
 
-        Where the thread that reads them is held up, the drives would find their master silent.
+        Where the loop that reads them is held up, the drives would find their master silent.
         """
         if self._run.lockstep or self._failure is not None:
             return now_ns
@@ -213,31 +224,25 @@ class CanPlantLink(PlantLink):
         self._lateness.note(now_ns - heard_ns, now_ns)
         return heard_ns
 
-    def _stop_serving(self) -> None:
-        self._over.set()
-        if self._thread is not None:
-            self._thread.join()
-
     def _next_frame(self, timeout_s: float) -> CanFrame | None:
         return self._waiting.popleft() if self._waiting else self._drives.receive(timeout_s)
 
     def _take(self, frame: CanFrame) -> None:
         """Hand a frame to the drives, and publish what it led to."""
-        with self._lock:
-            now_ns = self._clock.now_ns()
-            self._drives.handle(frame, now_ns)
-            self._strangers.hear(frame, now_ns)
-            for answer in self._drives.answers:
-                fields = self._sampled.fields
-                self._codec.read_state(answer, fields["position"], fields["velocity"])
-            self._codec.read_torque(frame, self._torque)
-            samplings = self._drives.bank.samplings
-            if samplings != self._samplings:
-                self._samplings = samplings
-                self._clock.put_forward(self._phase.correction_ns(now_ns))
-                self._publish_state()
-            if self._drives.bank.take_targets():
-                self._publish_command()
+        now_ns = self._clock.now_ns()
+        self._drives.handle(frame, now_ns)
+        self._strangers.hear(frame, now_ns)
+        for answer in self._drives.answers:
+            fields = self._sampled.fields
+            self._codec.read_state(answer, fields["position"], fields["velocity"])
+        self._codec.read_torque(frame, self._torque)
+        samplings = self._drives.bank.samplings
+        if samplings != self._samplings:
+            self._samplings = samplings
+            self._clock.put_forward(self._phase.correction_ns(now_ns))
+            self._publish_state()
+        if self._drives.bank.take_targets():
+            self._publish_command()
 
     def _publish_state(self) -> None:
         """All drives have sent their states: what the controller receives."""

@@ -75,6 +75,9 @@ class FaultyLink:
         self._sent_stamp_ns = stamp_of(sent)
         self._link.send_state(sent, sent_status)
 
+    def wait_until(self, clock: Clock, instant_ns: int) -> int:
+        return self._link.wait_until(clock, instant_ns)
+
     def await_command(self, timeout_s: float) -> bool:
         if self._was_unreadable:
             self._gate.stop_waiting()

@@ -46,6 +46,9 @@ class Station:
         self._layout.decode(state, record)
         self.delivered.append((self._clock.now_ns(), record.stamp_ns))
 
+    def wait_until(self, clock, instant_ns):
+        return clock.wait_until(instant_ns)
+
     def sender_has_left(self, sender):
         return False
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -76,12 +74,20 @@ class HandClock(VirtualClock):
 
 
 class HeldUpBus:
-    """Gives one SYNC; after that a reader is held up until it is let go, and gets an answer."""
+    """Gives one SYNC; after that, time passes by whoever waits for frames, and holds him up once.
 
-    def __init__(self) -> None:
+    Attributes:
+        frames: what is to be read.
+        hold_up_ms: by how long the next to wait is held up.
+        sent: what was sent.
+        error: what ends it.
+    """
+
+    def __init__(self, clock: HandClock) -> None:
+        self._clock = clock
         self.frames = [CanFrame(0x080)]
+        self.hold_up_ms = 0
         self.sent: list[CanFrame] = []
-        self.is_held, self.may_go = threading.Event(), threading.Event()
         self.error: Exception | None = None
 
     def send(self, frame: CanFrame) -> None:
@@ -91,14 +97,14 @@ class HeldUpBus:
         self.sent.extend(frames)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
-        if self.frames:
-            return self.frames.pop(0)
-        self.is_held.set()
-        self.may_go.wait(HANG_S)
         if self.error is not None:
             raise self.error
-        time.sleep(0.001)
-        return None
+        waited_ns = self.hold_up_ms * MS
+        self.hold_up_ms = 0
+        if not (self.frames or waited_ns):
+            waited_ns = round(timeout_s * 1e9)
+        self._clock.wait_until(self._clock.now_ns() + waited_ns)
+        return self.frames.pop(0) if self.frames else None
 
     def dropped(self) -> int | None:
         return None
@@ -108,11 +114,12 @@ class HeldUpBus:
 
 
 class Held:
-    """A link in real time whose reader is held up."""
+    """A link in real time whose loop is held up."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.setup = load_setup("paper_arm_can", ["duration_s=20", "clock=realtime"])
-        self.bus, self.clock = HeldUpBus(), HandClock()
+        self.clock = HandClock()
+        self.bus = HeldUpBus(self.clock)
         telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
         monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
         monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
@@ -135,47 +142,57 @@ class Held:
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[Held]:
     made = Held(monkeypatch)
     yield made
-    made.bus.error = BusError("over")
-    made.bus.may_go.set()
     made.link.close()
     made.arm.close()
-
-
-def until(condition) -> None:  # type: ignore[no-untyped-def]
-    give_up_s = time.monotonic() + HANG_S
-    while not condition():
-        assert time.monotonic() < give_up_s, "it never came"
-        time.sleep(0.005)
 
 
 def test_drives_miss_nothing_that_a_held_up_host_has_not_read(held: Held) -> None:
     """They send a heartbeat every 100 ms of their time, which stands still meanwhile."""
     held.measure()
-    assert held.bus.is_held.wait(HANG_S)
     before = held.heartbeats
     held.clock.set_ms(500)
     held.measure()
     assert held.heartbeats == before
-    held.bus.may_go.set()
+    held.link.wait_until(held.clock, 502 * MS)
+    held.measure()
+    assert held.heartbeats > before
 
-    def goes_on() -> bool:
-        held.measure()
-        return held.heartbeats > before
 
-    until(goes_on)
+def test_what_came_while_the_loop_was_held_up_is_read_before_it_goes_on(held: Held) -> None:
+    held.measure()
+    held.bus.frames += [CanFrame(0x202, bytes(4))] * 50
+    held.bus.hold_up_ms = 100
+    assert held.link.wait_until(held.clock, 2 * MS) == 98 * MS
+    assert held.bus.frames == []
+
+
+def test_flood_keeps_no_instant_from_coming(held: Held) -> None:
+    """Each frame takes its reader half a millisecond."""
+    held.measure()
+    took_ms = 0.5
+
+    def receive(_: float) -> CanFrame:
+        held.clock.wait_until(held.clock.now_ns() + round(took_ms * MS))
+        return CanFrame(0x7FF)
+
+    held.bus.receive = receive  # type: ignore[method-assign, assignment]
+    assert held.link.wait_until(held.clock, 2 * MS) < MS
+    took_ms = 10.0
+    held.link.wait_until(held.clock, 4 * MS)
+    assert held.clock.now_ns() < 30 * MS
 
 
 def test_a_fault_after_a_hold_up_names_the_host_and_who_else_is_there(held: Held) -> None:
     held.bus.frames += [CanFrame(0x183, bytes(8))]
     held.measure()
-    assert held.bus.is_held.wait(HANG_S)
-    held.clock.set_ms(500)
+    held.link.wait_until(held.clock, 2 * MS)
+    held.bus.hold_up_ms = 498
+    held.link.wait_until(held.clock, 4 * MS)
     held.measure()
     assert held.link.fault() is None  # nothing has gone wrong by that alone
     held.bus.error = BusError("the bus is gone")
-    held.bus.may_go.set()
-    until(lambda: held.link.fault() is not None)
+    held.link.wait_until(held.clock, 502 * MS)
     fault = str(held.link.fault())
     assert "the bus is gone" in fault
     assert "another drive on this bus has address 3: it sent 1 states" in fault
-    assert "this host was late by 480 ms, 0.50 s into the run" in fault
+    assert "this host was late by 496 ms, 0.50 s into the run" in fault
