@@ -38,11 +38,29 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder()))
 
 import numba  # noqa: E402  (reads its cache folder at import)
 from llvmlite import binding  # noqa: E402
+from numba.core.caching import FunctionCache  # noqa: E402
+from numba.core.runtime import rtsys  # noqa: E402
+
+
+class _CompiledBefore(FunctionCache):  # type: ignore[misc]  # numba has no types
+    """Machine code of one function, found without loading the compiler.
+
+    numba prepares for compiling whenever it looks into its cache, which takes several times as long
+    as all that is found there. What is missing it compiles as ever, and prepares for that itself.
+    """
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        rtsys.initialize(target)  # what machine code may call
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, target)
+        return None
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
-    return cast("Callable[P, R]", numba.njit(cache=True, error_model="numpy")(function))
+    dispatcher = numba.njit(error_model="numpy")(function)
+    dispatcher._cache = _CompiledBefore(function)
+    return cast("Callable[P, R]", dispatcher)
 
 
 def bind(function: Callable[..., R], *fixed: Any, free: Sequence[str] = ()) -> Callable[..., R]:

@@ -1,4 +1,6 @@
 import ast
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -49,3 +51,26 @@ def test_the_cache_is_named_by_all_that_kernels_are_made_of() -> None:
         if name in imported(module) and imported(module)[name] not in modules
     ]
     assert foreign == []
+
+
+SECOND = """
+import sys
+from numba.core import event
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+
+with event.install_recorder("numba:compile") as compiling:
+    data = simulate(load_setup("paper_arm", ["duration_s=0.05", "metrics.from_s=0"])).data()
+print(len(compiling.buffer), "numba.typed.typeddict" in sys.modules, data.digest)
+"""
+
+
+def test_a_second_run_compiles_nothing_and_loads_no_compiler() -> None:
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", SECOND], capture_output=True, text=True, check=True, cwd=ROOT
+        ).stdout.split()
+        for _ in range(2)
+    )
+    assert second[:2] == ["0", "False"]
+    assert second[2] == first[2]
