@@ -39,10 +39,10 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder()))
 import numba  # noqa: E402  (reads its cache folder at import)
 from llvmlite import binding  # noqa: E402
 from numba.core.caching import FunctionCache  # noqa: E402
-from numba.core.runtime import rtsys  # noqa: E402
+from numba.core.runtime.nrt import rtsys  # noqa: E402
 
 
-class _CompiledBefore(FunctionCache):  # type: ignore[misc]  # numba has no types
+class _CompiledBefore(FunctionCache):
     """Machine code of one function, found without loading the compiler.
 
     numba prepares for compiling whenever it looks into its cache, which takes several times as long
@@ -52,14 +52,14 @@ class _CompiledBefore(FunctionCache):  # type: ignore[misc]  # numba has no type
     def load_overload(self, signature: Any, target: Any) -> Any:
         rtsys.initialize(target)  # what machine code may call
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(signature, target)
+            return cast("Any", self)._load_overload(signature, target)
         return None
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
-    dispatcher = numba.njit(error_model="numpy")(function)
-    dispatcher._cache = _CompiledBefore(function)
+    dispatcher = cast("Any", numba.njit(error_model="numpy")(function))
+    dispatcher._cache = cast("Any", _CompiledBefore)(function)
     return cast("Callable[P, R]", dispatcher)
 
 
