@@ -103,6 +103,19 @@ def test_a_flood_of_connections_does_not_keep_the_page_from_who_is_there(viewer,
     events.close()
 
 
+def test_a_page_that_is_frozen_holds_up_neither_the_viewer_nor_another_page(viewer, url):
+    frozen, other = Events(url), Events(url)  # of which one is never read from
+    large = "x" * 100_000
+    for number in range(1, 201):  # far more than its socket takes; who waits for it hangs here
+        viewer._frames.add({"time_s": float(number), "large": large})
+    viewer._frames.end()
+    *_, last = other.frames()
+    assert last["time_s"] == 200.0
+    viewer.close()  # it waits for nobody
+    frozen.close()
+    other.close()
+
+
 def test_frames_say_what_the_judge_says(viewer, url):
     run = short_run()
     data = run.data()
