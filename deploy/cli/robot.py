@@ -15,11 +15,11 @@ from bus_schema.robot_description import RobotDescription, load_robot
 from deploy.reports.figures.arm.pictures import arm_picture
 from deploy.reports.robot_tables import funnel_line, gains_table, joints_table, other_joints_table
 from deploy.reports.terminal import print_table
+from deploy.scenario.checks import check
 from deploy.scenario.definition import Scenario
 from deploy.scenario.explanation import Origin
 from deploy.scenario.oddities import oddities
 from deploy.scenario.referenced_files import find_urdf
-from deploy.scenario.scenario import check
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, validated
 

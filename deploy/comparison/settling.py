@@ -9,7 +9,7 @@ import numpy as np
 
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import check
+from deploy.scenario.checks import check
 from deploy.scenario.setup import Setup
 
 OFFSETS_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)

@@ -11,8 +11,8 @@ from typing import Any
 
 from bus_schema.link.agreement import Agreement
 from deploy.scenario.referenced_files import data_files
-from deploy.scenario.scenario import effective_values
 from deploy.scenario.setup import Setup
+from deploy.scenario.written import effective_values
 
 _OF_EACH_HOST = (
     "link.plant_endpoint", "link.controller_endpoint", "link.router_endpoint",

@@ -1,17 +1,65 @@
-"""Scenarios with the files they refer to, for folders of results: what is run again is the same."""
+"""Scenarios in force, with the files they refer to: what is run again is the same."""
 
 from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
+import numpy as np
+
+from bus_schema.limits import LimitsConfiguration
 from bus_schema.recording.atomic_files import write_whole
+from controller.configuration import ControllerConfiguration
+from controller.laws import LAWS
 from deploy.scenario.referenced_files import data_files
-from deploy.scenario.scenario import effective_scenario
 from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import plain, set_value, to_yaml
+from plant_emulator.configuration import PlantConfiguration
 
 _DIGITS = 8
+
+
+def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType({})) -> str:
+    """`effective_values` as YAML.
+
+    Args:
+        setup: the scenario.
+        files: paths to write, by dotted key, in place of absolute ones.
+    """
+    values = effective_values(setup)
+    for key, path in files.items():
+        set_value(values, key, path)
+    return to_yaml(values)
+
+
+def effective_values(setup: Setup) -> dict[str, Any]:
+    """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
+
+    But for endpoints, CAN buses and a time to judge from that nobody chose: who runs it again may
+    choose others, or another duration.
+    """
+    given = setup.scenario
+    values: dict[str, Any] = plain(
+        given.model_copy(
+            update={
+                "controller": _with_gains(setup),
+                "limits": _with_limits(setup),
+                "plant": _with_drives(setup),
+            }
+        )
+    )
+    values["robot"]["urdf"] = str(setup.robot.path)
+    for key in {"plant_endpoint", "controller_endpoint"} - given.link.model_fields_set:
+        del values["link"][key]
+    if "from_s" not in given.metrics.model_fields_set:
+        del values["metrics"]["from_s"]
+    for key in {"channel", "port"} - given.link.can.model_fields_set:
+        values["link"]["can"].pop(key, None)
+    return values
 
 
 def write_scenario(setup: Setup, path: Path) -> None:
@@ -62,3 +110,31 @@ def _name(original: Path, text: str) -> str:
     digest = hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
     stem = original.stem.removesuffix(f"-{digest}")  # it may itself be such a copy
     return f"{stem}-{digest}{original.suffix}"
+
+
+def _with_gains(setup: Setup) -> ControllerConfiguration:
+    controller = setup.scenario.controller
+    if controller.law not in LAWS:
+        return controller
+    gains = {**controller.gains, controller.law: setup.gains}
+    ordered = {law: gains[law] for law in (*LAWS, *gains) if law in gains}
+    return controller.model_copy(update={"gains": ordered})
+
+
+def _with_limits(setup: Setup) -> LimitsConfiguration:
+    limits = setup.scenario.limits
+    in_force = limits.of_plant(setup.robot)
+    known = {
+        name: limit
+        for name in ("torque_nm", "velocity_rad_s", "torque_rate_nm_s")
+        if np.isfinite(limit := getattr(in_force, name)).all()  # no file says that there is none
+    }
+    return limits.model_copy(update=known)
+
+
+def _with_drives(setup: Setup) -> PlantConfiguration:
+    plant, drive = setup.scenario.plant, setup.drive
+    if not drive.is_active:
+        return plant
+    loop = {"stiffness_nm_rad": drive.stiffness_nm_rad, "damping_nm_s": drive.damping_nm_s}
+    return plant.model_copy(update={"drive_feedback": plant.drive_feedback.model_copy(update=loop)})

@@ -29,9 +29,9 @@ from deploy.runs.run_folder import (
 from deploy.runs.run_rows import Row, read_rows, write_rows
 from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.referenced_files import data_files
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.written import write_scenario
+from deploy.scenario.written import effective_scenario, write_scenario
 from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
 from deploy.study.growth import hindrances
 from deploy.study.margins.margin import Margin

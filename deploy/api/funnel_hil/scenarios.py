@@ -16,9 +16,10 @@ from controller.control_law import ControlLaw
 from controller.laws.custom import Maker, laws_given
 from deploy.input_error import InputError
 from deploy.scenario.referenced_files import data_files
-from deploy.scenario.scenario import SHIPPED, build_setup, effective_values, given_values
+from deploy.scenario.scenario import SHIPPED, build_setup, given_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
+from deploy.scenario.written import effective_values
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,

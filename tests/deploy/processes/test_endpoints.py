@@ -9,7 +9,8 @@ import pytest
 
 from deploy.processes.network.free_ports import free_ports
 from deploy.processes.network.links import with_free_endpoints
-from deploy.scenario.scenario import effective_values, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import effective_values
 from deploy.scenario.yaml_files import ScenarioError
 
 DEFAULTS = {"tcp/127.0.0.1:7451", "tcp/127.0.0.1:7452"}

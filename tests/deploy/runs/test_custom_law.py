@@ -10,7 +10,8 @@ import pytest
 import controller
 from deploy.cli import main
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import effective_scenario
 from deploy.scenario.yaml_files import ScenarioError
 
 SOURCE = """

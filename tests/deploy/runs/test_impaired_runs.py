@@ -14,7 +14,8 @@ from deploy.runs.new_folder import new_folder
 from deploy.runs.replay import replay
 from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import effective_scenario
 
 SHORT = "duration_s=0.6"
 HARSH = (

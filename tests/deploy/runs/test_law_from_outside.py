@@ -13,8 +13,9 @@ from bus_schema.configuration import PerJointPositive, Positive
 from controller.control_law import Diagnostics
 from controller.laws import LAWS, LawEntry
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import laws_beside
+from deploy.scenario.written import effective_scenario
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.margins.margin import MarginDefinition
 

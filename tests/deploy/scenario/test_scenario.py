@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from deploy.runs.simulate import simulate
-from deploy.scenario.scenario import SHIPPED, effective_scenario, effective_values, load_setup
+from deploy.scenario.scenario import SHIPPED, load_setup
+from deploy.scenario.written import effective_scenario, effective_values
 from deploy.scenario.yaml_files import ScenarioError, plain
 
 NAMES = sorted(path.stem for path in SHIPPED.glob("*.yaml"))

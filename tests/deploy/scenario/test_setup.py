@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from deploy.processes.network.real_delay import knowing_real_delay
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import effective_scenario
 from deploy.scenario.yaml_files import ScenarioError
 
 ON = "controller.delay_compensation.enabled=true"

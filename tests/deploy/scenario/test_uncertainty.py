@@ -8,8 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
 from deploy.scenario.uncertainty import Draw, draw_plant
+from deploy.scenario.written import effective_scenario
 from deploy.scenario.yaml_files import ScenarioError, plain
 
 COULOMB, STRIBECK = "plant.friction.coulomb_nm", "plant.friction.stribeck_nm"

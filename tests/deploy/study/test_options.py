@@ -16,7 +16,8 @@ from deploy.comparison.comparison import load_setups
 from deploy.processes.network.keys import create_authority, issue
 from deploy.runs.process_run import lockstep_setup
 from deploy.scenario.randomness import is_random
-from deploy.scenario.scenario import effective_scenario, load_setup
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.written import effective_scenario
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.margins.margin import Margin
 from deploy.study.robustness import margin_study

@@ -1,0 +1,141 @@
+"""Whether a scenario fits the files and the arm that it refers to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.robot_description import RobotDescription, load_robot
+from bus_schema.runtime.clock import TickGrid
+from controller.reference import Reference, sample_positions
+from deploy.link_kinds.table import LINK_KINDS
+from deploy.scenario.definition import Scenario
+from deploy.scenario.explanation import Origin
+from deploy.scenario.referenced_files import find_delay_files, find_reference_file, find_urdf
+from deploy.scenario.setup import Setup
+from deploy.scenario.uncertainty import check_uncertainty
+from deploy.scenario.yaml_files import naming, plain
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.drives.protocol import PROTOCOLS
+from plant_emulator.faults.fault import FaultContext
+from plant_emulator.faults.kinds import check_faults
+
+_CHECKED_PER_SECOND = 100
+_MOST_CHECKED = 20_000
+_SIZED_BY = 100
+
+
+def check(scenario: Scenario, origin: Origin) -> Setup:
+    """Check a scenario against the files and the robot it refers to.
+
+    Raises:
+        ScenarioError: something does not fit.
+    """
+    with naming(origin):
+        try:
+            setup = _set_up(scenario, origin)
+            _check_sides(setup)
+        except RobotDescriptionError as error:
+            raise ConfigurationError("robot.urdf", scenario.robot.urdf, str(error)) from error
+    return setup
+
+
+def _set_up(scenario: Scenario, origin: Origin) -> Setup:
+    source = origin.file
+    link_kind = LINK_KINDS.build(scenario.link.kind)
+    PROTOCOLS.check(scenario.link.can.protocol)
+    given = scenario.robot
+    robot = load_robot(find_urdf(given.urdf, source.parent), given.joints, repair=given.repair)
+    reference_section = find_reference_file(scenario.reference, source.parent)
+    reference = reference_section.build(robot)
+    grid = _grid(scenario)
+    motion = _reachable_motion(reference, robot, scenario)
+    offset, start = _start(reference, robot, given.initial_offset_rad)
+    context = FaultContext(
+        robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
+    )
+    check_faults(scenario.faults, context)
+    sized_by = motion[:: -(-len(motion) // _SIZED_BY)]
+    inertia = scenario.controller.nominal_model(robot).governing_inertia(sized_by)
+    link = find_delay_files(scenario.link, source.parent)
+    return Setup(
+        scenario=scenario.model_copy(update={"link": link, "reference": reference_section}),
+        source=source,
+        robot=robot,
+        reference=reference,
+        funnel=scenario.funnel.build(offset),
+        gains=scenario.controller.build_gains(robot, inertia),
+        start_position_rad=start,
+        governing_inertia_kg_m2=inertia,
+        grid=grid,
+        overrides=tuple(origin.overrides),
+        given_by=origin.given_by,
+    )
+
+
+def _check_sides(setup: Setup) -> None:
+    """Check that controller, link and plant can be made of a scenario."""
+    scenario = setup.scenario
+    if scenario.controller.process is None:
+        setup.control_task()
+    elif scenario.link.kind != "zenoh":
+        allowed = "must be zenoh, which controller.process speaks"
+        raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
+    setup.link_kind.check(setup.link_run(lockstep=True))
+    ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
+    if scenario.uncertainty:
+        check_uncertainty(scenario.uncertainty, plain(scenario), setup.robot.joints)
+
+
+def _grid(scenario: Scenario) -> TickGrid:
+    grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
+    if scenario.duration_s * 1e9 < grid.period_ns:
+        allowed = f"at least a tick, {grid.period_ns * 1e-9} s"
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed, ["rate_hz"])
+    return grid
+
+
+def _start(
+    reference: Reference, robot: RobotDescription, offset_rad: Vector
+) -> tuple[Vector, Vector]:
+    """How far off the reference the joints start, and where that is, each of shape (joints,)."""
+    key = "robot.initial_offset_rad"
+    offset = expand(offset_rad, robot.joints, key)
+    start = sample_positions(reference, np.zeros(1), robot.joints)[0] + offset
+    if np.any(start < robot.lower_rad) or np.any(start > robot.upper_rad):
+        allowed = f"the start {np.round(start, 4).tolist()} must lie within the joint limits"
+        allowed = f"{allowed} {_ranges(robot)}"
+        raise ConfigurationError(key, offset.tolist(), allowed, ["reference", "robot"])
+    return offset, start
+
+
+def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: Scenario) -> Matrix:
+    """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
+    first_s, last_s = reference.known_s
+    if first_s > 0.0 or last_s < scenario.duration_s - 0.5 / scenario.rate_hz:
+        allowed = (
+            f"must be within the {first_s:g} to {last_s:g} s of reference.file; reference.beyond:"
+            " hold rests before and after"
+        )
+        raise ConfigurationError("duration_s", scenario.duration_s, allowed, ["reference"])
+    samples = min(round(scenario.duration_s * _CHECKED_PER_SECOND), _MOST_CHECKED) + 1
+    times = np.linspace(0.0, scenario.duration_s, samples)
+    positions = sample_positions(reference, times, robot.joints)
+    outside = ~((positions >= robot.lower_rad) & (positions <= robot.upper_rad)).all(axis=1)
+    if outside.any():
+        first = int(np.argmax(outside))
+        what = np.round(positions[first], 4).tolist()
+        raise ConfigurationError(
+            "reference",
+            f"{what} at {times[first]:g} s",
+            f"must stay within the arm's reach and joint limits {_ranges(robot)}",
+            ["duration_s", "robot"],
+        )
+    return positions
+
+
+def _ranges(robot: RobotDescription) -> str:
+    ends = zip(robot.lower_rad, robot.upper_rad, strict=True)
+    return ", ".join(f"[{lower:.4g}, {upper:.4g}]" for lower, upper in ends)
