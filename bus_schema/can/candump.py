@@ -12,12 +12,12 @@ _BIT_RATE_SWITCH = 1
 
 def candump_line(time_ns: int, channel: str, frame: CanFrame) -> str:
     """A frame as ``candump -L`` writes it: ``(seconds.microseconds) channel identifier#data``."""
-    seconds, rest_ns = divmod(time_ns, 1_000_000_000)
+    seconds, rest_us = divmod(time_ns // 1000, 1_000_000)
     identifier = frame.identifier | (_ERROR_FLAG if frame.is_error else 0)
-    digits = 8 if frame.is_extended or frame.is_error else 3
+    name = f"{identifier:08X}" if frame.is_extended or frame.is_error else f"{identifier:03X}"
     content = "R" if frame.is_remote else frame.data.hex().upper()
     mark = f"##{_BIT_RATE_SWITCH}" if frame.is_fd else "#"
-    return f"({seconds}.{rest_ns // 1000:06d}) {channel} {identifier:0{digits}X}{mark}{content}"
+    return f"({seconds}.{rest_us:06d}) {channel} {name}{mark}{content}"
 
 
 class CandumpLog:

@@ -32,7 +32,7 @@ _SYNC_FRAMES = (CanFrame(SYNC),)
 PEAK_TO_RATED = 32.0
 """Effort limit to rated torque by default: the limit is 32000 ‰, nearly all that 16 bits hold."""
 
-_WORD = np.iinfo(np.int16)
+_LEAST_WORD, _MOST_WORD = -(1 << 15), (1 << 15) - 1
 _NM_PER_MILLE_MNM = 1e-6
 
 
@@ -79,6 +79,7 @@ class Cia402Codec:
             self.cycle = self.cycle._replace(is_fd=True, words=f"{self.cycle.words} in FD frames")
         self.rated_mnm: NDArray[np.int64] = np.rint(rated_nm * 1000.0).astype(np.int64)
         self._nm_per_mille = self.rated_mnm * _NM_PER_MILLE_MNM
+        self._units_nm: list[float] = self._nm_per_mille.tolist()
         self._rad_per_count = 2.0 * math.pi / counts_per_turn
         self._controlword = ENABLE_OPERATION
         self._rpdos = [RPDO_1 + node_id for node_id in node_ids]
@@ -101,11 +102,13 @@ class Cia402Codec:
         return joint
 
     def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
-        words = np.rint(torque_nm / self._nm_per_mille)
-        within_range = np.clip(words, _WORD.min, _WORD.max).tolist()
+        controlword, is_fd = self._controlword, self._is_fd
+        # One by one: NumPy's three calls take longer for the joints of an arm.
         return [
-            CanFrame(rpdo, _COMMAND.pack(self._controlword, int(word)), is_fd=self._is_fd)
-            for rpdo, word in zip(self._rpdos, within_range, strict=True)
+            CanFrame(rpdo, _COMMAND.pack(controlword, _word(torque / unit)), is_fd=is_fd)
+            for rpdo, torque, unit in zip(
+                self._rpdos, torque_nm.tolist(), self._units_nm, strict=True
+            )
         ]
 
     def begin_quick_stop(self) -> None:
@@ -117,5 +120,10 @@ class Cia402Codec:
         if joint is None or not is_data(frame, _COMMAND.size, is_fd=self._is_fd):
             return None
         _, word = _COMMAND.unpack(frame.data)
-        torque_nm[joint] = word * self._nm_per_mille[joint]
+        torque_nm[joint] = word * self._units_nm[joint]
         return joint
+
+
+def _word(per_mille: float) -> int:
+    """Thousandths of the rated torque as 16 bits hold them: to the nearest, even if in between."""
+    return round(min(max(per_mille, _LEAST_WORD), _MOST_WORD))

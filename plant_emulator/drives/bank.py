@@ -97,6 +97,7 @@ class DriveBank:
         self._axes = [_Axis(protocol, each, send) for each in settings]
         self._torque_nm: Vector = np.zeros(len(self._axes))
         self._loops: list[Loop | None] = [None] * len(self._axes)
+        self._no_loops, self._closes_loops = self._loops.copy(), False
         self._braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
         self._is_stale = True
         self._reads_fd = any(each.fd_process_data for each in settings)
@@ -110,7 +111,12 @@ class DriveBank:
     @property
     def samplings(self) -> int:
         """How often the controller has sampled every axis that is still on the bus."""
-        return min((axis.drive.samplings for axis in self._axes if not axis.is_silent), default=0)
+        fewest = -1
+        for axis in self._axes:  # a loop, as it is asked after every frame
+            if not axis.is_silent:
+                count = axis.drive.samplings
+                fewest = count if fewest < 0 or count < fewest else fewest
+        return max(fewest, 0)
 
     @property
     def faults(self) -> list[str]:
@@ -130,12 +136,13 @@ class DriveBank:
 
     def take_targets(self) -> bool:
         """Whether every axis still on the bus got a target since the last time it was so."""
+        for axis in self._axes:
+            if not axis.is_silent and axis.drive.targets <= axis.targets_taken:
+                return False
         listening = [axis for axis in self._axes if not axis.is_silent]
-        if not listening or any(axis.drive.targets <= axis.targets_taken for axis in listening):
-            return False
         for axis in listening:
             axis.targets_taken = axis.drive.targets
-        return True
+        return bool(listening)
 
     def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
         """Show the drives their joints, shape (joints,) each."""
@@ -160,7 +167,7 @@ class DriveBank:
     def closes_loops(self) -> bool:
         """Whether the torque of any drive follows its joint's motion, see `close_loops`."""
         self._refresh()
-        return any(loop is not None for loop in self._loops)
+        return self._closes_loops
 
     def close_loops(self, position_rad: Vector, velocity_rad_s: Vector, step_s: float) -> None:
         """Give the torques that follow the joints' motion, shape (joints,) each, for a step."""
@@ -232,6 +239,7 @@ class DriveBank:
             self._torque_nm[joint], is_released = axis.drive.demand()
             self._loops[joint] = axis.loop()
             self._braked[joint] = not is_released
+        self._closes_loops = self._loops != self._no_loops
 
 
 _MOST_BYTES = 8

@@ -32,7 +32,7 @@ from plant_emulator.drives.sync_phase import SyncPhase
 
 _POLL_S, _POLL_NS = 0.02, 20_000_000
 _FAREWELL_S = 1.0
-_LEAD = 0.3
+_LEAD = 0.15
 """Share of the period by which the physics is ahead of the master in real time."""
 
 
@@ -231,11 +231,11 @@ class CanPlantLink(PlantLink):
         """Hand a frame to the drives, and publish what it led to."""
         now_ns = self._clock.now_ns()
         self._drives.handle(frame, now_ns)
-        self._strangers.hear(frame, now_ns)
+        commanded = self._codec.read_torque(frame, self._torque)
+        self._strangers.hear(frame, commanded, now_ns)
         for answer in self._drives.answers:
             fields = self._sampled.fields
             self._codec.read_state(answer, fields["position"], fields["velocity"])
-        self._codec.read_torque(frame, self._torque)
         samplings = self._drives.bank.samplings
         if samplings != self._samplings:
             self._samplings = samplings

@@ -23,9 +23,11 @@ class DrivenArm(ArmPlant):
             super().advance(first, end)
             return
         self.hold(bank.braked)
-        steps = range(first, end) if bank.closes_loops else (first,)
-        for number in steps:
-            if bank.closes_loops:
-                bank.close_loops(self.position, self.velocity, self._grid.substep_s)
+        if not bank.closes_loops:
             np.copyto(self._commanded, bank.torque_nm)
-            super().advance(number, number + 1 if bank.closes_loops else end)
+            super().advance(first, end)
+            return
+        for number in range(first, end):
+            bank.close_loops(self.position, self.velocity, self._grid.substep_s)
+            np.copyto(self._commanded, bank.torque_nm)
+            super().advance(number, number + 1)

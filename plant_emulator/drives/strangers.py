@@ -28,12 +28,17 @@ class Strangers:
         self._scratch = np.zeros(len(node_ids)), np.zeros(len(node_ids))
         self._ticks = 0
 
-    def hear(self, frame: CanFrame, now_ns: int) -> None:
-        """Take note of a frame that came from the bus at this time of the run."""
+    def hear(self, frame: CanFrame, commanded: int | None, now_ns: int) -> None:
+        """Take note of a frame that came from the bus at this time of the run.
+
+        Args:
+            frame: the frame.
+            commanded: the joint whose torque it has; None if it has none.
+            now_ns: the time.
+        """
         self._ticks = max(self._ticks, now_ns // self._period_ns + 1)
-        joint = self._codec.read_torque(frame, self._scratch[0])
-        if joint is not None:
-            self._torques[joint] += 1
+        if commanded is not None:
+            self._torques[commanded] += 1
         elif (joint := self._codec.read_state(frame, *self._scratch)) is not None:
             self._states[joint] += 1
 

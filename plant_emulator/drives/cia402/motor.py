@@ -132,7 +132,7 @@ class Motor:
         word = self.automaton.state.value | Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
         if self._errors.any:
             word |= Statusword.WARNING
-        if self._follows():
+        if self._mode != NO_MODE and self.automaton.follows:
             word |= Statusword.FOLLOWS_COMMAND
             if self._is_limited():
                 word |= Statusword.INTERNAL_LIMIT_ACTIVE
@@ -149,20 +149,22 @@ class Motor:
         return self.automaton.follows and self._mode != NO_MODE
 
     def _is_limited(self) -> bool:
-        """Whether a limit has a say in the torque."""
-        loop, position_mode = self.loop(), self._position_mode
+        """Whether a limit has a say in the torque, while the motor follows."""
+        loop = None if self._mode == CYCLIC_SYNCHRONOUS_TORQUE else self.loop()
         if loop is None:
             return self._limited()[1]
+        position_mode = self._position_mode
         return position_mode.is_target_limited or position_mode.is_torque_limited(loop)
 
     def _most(self) -> int:
-        return min(self._max_torque, self._hard_limit)
+        most, hard_limit = self._max_torque, self._hard_limit
+        return most if most < hard_limit else hard_limit
 
     def _limited(self) -> tuple[int, bool]:
         """The torque to give, per mille, and whether a limit has had a say."""
         wanted = self._target + self._offset
         most = self._most()
-        given = clamp(wanted, (-most, most))
+        given = wanted if -most <= wanted <= most else clamp(wanted, (-most, most))
         lowest, highest = self._position_mode.limits
         position = self._position
         if (position >= highest and given > 0) or (position <= lowest and given < 0):

@@ -35,7 +35,7 @@ CODECS: dict[str, tuple[CanCodec, CanFrame]] = {
 def test_frames_that_only_a_drive_sends_name_another_drive(protocol: str) -> None:
     codec, state = CODECS[protocol]
     strangers = Strangers(codec, (1, 2), 2 * MS)
-    strangers.hear(state, 0)
+    strangers.hear(state, None, 0)
     assert strangers.in_words() == "another drive on this bus has address 2: it sent 1 states"
 
 
@@ -44,10 +44,10 @@ def test_more_commands_than_cycles_name_another_master(protocol: str) -> None:
     codec, _ = CODECS[protocol]
     alone, joined = (Strangers(codec, (1, 2), 2 * MS) for _ in range(2))
     for tick in range(50):
-        for frame in codec.torque_frames(np.zeros(2)):
-            alone.hear(frame, tick * 2 * MS)
-            joined.hear(frame, tick * 2 * MS)
-            joined.hear(frame, tick * 2 * MS)
+        for joint, frame in enumerate(codec.torque_frames(np.zeros(2))):
+            alone.hear(frame, joint, tick * 2 * MS)
+            joined.hear(frame, joint, tick * 2 * MS)
+            joined.hear(frame, joint, tick * 2 * MS)
     assert alone.in_words() == ""
     assert "another master is on this bus: drive 1 was sent 100 commands in 50 cycles" in (
         joined.in_words()

@@ -20,7 +20,7 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.sync_phase import SyncPhase
 
 MS = 1_000_000
-PERIOD_NS, LEAD_NS = 2 * MS, 600_000
+PERIOD_NS, LEAD_NS = 2 * MS, 300_000
 SAMPLING = [CanFrame(node << 5 | 0x09, is_remote=True) for node in (1, 2, 3)]
 
 
