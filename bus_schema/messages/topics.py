@@ -48,6 +48,11 @@ class Topic:
     latched: bool = False
 
     @property
+    def paces(self) -> bool:
+        """Whether by this topic recorders tell a sender how far they have come; each has one."""
+        return self.rate is Rate.TICK and not self.urgent
+
+    @property
     def qos(self) -> str:
         """QoS as rmw_zenoh writes it into liveliness tokens."""
         return f":{1 if self.latched else ''}:,{self.depth}:,:,:,,"

@@ -19,6 +19,11 @@ def recorded_key_expression(domain: int, gid: str = "*") -> str:
     return f"funnel_hil/{domain}/recorded/{gid}"
 
 
+def progress_key_expression(domain: int) -> str:
+    """Key of the messages by which recorders tell how far they have come."""
+    return f"funnel_hil/{domain}/progress"
+
+
 def scenario_key_expression(
     domain: int, role: str = "*", session: str = "*", digests: str = "*"
 ) -> str:
@@ -73,7 +78,7 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
     """What one process may send to another: every listener may listen, few may speak."""
     allowed = {
         "put": [topic.key_expression(domain) for topic in topics_of(speaker)],
-        "declare_subscriber": [f"{domain}/**"],
+        "declare_subscriber": [f"{domain}/**", progress_key_expression(domain)],
         "liveliness_token": [
             node_tokens(domain, speaker), scenario_key_expression(domain, speaker)
         ],
@@ -83,6 +88,7 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
         ],
     }  # fmt: skip
     if speaker is Role.RECORDER:
+        allowed["put"].append(progress_key_expression(domain))
         allowed["liveliness_token"].append(recorded_key_expression(domain))
     allowed["liveliness_query"] = allowed["declare_liveliness_subscriber"]
     return [

@@ -14,11 +14,13 @@ from bus_schema.link.interface import never
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Rate, Role, Topic
 from bus_schema.zenoh.access import (
+    progress_key_expression,
     recorded_key_expression,
     scenario_key_expression,
     secure_settings,
 )
 from bus_schema.zenoh.diagnosis import SilenceWatch
+from bus_schema.zenoh.flow_control import FlowControl
 from bus_schema.zenoh.ros_graph import (
     Attachment,
     Entity,
@@ -30,13 +32,13 @@ from bus_schema.zenoh.ros_graph import (
     node_token,
 )
 from bus_schema.zenoh.senders import Senders
-from bus_schema.zenoh.session import Inbox, Mailbox, ZenohPublisher, ZenohSession
+from bus_schema.zenoh.session import Delivery, Inbox, Mailbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
 _BATCH = 32
-_PATIENCE_S = 60.0
-_REALTIME_PATIENCE_S = 0.02
-"""A loop in real time is held up at most once and for so long by a recorder that stops reading."""
+_PATIENCE_S = 0.1
+"""In virtual time a subscriber that reads slowly gets everything, and one that is frozen holds the
+loop up for so long, once. A loop in real time waits for nobody."""
 
 
 class ZenohNode:
@@ -63,7 +65,7 @@ class ZenohNode:
             listen,
             connect,
             low_latency=role is not Role.RECORDER,
-            patience_s=_PATIENCE_S if lossless else _REALTIME_PATIENCE_S,
+            patience_s=_PATIENCE_S if lossless else 0.0,
             gossip=link.router_endpoint is not None,
             security=secure_settings(role, link.domain, link.security.keys)
             if link.security.enabled
@@ -76,6 +78,8 @@ class ZenohNode:
         self._entities: dict[str, Entity] = {}
         self._senders = Senders()
         self._acknowledged = threading.Event()
+        self._flow = FlowControl() if lossless and role is not Role.RECORDER else None
+        self._progress: ZenohPublisher | None = None
         self._waiting: list[tuple[ZenohPublisher, bytes, bytes]] = []
         self._waiting_lock = threading.Lock()
         self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
@@ -87,6 +91,8 @@ class ZenohNode:
         if agreement is not None:
             own = (role.value, self._session.identifier, agreement.encode())
             self._session.announce(scenario_key_expression(link.domain, *own))
+        if self._flow is not None:
+            self._session.subscribe(progress_key_expression(link.domain), self._on_progress)
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
 
     def announce(self) -> None:
@@ -132,15 +138,20 @@ class ZenohNode:
         publisher, gid = self._publishers[topic.name]
         self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
         attachment = Attachment(sequence, time.time_ns(), gid).encode() + beside
+        if self._flow is not None:
+            self._flow.send(len(payload) + len(beside), sequence if topic.paces else 0)
         if topic.urgent:
             publisher.put(payload, attachment)
             return sequence
         with self._waiting_lock:
             self._waiting.append((publisher, payload, attachment))
-            if len(self._waiting) >= _BATCH or topic.rate is Rate.EVENT:
+            is_full = len(self._waiting) >= _BATCH
+            if is_full or topic.rate is Rate.EVENT:
                 for waiting, its_payload, its_attachment in self._waiting:
                     waiting.put(its_payload, its_attachment)
                 self._waiting.clear()
+        if is_full and self._flow is not None:
+            self._flow.await_recorders()
         return sequence
 
     def sends_on(self, topic: Topic) -> bool:
@@ -181,6 +192,13 @@ class ZenohNode:
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""
         self._session.announce(recorded_key_expression(self._domain, gid.hex()))
+
+    def tell_progress(self, gid: bytes, sequence: int) -> None:
+        """As a recorder: tell the sender of a topic that paces how far its messages are written."""
+        if self._progress is None:
+            self._progress = self._session.publisher(progress_key_expression(self._domain))
+        told = Attachment(sequence, 0, gid).encode()
+        self._progress.put(told, self._session.identifier.encode())
 
     def await_recorder(
         self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
@@ -226,6 +244,19 @@ class ZenohNode:
             self._senders.come(token, entity)
         elif self._entities.pop(token, None) is not None:
             self._senders.leave(token)
+        if self._flow is not None and entity is not None and _is_recorder(entity):
+            (self._flow.join if alive else self._flow.leave)(entity.session)
+
+    def _on_progress(self, delivery: Delivery) -> None:
+        told = Attachment.decode(delivery.payload)
+        own = {gid for _, gid in list(self._publishers.values())}
+        if self._flow is not None and told is not None and told.gid in own:
+            recorder = delivery.attachment.decode(errors="replace")
+            self._flow.acknowledge(recorder, told.sequence)
+
+
+def _is_recorder(entity: Entity) -> bool:
+    return entity.kind == EntityKind.NODE and entity.node == node_name(Role.RECORDER)
 
 
 def _endpoints(link: LinkConfiguration, role: Role) -> tuple[list[str], list[str]]:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import socket
+import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -133,8 +135,8 @@ class ZenohSession:
     Args:
         listen: endpoints to serve.
         connect: endpoints to connect to; retried in the background until they answer.
-        patience_s: how long a full queue to a slow peer may hold up a sender, before the connection
-            to that peer is closed (it may come back).
+        patience_s: how long a full queue to a slow peer may hold up a sender, before messages for
+            that peer are dropped; once, until that peer reads again.
         low_latency: use the transport without queues: least delay, but a peer that stops reading
             holds up the sender. Both ends must want it.
         gossip: tell a router where this session listens, and connect to whom it tells of: that is
@@ -151,7 +153,7 @@ class ZenohSession:
         connect: Sequence[str],
         *,
         low_latency: bool,
-        patience_s: float = 10.0,
+        patience_s: float = 0.0,
         gossip: bool = False,
         security: Mapping[str, Any] | None = None,
     ) -> None:
@@ -177,11 +179,13 @@ class ZenohSession:
 
         Those ask for them as rmw_zenoh does, which calls such topics transient local.
 
-        Messages are never dropped for congestion: with zenoh 1.10, a queue that has once dropped
-        one may never send again. Nor are they marked express: the low-latency transport sends each
-        at once anyway, and in the queue to a recorder each would take a whole batch for itself.
+        What a peer's queue has no room for is dropped, for that peer. To block instead would stop
+        this session for good: in zenoh 1.10, whoever gives up on a full queue closes its connection
+        with a message that waits for room in that queue, on the thread that receives for all.
+        Messages are not marked express: the low-latency transport sends each at once anyway, and
+        in the queue to a recorder each would take a whole batch for itself.
         """
-        congestion = zenoh.CongestionControl.BLOCK
+        congestion = zenoh.CongestionControl.DROP
         if not kept:
             return ZenohPublisher(
                 self._session.declare_publisher(key, congestion_control=congestion)
@@ -245,13 +249,16 @@ class ZenohSession:
             identifier = str(event.transport.zid)
             if event.kind == zenoh.SampleKind.DELETE:
                 self._connected.discard(identifier)
-            elif event.transport.whatami != zenoh.WhatAmI.ROUTER:
+                return
+            _close_at_once()
+            if event.transport.whatami != zenoh.WhatAmI.ROUTER:
                 self._connected.add(identifier)
 
         handler = zenoh.handlers.Callback(handle, indirect=False)
         watch = self._session.info.declare_transport_events_listener(handler)
         self._kept.append(watch)
         self._connected.update(map(str, self._session.info.peers_zid()))
+        _close_at_once()
 
     def close(self) -> None:
         """Close the session. What is still queued for a slow peer is lost.
@@ -272,6 +279,20 @@ def _delivery(sample: zenoh.Sample) -> Delivery:
     return Delivery(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes())
 
 
+def _close_at_once() -> None:
+    """Have no connection of this process wait, when it is closed, until its peer has read all.
+
+    Zenoh asks for ten seconds of that (SO_LINGER). It closes a connection once a peer was not heard
+    of for its lease, and where that peer is frozen, receives nothing from anybody meanwhile.
+    """
+    for entry in os.listdir("/dev/fd"):
+        with (
+            contextlib.suppress(OSError),
+            socket.fromfd(int(entry), socket.AF_INET, socket.SOCK_STREAM) as own,
+        ):
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
+
+
 def _settings(
     listen: Sequence[str], connect: Sequence[str], low_latency: bool, patience_s: float
 ) -> dict[str, Any]:
@@ -288,7 +309,7 @@ def _settings(
         "scouting/delay": 0,
         "transport/unicast/lowlatency": low_latency,
         "transport/unicast/qos/enabled": False,
-        "transport/link/tx/queue/congestion_control/block/wait_before_close": round(
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(
             patience_s * 1e6
         ),
         "transport/link/tx/queue/size/data": 16,

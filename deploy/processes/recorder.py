@@ -141,6 +141,7 @@ class Recorder:
         domain = setup.scenario.link.domain
         self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
         self._gaps = GapCounter()
+        self._progress: dict[bytes, int] = {}
         self._commands_received = 0
         self._last_stamp_ns = 0
         lossless = self._is_virtual = setup.scenario.clock == "lockstep"
@@ -223,6 +224,9 @@ class Recorder:
             if topic is not None:
                 self._write(topic, delivery)
                 has_written = True
+        for gid, sequence in self._progress.items():
+            self._node.tell_progress(gid, sequence)
+        self._progress.clear()
         if self._feed is not None:
             self._feed.send()
         return has_written
@@ -238,6 +242,8 @@ class Recorder:
             self._view.show(delivery.payload, self._last_stamp_ns, sent_ns)
         if self._feed is not None:
             self._feed.take(Message(topic, self._last_stamp_ns, delivery.payload))
+        if self._is_virtual and topic.paces and attachment.gid:
+            self._progress[attachment.gid] = attachment.sequence
         if topic is topics.RUN_EVENTS and attachment.gid:
             self._read_event(delivery.payload, attachment.gid)
 

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import struct
 import threading
 import time
+from collections import Counter
+from contextlib import suppress
 
 import pytest
 from zenoh_pair import free_endpoint
@@ -61,6 +66,27 @@ def test_knocks_stay_in_the_session() -> None:
     near.inbox("a/key", 10, lossless=True).knock()
     near.publisher("a/key").put(b"for all", b"")
     assert theirs.wait() == Delivery(b"for all", b"")
+    for session in (near, far):
+        session.close()
+
+
+def test_closing_a_connection_waits_for_no_peer() -> None:
+    endpoint = free_endpoint()
+    near = ZenohSession([endpoint], [], low_latency=False)
+    far = ZenohSession([], [endpoint], low_latency=False)
+    assert wait_for(near, {far.identifier})
+    assert wait_for(far, {near.identifier})
+    lingering: Counter[bool] = Counter()
+    for entry in os.listdir("/dev/fd"):
+        with (
+            suppress(OSError),
+            socket.fromfd(int(entry), socket.AF_INET, socket.SOCK_STREAM) as end,
+        ):
+            end.getpeername()  # raises if it is not connected
+            option = end.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)
+            lingering[bool(struct.unpack("ii", option)[0])] += 1
+    assert lingering[False] >= 2
+    assert not lingering[True]
     for session in (near, far):
         session.close()
 

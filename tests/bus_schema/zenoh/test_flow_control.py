@@ -1,0 +1,112 @@
+"""A sender waits for recorders that are too far behind, and for those alone."""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+import pytest
+
+from bus_schema.messages.topics import CONTROL_STATUS, PLANT_TRUTH, TOPICS, Role
+from bus_schema.zenoh.flow_control import LARGEST_LEAD_BYTES, FlowControl
+from bus_schema.zenoh.node import ZenohNode
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, fresh_link, plant_on
+
+TOO_MUCH = LARGEST_LEAD_BYTES + 1
+NEVER_S = 0.0
+
+
+def must_wait(flow: FlowControl) -> bool:
+    """Whether a sender would have to wait now. Whom it waits for is forgotten by that."""
+    before = dict(flow._recorders)
+    flow.await_recorders()
+    return flow._recorders != before
+
+
+def test_nobody_is_waited_for_where_nobody_records() -> None:
+    flow = FlowControl(NEVER_S)
+    for mark in range(1, 4):
+        flow.send(TOO_MUCH, mark)
+        flow.await_recorders()
+    assert not flow._marks  # they would grow for hours
+
+
+def test_a_recorder_far_behind_is_waited_for() -> None:
+    flow = FlowControl(NEVER_S)
+    flow.join("recorder")
+    flow.send(TOO_MUCH // 2, 1)
+    flow.send(1000)
+    assert not must_wait(flow)
+    flow.send(TOO_MUCH // 2, 2)
+    assert must_wait(flow)
+
+
+def test_a_recorder_that_has_caught_up_is_not() -> None:
+    flow = FlowControl(NEVER_S)
+    flow.join("recorder")
+    for mark in (1, 2, 3):
+        flow.send(TOO_MUCH // 2, mark)
+    flow.acknowledge("recorder", 2)
+    flow.acknowledge("recorder", 1)  # late
+    flow.acknowledge("stranger", 9)
+    assert not must_wait(flow)
+
+
+def test_the_slowest_of_several_counts_while_it_is_there() -> None:
+    flow = FlowControl(NEVER_S)
+    flow.send(TOO_MUCH, 1)
+    for recorder in ("quick", "slow"):
+        flow.join(recorder)  # what was sent before is none of theirs
+    assert not must_wait(flow)
+    flow.send(TOO_MUCH, 2)
+    flow.acknowledge("quick", 2)
+    flow.leave("slow")
+    assert not must_wait(flow)
+
+
+def test_a_recorder_that_never_answers_is_given_up_and_told_of(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    flow = FlowControl(patience_s=0.01)
+    flow.join("recorder")
+    flow.send(TOO_MUCH, 1)
+    with caplog.at_level(logging.WARNING):
+        flow.await_recorders()
+        flow.await_recorders()
+    assert caplog.messages == [
+        "a recorder has recorded nothing for 0.01 s, and is waited for no longer: what it misses it"
+        " counts as lost"
+    ]
+
+
+def test_every_sender_of_ticks_has_one_topic_that_paces() -> None:
+    assert [topic for topic in TOPICS if topic.paces] == [PLANT_TRUTH, CONTROL_STATUS]
+
+
+def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
+    link, payload, batch, batches = fresh_link(), bytes(20_000), 32, 5
+    assert batch * len(payload) > LARGEST_LEAD_BYTES
+    with plant_on(link) as plant:
+        recorder = ZenohNode(link, Role.RECORDER, lossless=True)
+        mailbox = recorder.listen_to_all(batch * batches, lossless=True)
+        recorder.announce()
+        await_true(lambda: plant.sees(Role.RECORDER))
+
+        def send() -> None:
+            for _ in range(batch * batches):
+                plant.publish(PLANT_TRUTH, payload)
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        _, gid = plant._publishers[PLANT_TRUTH.name]
+        come = []
+        for number in range(1, batches + 1):
+            while len(come) < number * batch:
+                await_true(
+                    lambda: (delivery := mailbox.take()) is not None and not come.append(delivery)
+                )
+            assert sender.is_alive()
+            recorder.tell_progress(gid, number * batch)
+        sender.join(HANG_S)
+        assert not sender.is_alive()
+        recorder.close()
