@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import socket
-import struct
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -32,6 +30,7 @@ import zenoh
 import zenoh.ext
 
 from bus_schema.errors import BusError
+from bus_schema.zenoh.lingering import never_linger
 
 # Of messages for a session that is just opening or closing, zenoh says in red that it does not know
 # their keys. Whoever has to have them counts what is missing.
@@ -250,7 +249,7 @@ class ZenohSession:
             if event.kind == zenoh.SampleKind.DELETE:
                 self._connected.discard(identifier)
                 return
-            _close_at_once()
+            never_linger()
             if event.transport.whatami != zenoh.WhatAmI.ROUTER:
                 self._connected.add(identifier)
 
@@ -258,7 +257,7 @@ class ZenohSession:
         watch = self._session.info.declare_transport_events_listener(handler)
         self._kept.append(watch)
         self._connected.update(map(str, self._session.info.peers_zid()))
-        _close_at_once()
+        never_linger()
 
     def close(self) -> None:
         """Close the session. What is still queued for a slow peer is lost.
@@ -277,20 +276,6 @@ class ZenohSession:
 def _delivery(sample: zenoh.Sample) -> Delivery:
     attachment = sample.attachment
     return Delivery(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes())
-
-
-def _close_at_once() -> None:
-    """Have no connection of this process wait, when it is closed, until its peer has read all.
-
-    Zenoh asks for ten seconds of that (SO_LINGER). It closes a connection once a peer was not heard
-    of for its lease, and where that peer is frozen, receives nothing from anybody meanwhile.
-    """
-    for entry in os.listdir("/dev/fd"):
-        with (
-            contextlib.suppress(OSError),
-            socket.fromfd(int(entry), socket.AF_INET, socket.SOCK_STREAM) as own,
-        ):
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
 
 
 def _settings(

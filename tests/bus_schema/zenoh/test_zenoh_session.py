@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import struct
 import threading
 import time
 from collections import Counter
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from zenoh_pair import free_endpoint
@@ -77,10 +77,10 @@ def test_closing_a_connection_waits_for_no_peer() -> None:
     assert wait_for(near, {far.identifier})
     assert wait_for(far, {near.identifier})
     lingering: Counter[bool] = Counter()
-    for entry in os.listdir("/dev/fd"):
+    for entry in Path("/dev/fd").iterdir():
         with (
             suppress(OSError),
-            socket.fromfd(int(entry), socket.AF_INET, socket.SOCK_STREAM) as end,
+            socket.fromfd(int(entry.name), socket.AF_INET, socket.SOCK_STREAM) as end,
         ):
             end.getpeername()  # raises if it is not connected
             option = end.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8)

@@ -1,0 +1,24 @@
+"""Connections that are closed at once, whatever their peers have not read yet."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+from pathlib import Path
+
+_OFF = struct.pack("ii", 0, 0)
+
+
+def never_linger() -> None:
+    """Have no connection of this process wait, when it is closed, until its peer has read all.
+
+    Zenoh asks for ten seconds of that (SO_LINGER). It closes a connection once a peer was not heard
+    of for its lease, and where that peer is frozen, receives nothing from anybody meanwhile.
+    """
+    for entry in Path("/dev/fd").iterdir():
+        with (
+            contextlib.suppress(OSError),  # no socket, or gone
+            socket.fromfd(int(entry.name), socket.AF_INET, socket.SOCK_STREAM) as own,
+        ):
+            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
