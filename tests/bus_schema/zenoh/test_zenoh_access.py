@@ -19,7 +19,12 @@ from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock
-from bus_schema.zenoh.access import access_control, recorded_key_expression, secure_settings
+from bus_schema.zenoh.access import (
+    access_control,
+    progress_key_expression,
+    recorded_key_expression,
+    secure_settings,
+)
 from bus_schema.zenoh.link import ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import node_name, node_token
@@ -179,12 +184,16 @@ def test_false_plant_is_not_heard(keys: KeyFolder) -> None:
     false_plant.close()
 
 
-def test_recorder_says_nothing_but_that_it_has_everything(keys: KeyFolder) -> None:
-    """Its word is a liveliness token: no rule lets it put anything."""
+def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everything(
+    keys: KeyFolder,
+) -> None:
     with secured_plant(keys) as (link, plant):
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
         recorder.announce()
         plant.await_recorder(HANG_S)
+        flow, (_, gid) = plant._flow, plant._publishers[topics.PLANT_TRUTH.name]
+        assert flow is not None
+        await_true(lambda: recorder.tell_progress(gid, 5) or 5 in flow._recorders.values())
         _, gid = plant._publishers[topics.RUN_EVENTS.name]
         recorder.acknowledge(gid)
         plant.await_recorded()
@@ -250,10 +259,11 @@ def test_rules_follow_the_table_of_topics() -> None:
         return {t.key_expression(7) for t in (*topics.TOPICS, topics.CLOCK) if t.sender in senders}
 
     assert puts("egress") == keys_of(Role.PLANT, None)
-    assert puts("ingress") == keys_of(Role.PLANT, Role.CONTROLLER, None)
+    progress = progress_key_expression(7)
+    assert puts("ingress") == {*keys_of(Role.PLANT, Role.CONTROLLER, None), progress}
     for rule in rules:
         if rule["id"].startswith("plant from recorder"):
-            assert "put" not in rule["messages"]
+            assert "put" not in rule["messages"] or rule["key_exprs"] == [progress]
             speaks = rule["messages"] == ["liveliness_token"]
             assert (recorded_key_expression(7) in rule["key_exprs"]) == (
                 speaks or "liveliness" in rule["messages"][0]
