@@ -152,7 +152,7 @@ class ZenohSession:
         connect: Sequence[str],
         *,
         low_latency: bool,
-        patience_s: float = 0.0,
+        patience_s: float = 10.0,
         gossip: bool = False,
         security: Mapping[str, Any] | None = None,
     ) -> None:
