@@ -1,10 +1,9 @@
-"""Controller, plant, recorder and relay as processes: real-time setup, signals, progress, end."""
+"""Controller, plant, recorder and relay as processes: signals, progress, end."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -19,24 +18,18 @@ from bus_schema.errors import BusError, ScenarioMismatchError
 from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
-from bus_schema.runtime.own_cpu import claim_cpu, none_is_free
-from bus_schema.runtime.realtime import (
-    RealtimeSetting,
-    go_realtime,
-    raise_priority,
-    use_batch_scheduling,
-)
+from bus_schema.runtime.realtime import go_realtime, raise_priority, use_batch_scheduling
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.errors import ControllerError
 from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
-from deploy.processes.lacking import lacking
 from deploy.processes.live.feed import LiveFeed
 from deploy.processes.network.clock_link import ClockLink
 from deploy.processes.network.delay_relay import DelayRelay
 from deploy.processes.network.reference_link import ReferenceLink
 from deploy.processes.recorder import SCENARIO_ATTACHMENT, Recorder
+from deploy.processes.scheduling import report_settings, set_up_scheduling
 from deploy.processes.status import StatusReporter
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup
@@ -47,8 +40,6 @@ from plant_emulator.plant_loop import PlantLoop
 logger = logging.getLogger(__name__)
 
 _PROGRESS_S = 0.2
-_BEHIND_OTHERS = 49
-"""Priority of a loop without a CPU of its own: loops of other runs that have one go first."""
 
 
 class StopRequest:
@@ -72,7 +63,7 @@ def run_plant(
     lockstep = setup.scenario.clock == "lockstep"
     clock = VirtualClock() if lockstep else MonotonicClock()
     arm = setup.arm()
-    _set_up_scheduling(setup, reporter, Role.PLANT)
+    set_up_scheduling(setup, reporter, Role.PLANT)
     link = None
     try:
         run = _between_processes(setup, can_log)
@@ -118,7 +109,7 @@ def run_plant(
 def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bool) -> int:
     """Be the controller for one run; the exit code."""
     stop = StopRequest()
-    _set_up_scheduling(setup, reporter, Role.CONTROLLER)
+    set_up_scheduling(setup, reporter, Role.CONTROLLER)
     run = _between_processes(setup)
     try:
         link = setup.link_kind.open_controller(run)
@@ -182,7 +173,7 @@ def _end(
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
     """Be the recorder for one run, and feed live views of it; the exit code."""
     if setup.scenario.clock == "realtime":
-        _report_settings([raise_priority()], reporter)
+        report_settings([raise_priority()], reporter)
     else:
         use_batch_scheduling()
     feed = _live_feed(setup, path)
@@ -239,7 +230,7 @@ def run_relay(
         reporter: where to report how late they left.
     """
     stop = StopRequest()
-    _report_settings(go_realtime(), reporter)
+    report_settings(go_realtime(), reporter)
     family = socket.AF_INET6 if ":" in listen[0] else socket.AF_INET
     try:
         listener = socket.create_server(listen, family=family)
@@ -265,38 +256,6 @@ def _between_processes(setup: Setup, can_log: Path | None = None) -> LinkRun:
 def _exit_code(error: Exception) -> int:
     """Different scenarios are bad input, though it shows only once both are there."""
     return BAD_INPUT if isinstance(error, ScenarioMismatchError) else FAULT
-
-
-def _set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> None:
-    """For a loop; before other threads exist."""
-    if setup.scenario.clock != "realtime":
-        use_batch_scheduling()
-        return
-    candidates = _cpus_for(setup, role)
-    cpu = claim_cpu(candidates)
-    if cpu is None and candidates:
-        settings = [none_is_free(candidates), *go_realtime(_BEHIND_OTHERS)]
-    else:
-        settings = go_realtime(cpu=cpu)
-    _report_settings(settings, reporter)
-
-
-def _report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
-    told = [vars(setting) for setting in settings]
-    reporter.report("realtime", settings=told)
-    if text := lacking(told):
-        reporter.report("lacks", text=text)
-
-
-def _cpus_for(setup: Setup, role: Role) -> list[int]:
-    """The usable CPUs, the best for a loop first: the last for the plant, as it owns the clock and
-    the first often has the interrupts. None for no choice: where there is but one, or where the
-    link has threads that need the others.
-    """
-    usable = sorted(os.sched_getaffinity(0))
-    if len(usable) == 1 or not setup.link_kind.may_pin_loops:
-        return []
-    return usable[::-1] if role is Role.PLANT else usable
 
 
 @contextlib.contextmanager

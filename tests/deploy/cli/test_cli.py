@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +12,6 @@ import pytest
 import yaml
 
 from deploy import cli
-from deploy.cli.commands import COMMANDS
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import set_value
 
@@ -323,28 +321,6 @@ def test_folder_without_a_run_is_refused(refuse: Refusal, tmp_path: Path, comman
     assert refuse(command, str(tmp_path)).startswith(f"{tmp_path}: ")
     (tmp_path / "run.mcap").write_bytes(b"no recording")
     assert "no recording of funnel-hil" in refuse(command, str(tmp_path))
-
-
-def test_a_process_of_a_run_starts_without_what_only_others_need() -> None:
-    look = (
-        "import sys; from deploy.cli.commands import COMMANDS, LazyCommand;"
-        "LazyCommand('plant', *COMMANDS['plant']).load();"
-        "print(*{'plotly', 'dask', 'pyarrow', 'can', 'canopen', 'cryptography'} & {*sys.modules})"
-    )
-    ended = subprocess.run(
-        [sys.executable, "-c", look], cwd=ROOT, check=True, capture_output=True, text=True
-    )
-    assert ended.stdout.strip() == ""
-
-
-def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil) -> None:
-    code, said = funnel_hil("--help")
-    assert code == 0
-    for name in COMMANDS:
-        assert re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE), name
-    code, said = funnel_hil("smulate")
-    assert code == 2
-    assert "Did you mean 'simulate'" in said
 
 
 def test_process_of_its_own_ends_with_the_same_code_and_message(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
-"""The table of commands: what it says of each, and that help imports none of them."""
+"""The table of commands: what it says of each, and that nothing is imported without need."""
 
+import re
 import subprocess
 import sys
 
@@ -34,3 +35,23 @@ def test_help_and_wrong_words_import_nothing_heavy(words):
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout.splitlines()[-1] == "imported:"
+
+
+def test_a_process_of_a_run_starts_without_what_only_others_need():
+    look = (
+        "import sys; from deploy.cli.commands import COMMANDS, LazyCommand;"
+        "LazyCommand('plant', *COMMANDS['plant']).load();"
+        "print(*{'plotly', 'dask', 'pyarrow', 'can', 'canopen', 'cryptography'} & {*sys.modules})"
+    )
+    ended = subprocess.run([sys.executable, "-c", look], check=True, capture_output=True, text=True)
+    assert ended.stdout.strip() == ""
+
+
+def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil):
+    code, said = funnel_hil("--help")
+    assert code == 0
+    for name in COMMANDS:
+        assert re.search(rf"^. {name} +[A-Z]", said, re.MULTILINE), name
+    code, said = funnel_hil("smulate")
+    assert code == 2
+    assert "Did you mean 'simulate'" in said

@@ -108,8 +108,7 @@ def test_who_is_refused_is_told_the_option_to_use(funnel_hil, tmp_path, key, opt
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("key", "value"), IDLE.items())
-def test_what_means_nothing_in_a_simulation_is_refused_by_every_study(key, value):
+def assert_every_study_refuses(key, value):
     for said_key, said in forms(key, value):
         text = f"{said_key}={json.dumps(said)}"
         for build in (
@@ -121,23 +120,18 @@ def test_what_means_nothing_in_a_simulation_is_refused_by_every_study(key, value
         ):
             with pytest.raises(ScenarioError, match="must be left out"):
                 build()
+
+
+@pytest.mark.parametrize(("key", "value"), IDLE.items())
+def test_what_means_nothing_in_a_simulation_is_refused_by_every_study(key, value):
+    assert_every_study_refuses(key, value)
 
 
 @pytest.mark.parametrize(("key", "value"), [
     ("link.kind", "zenoh"), ("link.can.bitrate", 500_000), ("link.can.protocol", "cia402"),
 ])  # fmt: skip
 def test_what_is_set_of_a_link_that_no_run_goes_over_is_refused(key, value):
-    for said_key, said in forms(key, value):
-        text = f"{said_key}={json.dumps(said)}"
-        for build in (
-            lambda text=text: margin([text]),
-            lambda text=text: margin([text], **PLANTS),
-            lambda text=text: compare(text),
-            lambda k=said_key, v=said: sweep({"plant.payload_kg": [0, 1]}, set={k: v}),
-            lambda k=said_key, v=said: sweep({k: [v]}),
-        ):
-            with pytest.raises(ScenarioError, match="must be left out"):
-                build()
+    assert_every_study_refuses(key, value)
 
 
 def test_a_kind_of_link_may_be_set_where_it_changes_the_run():
