@@ -1,0 +1,76 @@
+import io
+import struct
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+
+from bus_schema.recording.mcap_writer import ChunkedWriter
+
+CHUNK_BYTES = 2000
+
+
+def written_by_mcap(messages, files):
+    stream = io.BytesIO()
+    writer = Writer(
+        stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
+    )
+    writer.start(profile="ros2", library="funnel-hil")
+    for name, data in files:
+        writer.add_attachment(0, 0, name, "text/plain", data)
+    for number in (1, 2):
+        schema = writer.register_schema(f"pkg/msg/Type{number}", "ros2msg", b"float64 x")
+        writer.register_channel(f"/topic_{number}", "cdr", schema, {"qos": "ü"})
+    for channel, log_ns, data, sent_ns, sequence in messages:
+        writer.add_message(channel, log_ns, data, publish_time=sent_ns, sequence=sequence)
+    writer.add_metadata("run", {"law": "pid", "empty": ""})
+    writer.flush()
+    writer.add_metadata("lost", {})
+    writer.finish()
+    return stream.getvalue()
+
+
+def written_by_us(messages, files):
+    stream = io.BytesIO()
+    writer = ChunkedWriter(stream, "ros2", "funnel-hil", CHUNK_BYTES)
+    for name, data in files:
+        writer.write_attachment(name, "text/plain", data)
+    for number in (1, 2):
+        schema = writer.add_schema(f"pkg/msg/Type{number}", "ros2msg", b"float64 x")
+        writer.add_channel(f"/topic_{number}", "cdr", schema, {"qos": "ü"})
+    for message in messages:
+        writer.add_message(*message)
+        if writer.is_full:
+            writer.end_chunk()
+    writer.write_metadata("run", {"law": "pid", "empty": ""})
+    writer.end_chunk()
+    writer.write_metadata("lost", {})
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 500])
+@pytest.mark.parametrize("files", [[], [("a.yaml", b"name: x\n"), ("empty", b"")]])
+def test_the_file_is_byte_for_byte_what_mcap_writes(count, files):
+    """Times that go back, channels in any order, payloads of any size: none, or a chunk's."""
+    random = np.random.default_rng(count)
+    sizes = random.choice([0, 1, 96, CHUNK_BYTES], count)
+    messages = [
+        (
+            int(random.integers(1, 3)), int(random.integers(1, 2**62)), random.bytes(size),
+            int(random.integers(2**62)), int(random.integers(2**32)),
+        )
+        for size in sizes
+    ]  # fmt: skip
+    assert written_by_us(messages, files) == written_by_mcap(messages, files)
+
+
+def test_a_number_without_room_leaves_the_chunk_as_it_was():
+    stream = io.BytesIO()
+    writer = ChunkedWriter(stream, "ros2", "funnel-hil", CHUNK_BYTES)
+    writer.add_channel("/topic", "cdr", 0, {})
+    with pytest.raises(struct.error):
+        writer.add_message(1, -1, b"payload", 0, 0)
+    before = len(stream.getvalue())
+    writer.end_chunk()
+    assert len(stream.getvalue()) == before
