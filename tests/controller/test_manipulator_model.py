@@ -6,12 +6,8 @@ import pytest
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.referenced_files import find_urdf
+from tests.arms import ARMS, listed_from_the_tip
 
-ARMS = (
-    "paper_arm",
-    "pybullet_data:kuka_iiwa/model.urdf",
-    "pybullet_data:franka_panda/panda.urdf",
-)
 SAMPLES = 20
 
 
@@ -123,12 +119,7 @@ def test_scale_leaves_the_payload_as_it_is(robot):
 def test_joints_keep_the_order_of_the_file(tmp_path):
     """pinocchio numbers joints from the base; a file may list them from the tip."""
     original = find_urdf("paper_arm", Path())
-    blocks = original.read_text().split("<joint ")
-    head, links = blocks[0], [block.partition("</joint>") for block in blocks[1:]]
-    joints = [f"<joint {inner}</joint>" for inner, _, _ in links][::-1]
-    rest = "".join(tail for _, _, tail in links).replace("</robot>", "")
-    path = tmp_path / "reversed.urdf"
-    path.write_text(f"{head}{rest}{''.join(joints)}</robot>")
+    path = listed_from_the_tip(original, tmp_path)
     forward, backward = ManipulatorModel(load_robot(original)), ManipulatorModel(load_robot(path))
     assert load_robot(path).joint_names == ("elbow", "shoulder", "base_yaw")
     for position, velocity in states(load_robot(original)):

@@ -9,12 +9,8 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies import inverse_dynamics, invert, mass_and_load
 from deploy.scenario.referenced_files import find_urdf
+from tests.arms import ARMS, listed_from_the_tip
 
-ARMS = (
-    "paper_arm",
-    "pybullet_data:kuka_iiwa/model.urdf",
-    "pybullet_data:franka_panda/panda.urdf",
-)
 SAMPLES = 20
 
 
@@ -98,12 +94,7 @@ def test_inertia_tables_add_and_scale_as_masses_do(robot):
 
 def test_joints_listed_from_the_tip_are_worked_through_from_the_base(tmp_path):
     original = find_urdf("paper_arm", Path())
-    blocks = original.read_text().split("<joint ")
-    head, links = blocks[0], [block.partition("</joint>") for block in blocks[1:]]
-    joints = [f"<joint {inner}</joint>" for inner, _, _ in links][::-1]
-    rest = "".join(tail for _, _, tail in links).replace("</robot>", "")
-    path = tmp_path / "reversed.urdf"
-    path.write_text(f"{head}{rest}{''.join(joints)}</robot>")
+    path = listed_from_the_tip(original, tmp_path)
     forward, backward = load_robot(original), load_robot(path)
     assert backward.joint_names == forward.joint_names[::-1]
     model, reversed_model = ManipulatorModel(forward), ManipulatorModel(backward)

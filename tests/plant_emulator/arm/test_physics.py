@@ -9,6 +9,7 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm.pybullet_arm import PybulletArm
+from tests.arms import listed_from_the_tip
 
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 START = np.array([0.3, -0.9, 1.2])
@@ -131,13 +132,7 @@ def test_torque_of_one_substep_does_not_linger():
 
 def test_joints_keep_the_order_of_the_file(tmp_path):
     """pybullet numbers joints from the base; a file may list them from the tip."""
-    original = find_urdf("paper_arm", Path())
-    blocks = original.read_text().split("<joint ")
-    head, links = blocks[0], [block.partition("</joint>") for block in blocks[1:]]
-    joints = [f"<joint {inner}</joint>" for inner, _, _ in links][::-1]
-    rest = "".join(tail for _, _, tail in links).replace("</robot>", "")
-    path = tmp_path / "reversed.urdf"
-    path.write_text(f"{head}{rest}{''.join(joints)}</robot>")
+    path = listed_from_the_tip(ROBOT.path, tmp_path)
     forward, backward = PybulletArm(ROBOT, 1e-3), PybulletArm(load_robot(path), 1e-3)
     forward.place(START)
     backward.place(START[::-1])
