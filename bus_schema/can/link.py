@@ -107,6 +107,8 @@ class CanControllerLink(ControllerLink):
         self._torque[:] = fields["effort"]
         if self._run.gains is not None:
             target = np.array([fields["position"], fields["velocity"]])
+            # A drive holds a target still: it is sent as of when it gets there.
+            target[0] += 1e-9 * self._run.link.emulated_round_trip_ns * target[1]
             self._master.aim(target, self._run.gains)
         self._is_answered = True
         self._commands += 1

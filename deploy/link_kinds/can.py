@@ -20,6 +20,7 @@ from bus_schema.can.medium import CanMedium
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus, InProcessNode
 from bus_schema.link.interface import ControllerLink, PlantLink, Telemetry
@@ -49,6 +50,7 @@ class CanKind(LinkKind[DrivenArm]):
     arm_type = DrivenArm
     logs_frames = True
     may_pin_loops = False
+    brings_plant_status = False
     simulates_process_faults = False
     no_link_faults = "without link.kind can, where link.can.faults says what befalls the bus"
 
@@ -59,7 +61,7 @@ class CanKind(LinkKind[DrivenArm]):
         _check_fd(can, protocol)
         codec = _codec(run)
         check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
-        _check_unimpaired(run.link)
+        _check_delays(run, protocol)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
             raise ConfigurationError(
@@ -108,8 +110,9 @@ class CanKind(LinkKind[DrivenArm]):
             lambda send: build_bank(can, robot, run.plant, send, polled=True, tuned=run.drive),
             CanMedium(can, run.seed),
             None if run.can_log is None else CandumpLog(run.can_log, can.log_channel),
+            run.link.downlink.delay_ns,
         )
-        arm.attach(drives.bank)
+        arm.attach(drives)
         return CanPlantLink(_can_run(run), drives, _codec(run), clock, telemetry)
 
     def open_controller(self, run: LinkRun) -> ControllerLink:
@@ -150,17 +153,29 @@ def _open_telemetry(run: LinkRun, role: Role) -> Telemetry:
     return open_telemetry(run.link, role, lossless=run.lockstep, agreement=run.agreement)
 
 
-def _check_unimpaired(link: LinkConfiguration) -> None:
-    """Check that messages are not to be impaired: on a CAN bus there are none."""
-    for name in ("uplink", "downlink", "playout_ms"):
-        given = getattr(link, name)
-        if given != LinkConfiguration.model_fields[name].default:
-            shown = given if name == "playout_ms" else given.model_dump(exclude_defaults=True)
+def _check_delays(run: LinkRun, protocol: DriveProtocol) -> None:
+    """Check that messages are delayed at most, and only where time waits for them."""
+    link, refusal = run.link, None
+    if not run.lockstep:
+        refusal = "without delays where clock is realtime"
+    elif protocol.answers_torques:
+        refusal = f"without delays with {protocol.title}, whose drives answer every frame"
+    for name in ("uplink", "downlink"):
+        given: ChannelConfiguration = getattr(link, name)
+        shown = given.model_dump(exclude_defaults=True)
+        if not given.is_constant:
+            refusal = "delay_ms alone"
+        if shown and refusal is not None:
             raise ConfigurationError(
                 f"link.{name}", shown,
-                "must be left out with link.kind = can: what a CAN bus does to frames is up to"
-                " link.can.bitrate and link.can.faults", ["link.kind"],
+                f"must be {refusal}, with link.kind = can: what a CAN bus does to frames is up to"
+                " link.can.bitrate and link.can.faults", ["link.kind", "link.can.protocol"],
             )  # fmt: skip
+    if link.playout_ms:
+        raise ConfigurationError(
+            "link.playout_ms", link.playout_ms, "must be left out with link.kind = can",
+            ["link.kind"],
+        )  # fmt: skip
 
 
 def _check_fd(can: CanConfiguration, protocol: DriveProtocol) -> None:

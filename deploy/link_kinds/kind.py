@@ -48,6 +48,7 @@ class LinkKind(ABC, Generic[Arm]):
         logs_frames: whether its plant's side can write a log of frames.
         may_pin_loops: whether each loop may be bound to a CPU of its own.
         draws_random_numbers: whether the link itself does, in a simulation.
+        brings_plant_status: whether the controller gets the plant's status with each state.
         simulates_process_faults: whether a controller can be silenced in a simulation.
         no_link_faults: what is allowed in place of scheduled faults of messages, where there are
             none that the plant could change; None where there are.
@@ -59,6 +60,7 @@ class LinkKind(ABC, Generic[Arm]):
     logs_frames = False
     may_pin_loops = True
     draws_random_numbers = True
+    brings_plant_status = True
     simulates_process_faults = True
     no_link_faults: str | None = None
 

@@ -58,7 +58,9 @@ def replay(setup: Setup, contents: LogContents) -> Replay:
     bus = InProcessBus(VirtualClock())
     loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
     loop.warm_up()
-    failure = _cycle_through(loop, states, _statuses_beside(contents))
+    has_status = setup.link_kind.brings_plant_status
+    statuses = _statuses_beside(contents) if has_status else [None] * len(states)
+    failure = _cycle_through(loop, states, statuses)
     replayed = [command.payload for command in bus.commands]
     rounding = setup.link_kind.wire_rounding(setup.link_run(lockstep=True))
     if rounding is not None:

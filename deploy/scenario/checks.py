@@ -83,7 +83,7 @@ def _check_sides(setup: Setup) -> None:
     elif scenario.link.kind != "zenoh":
         allowed = "must be zenoh, which controller.process speaks"
         raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
-    setup.link_kind.check(setup.link_run(lockstep=True))
+    setup.link_kind.check(setup.link_run(lockstep=scenario.clock == "lockstep"))
     ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
     if scenario.uncertainty:
         check_uncertainty(scenario.uncertainty, plain(scenario), setup.robot.joints)

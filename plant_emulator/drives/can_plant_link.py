@@ -61,6 +61,8 @@ class CanPlantLink(PlantLink):
         self._measured, self._sampled = Record(self._layout), Record(self._layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, run.joint_names))
         self._torque: Vector = np.zeros(len(run.joint_names))
+        self._is_sampled = False
+        self._commanded: set[int] = set()
         self._samplings = 0
         self._strangers = Strangers(codec, drives.bank.node_ids, run.grid.period_ns)
         self._lateness = HostLateness()
@@ -103,7 +105,8 @@ class CanPlantLink(PlantLink):
         self._clock.anchor(self._lead_ns + time.monotonic_ns() - heard_ns)
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
-        self._drives.begin_run(self._clock.now_ns())
+        # Until the master hears of the first state, drives have nothing to miss.
+        self._drives.begin_run(self._clock.now_ns() - self._run.link.uplink.delay_ns)
         self._controller_was_seen = self._telemetry.sees(Role.CONTROLLER)
 
     def send_state(self, state: bytes, status: bytes) -> None:
@@ -189,6 +192,7 @@ class CanPlantLink(PlantLink):
         bank, fields = self._drives.bank, self._measured.fields
         bank.measure(fields["position"], 0.0 * fields["velocity"], 0.0 * fields["effort"])
         now_ns, give_up_s = self._clock.now_ns(), time.monotonic() + _FAREWELL_S
+        self._drives.end_run(now_ns)
         while not self.controller_has_left() and time.monotonic() < give_up_s:
             frame = self._next_frame(_POLL_S)
             if frame is not None:
@@ -230,7 +234,10 @@ class CanPlantLink(PlantLink):
     def _take(self, frame: CanFrame) -> None:
         """Hand a frame to the drives, and publish what it led to."""
         now_ns = self._clock.now_ns()
-        self._drives.handle(frame, now_ns)
+        if self._drives.delay_ns and self._is_sampled and not self._codec.is_sampling(frame):
+            self._drives.handle_later(frame, now_ns)
+        else:
+            self._drives.handle(frame, now_ns)
         commanded = self._codec.read_torque(frame, self._torque)
         self._strangers.hear(frame, commanded, now_ns)
         for answer in self._drives.answers:
@@ -238,11 +245,23 @@ class CanPlantLink(PlantLink):
             self._codec.read_state(answer, fields["position"], fields["velocity"])
         samplings = self._drives.bank.samplings
         if samplings != self._samplings:
-            self._samplings = samplings
+            self._samplings, self._is_sampled = samplings, True
             self._clock.put_forward(self._phase.correction_ns(now_ns))
             self._publish_state()
-        if self._drives.bank.take_targets():
+        if self._is_commanded(commanded):
+            self._is_sampled = False
             self._publish_command()
+
+    def _is_commanded(self, joint: int | None) -> bool:
+        """Whether all drives have a torque, or will have one, now that one was sent to a joint."""
+        if not self._drives.delay_ns:
+            return self._drives.bank.take_targets()
+        if joint is not None:
+            self._commanded.add(joint)
+        is_complete = len(self._commanded) == len(self._run.joint_names)
+        if is_complete:
+            self._commanded.clear()
+        return is_complete
 
     def _publish_state(self) -> None:
         """All drives have sent their states: what the controller receives."""

@@ -5,23 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from plant_emulator.arm.arm_plant import ArmPlant
-from plant_emulator.drives.bank import DriveBank
+from plant_emulator.drives.drives_on_bus import DrivesOnBus
 
 
 class DrivenArm(ArmPlant):
     """An arm with drives: what a command says is theirs to carry out, and so is every stop."""
 
-    _bank: DriveBank | None = None
+    _drives: DrivesOnBus | None = None
 
-    def attach(self, bank: DriveBank) -> None:
+    def attach(self, drives: DrivesOnBus) -> None:
         """Give the joints their drives; of the safe stop that is configured nothing is needed."""
-        self._bank, self._safe_stop = bank, "zero_torque"
+        self._drives, self._safe_stop = drives, "zero_torque"
 
     def advance(self, first: int, end: int) -> None:
-        bank = self._bank
-        if bank is None:
+        if self._drives is None:
             super().advance(first, end)
             return
+        self._drives.handle_due(self._grid.substep_ns(first))
+        bank = self._drives.bank
         self.hold(bank.braked)
         if not bank.closes_loops:
             np.copyto(self._commanded, bank.torque_nm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 
 from bus_schema.can.candump import CandumpLog
@@ -21,9 +22,11 @@ class DrivesOnBus:
         build: makes the drives, given where they send to.
         medium: keeps the bus's time.
         log: takes every frame; None for no log.
+        delay_ns: how long a master that is far away takes to reach the drives in the run.
 
     Attributes:
         bank: the drives.
+        delay_ns: as above.
         answers: frames that the drives sent in answer to the last frame, or when they last had
             their turn.
         is_off: the bus is lost for good.
@@ -36,9 +39,12 @@ class DrivesOnBus:
         build: Callable[[Send], DriveBank],
         medium: CanMedium,
         log: CandumpLog | None,
+        delay_ns: int = 0,
     ) -> None:
         self._bus, self._log = bus, log
         self.medium = medium
+        self.delay_ns = delay_ns
+        self._under_way: deque[tuple[int, CanFrame]] = deque()
         self.answers: list[CanFrame] = []
         self.is_off = False
         self._began_ns = 0
@@ -59,6 +65,21 @@ class DrivesOnBus:
         self._began_ns, self._is_running = now_ns, True
         self._faults.postpone(now_ns)
         self.medium.start_counting()
+
+    def handle_later(self, frame: CanFrame, now_ns: int) -> None:
+        """Let the drives take a frame that their master sends now from far away."""
+        self._under_way.append((now_ns + self.delay_ns, frame))
+
+    def handle_due(self, now_ns: int) -> None:
+        """Let the drives take the frames from far away that have come by now."""
+        while self._under_way and self._under_way[0][0] <= now_ns:
+            due_ns, frame = self._under_way.popleft()
+            self.handle(frame, due_ns)
+
+    def end_run(self, now_ns: int) -> None:
+        """From now on the master is as near as it was before the run."""
+        self.handle_due(now_ns + self.delay_ns)
+        self.delay_ns = 0
 
     def handle(self, frame: CanFrame, now_ns: int) -> None:
         """Let the drives take a frame; once the bus is off, it reaches nobody."""

@@ -23,6 +23,7 @@ class DriveProtocol(ABC):
         largest_node_id: largest address that a drive can have.
         has_fd_process_data: its cyclic frames can be those of CAN FD.
         takes_targets: its drives close loops around targets that come with the torques.
+        answers_torques: its drives send their states in answer to torques, too.
         drive: emulated drives that speak it.
         drive_master: master of drives that speak it, unless `master` makes another one.
     """
@@ -31,6 +32,7 @@ class DriveProtocol(ABC):
     largest_node_id = 127
     has_fd_process_data = False
     takes_targets = False
+    answers_torques = False
     drive: type[Drive]
     drive_master: type[CanMaster]
 

@@ -32,6 +32,7 @@ class MitProtocol(DriveProtocol):
 
     title = "MIT"
     takes_targets = True
+    answers_torques = True
     drive = MitDrive
     drive_master = MitMaster
 
