@@ -1,4 +1,4 @@
-"""The end of a run, or of a study: it is judged, and its summary and report are written."""
+"""The end of a run: it is judged, and its summary and report are written."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, read_manifest
-from deploy.study.conditions import conditions_of_study
-from deploy.study.folder import StudyFolder
-from deploy.study.study import Study
 
 
 def conclude(
@@ -50,16 +47,3 @@ def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
     """Under what conditions a run came about, as its folder has them."""
     conditions = conditions_of_runs([run.setup], read_manifest(folder.path))
     return {**conditions, "law": run.controller}
-
-
-def conclude_study(study: Study, folder: StudyFolder) -> dict[str, Any]:
-    """Judge the rows of a study and write table, summary and report; the summary."""
-    from deploy.reports.studies.study_report import write_study_report  # as above
-
-    summary = study.summary(folder.rows)
-    summary["conditions"] = conditions_of_study(study, summary, read_manifest(folder.path))
-    folder.put_together(summary["conditions"], completed=summary["completed"])
-    write_json(folder.summary, {**summary, "completed": False})  # until all is written
-    write_study_report(summary, folder)
-    write_json(folder.summary, summary)
-    return summary

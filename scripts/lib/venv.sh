@@ -102,5 +102,8 @@ ensure_venv() {
     --editable ".${extras:+[$extras]}"
   echo "$state" >"$stamp"
   remove_leftovers # of the installation that this one replaced
+  # What pip does for all it installs, but not for an editable project; without it, every start of a
+  # user who keeps Python from writing caches (PYTHONDONTWRITEBYTECODE) compiles all sources again.
+  .venv/bin/python -m compileall -q bus_schema controller deploy plant_emulator
   echo "$state" >.venv/installed # whatever the extras, the project itself is there
 }

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from controller.laws.custom import Maker, laws_given
-from deploy.reports.conclude import conclude_study
+from deploy.reports.studies.conclude import conclude_study
 from deploy.runs.run_rows import Row
 from deploy.study.conduct import Workers, carry_out
 from deploy.study.folder import StudyFolder, create_folder, find_folder

@@ -25,7 +25,7 @@ from deploy.cli.study.margin_options import (
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.processes.program import require_program
-from deploy.reports.conclude import conclude_study
+from deploy.reports.studies.conclude import conclude_study
 from deploy.reports.studies.robustness_tables import (
     losses_table,
     robustness_table,

@@ -55,3 +55,15 @@ def test_help_names_every_command_and_a_typing_error_its_neighbour(funnel_hil):
     code, said = funnel_hil("smulate")
     assert code == 2
     assert "Did you mean 'simulate'" in said
+
+
+def test_a_run_loads_neither_figures_nor_studies():
+    heavy = ("plotly", "jinja2", "distributed", "pyarrow", "deploy.study.folder", "pybullet")
+    program = (
+        "import sys; import deploy.cli.one_run\n"
+        f"print('imported:', *(name for name in {heavy} if name in sys.modules))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "imported:"

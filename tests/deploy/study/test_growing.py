@@ -8,7 +8,7 @@ import pytest
 from pyarrow import parquet
 
 import funnel_hil as interface
-from deploy.reports.conclude import conclude_study
+from deploy.reports.studies.conclude import conclude_study
 from deploy.runs.conditions import host_of, provenance_of
 from deploy.runs.run_folder import grown_from
 from deploy.runs.run_rows import read_rows
