@@ -292,6 +292,8 @@ def _settings(
         },
         "scouting/multicast/enabled": False,
         "scouting/delay": 0,
+        # Messages are too small for it, and a process leaves its segments behind in /dev/shm.
+        "transport/shared_memory/enabled": False,
         "transport/unicast/lowlatency": low_latency,
         "transport/unicast/qos/enabled": False,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(
