@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -88,6 +90,19 @@ def test_looking_at_what_is_open_leaves_nothing_open(tmp_path: Path) -> None:
         before = entries()
         never_linger()
         assert entries() <= before
+
+
+def test_no_segment_of_shared_memory_is_made() -> None:
+    """Zenoh leaves them behind. Other tests of this process may have made some."""
+    program = """
+from pathlib import Path
+from bus_schema.zenoh.session import ZenohSession
+session = ZenohSession(["tcp/127.0.0.1:0"], [], low_latency=False)
+print("/dev/shm" in Path("/proc/self/maps").read_text())
+session.close()
+"""
+    words = [sys.executable, "-c", program]
+    assert subprocess.check_output(words, text=True, timeout=120.0).split() == ["False"]
 
 
 def entries() -> set[str]:
