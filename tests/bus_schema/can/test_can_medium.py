@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import subprocess
+import sys
 
 import pytest
 from bit_strings import classical
@@ -102,3 +104,20 @@ def test_budget_is_the_longest_that_a_cycle_can_be() -> None:
         for _ in range(300)
     )
     assert 0.8 * budget < longest <= budget
+
+
+NEW_MEDIUM = """
+from bus_schema.can import frame_timing
+from bus_schema.can.medium import CanMedium
+from bus_schema.link.can_configuration import CanConfiguration
+
+CanMedium(CanConfiguration(), 0)
+kernels = frame_timing._stuffed_classical_bits, frame_timing._stuff_bits
+print(*(len(kernel.signatures) for kernel in kernels))
+"""
+
+
+def test_nothing_is_left_to_be_compiled_while_the_bus_is_in_use() -> None:
+    # Compiling takes seconds, on a busy machine more than the loops wait for each other.
+    told = subprocess.run([sys.executable, "-c", NEW_MEDIUM], capture_output=True, text=True)
+    assert (told.stdout.split(), told.stderr) == (["1", "1"], "")
