@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import IO, cast
 
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema, Statistics
 
@@ -20,7 +21,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, partial_path
 from bus_schema.recording.checked_records import CheckedRecords
-from bus_schema.recording.mcap_writer import ChunkedWriter
+from bus_schema.recording.mcap_writer import QuickWriter
 from bus_schema.recording.older_messages import Translate, translation
 
 logger = logging.getLogger(__name__)
@@ -68,7 +69,8 @@ class McapLog:
         os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE_BYTES)
         self._file = RecordFile(partial_path(path))
         chunk_size = int(min(max(bytes_per_s / 4, 1024), _LARGEST_CHUNK_BYTES))
-        self._writer = ChunkedWriter(self._file, "ros2", "funnel-hil", chunk_size)
+        self._writer = QuickWriter(cast("IO[bytes]", self._file), chunk_size)
+        self._writer.start(profile="ros2", library="funnel-hil")
         self._channels: dict[str, int] = {}
         self._in_open_chunk: Counter[str] = Counter()
         self.written: Counter[str] = Counter()
@@ -94,30 +96,30 @@ class McapLog:
             payload: its CDR bytes.
         """
         name, writer = topic.name, self._writer
+        if name not in self._channels and self.failure is None:
+            self._attempt(lambda: self._register(topic), closes_chunk=True)
         if self.failure is not None:
             self.lost[name] += 1
             return
-        if name not in self._channels:
-            self._register(topic)
         number = sequence & 0xFFFFFFFF
         writer.add_message(self._channels[name], stamp_ns, payload, source_time_ns, number)
         self.written[name] += 1
         self._in_open_chunk[name] += 1
         if writer.is_full:
-            self._attempt(writer.end_chunk, closes_chunk=True)
+            self._attempt(writer.flush, closes_chunk=True)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file."""
-        self._attempt(lambda: self._writer.write_attachment(name, media_type, data))
+        self._attempt(lambda: self._writer.add_attachment(0, 0, name, media_type, data))
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a table of metadata."""
-        self._attempt(lambda: self._writer.write_metadata(name, values))
+        self._attempt(lambda: self._writer.add_metadata(name, values))
 
     def finish_messages(self) -> None:
         """Write all messages that are not yet in the file; after this, the counts are final."""
         if self.failure is None:
-            self._attempt(self._writer.end_chunk, closes_chunk=True)
+            self._attempt(self._writer.flush, closes_chunk=True)
         self._reserve.close()
 
     def close(self) -> None:
@@ -145,10 +147,10 @@ class McapLog:
             logger.error("%s: %s: the recording ends here", self._path, failure.strerror)
 
     def _register(self, topic: Topic) -> None:
-        schema = self._writer.add_schema(
+        schema = self._writer.register_schema(
             topic.type_name, "ros2msg", schema_text(topic.type_name).encode()
         )
-        self._channels[topic.name] = self._writer.add_channel(
+        self._channels[topic.name] = self._writer.register_channel(
             f"/{topic.name}", "cdr", schema, {"offered_qos_profiles": _offered_qos(topic)}
         )
 
