@@ -27,13 +27,21 @@ def on_stop(stop: Callable[[], None]) -> None:
             signal.signal(number, handle)
 
 
-def stop_at_once() -> None:
-    """Have the signals raise `Stopped`."""
+def stop_at_once() -> Callable[[], bool]:
+    """Have the signals raise `Stopped`.
+
+    Returns:
+        whether one has come: Python drops what is raised while it collects garbage.
+    """
+    has_come = False
 
     def stop() -> None:
+        nonlocal has_come
+        has_come = True
         raise Stopped
 
     on_stop(stop)
+    return lambda: has_come
 
 
 def ignore_stops() -> None:

@@ -114,9 +114,11 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
     What is written by then stays; `funnel-hil report` works out the rest.
     """
     before = {number: signal.getsignal(number) for number in STOPS}
-    stop_at_once()
+    has_come = stop_at_once()
     try:
         yield
+        if has_come():
+            raise Stopped
     except Stopped:
         console.print(
             f"stopped while judging: funnel-hil report {folder.path} does it again", soft_wrap=True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import resource
@@ -10,8 +11,12 @@ import threading
 import time
 
 import pytest
+import typer
+from rich.console import Console
 
+from deploy.cli.common import judging
 from deploy.runs.new_folder import FolderLock
+from deploy.runs.run_folder import ResultFolder
 
 SHORT = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0.01"]
 COMMANDS = {
@@ -108,6 +113,28 @@ def test_so_it_is_of_a_study(funnel_hil, tmp_path):
     assert not json.loads((out / "summary.json").read_text())["completed"]
 
 
+@pytest.fixture
+def no_collection_hooks():
+    """Hypothesis's would swallow what is raised in them: there, the request to stop."""
+    hooks = list(gc.callbacks)
+    gc.callbacks.clear()
+    yield
+    gc.callbacks.extend(hooks)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_request_to_stop_that_python_swallows_is_heard_in_the_end(tmp_path):
+    class Finalized:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(0.0)
+
+    with pytest.raises(typer.Exit) as ended, judging(Console(), ResultFolder(tmp_path)):
+        Finalized()
+    assert ended.value.exit_code == 130
+
+
+@pytest.mark.usefixtures("no_collection_hooks")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path, number):
     over = threading.Event()
