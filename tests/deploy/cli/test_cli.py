@@ -308,7 +308,7 @@ def test_run_needs_a_bus_between_its_processes(refuse: Refusal) -> None:
         ("link.can.node_ids=[1, 2]", f"one for {ONE_EACH}"),
         ("link.can.eds=/etc/hostname", "'/etc/hostname': must be a file that is an EDS"),
         ("link.can.faults.drives=['drive:9@1s']", "must name one of the nodes 1, 2, 3"),
-        ("link.uplink.delay_ms=1", "link.uplink = {'delay_ms': 1.0}: must be left out"),
+        ("link.uplink.jitter_ms=1", "link.uplink = {'jitter_ms': 1.0}: must be delay_ms alone"),
         ("rate_hz=2000", "the nearest rate that fits is 1000 Hz"),
     ],
 )
