@@ -1,6 +1,7 @@
 """A subscriber to everything that stops reading with the first message: it freezes itself.
 
-`python frozen_subscriber.py ENDPOINT`. It is told to be gone a second after it was last heard of.
+`python frozen_subscriber.py ENDPOINT`. It says so when it begins to look for the endpoint, and is
+told to be gone a second after it was last heard of.
 """
 
 import json
@@ -14,6 +15,7 @@ SETTINGS = {
     "mode": "client",
     "connect/endpoints": [f"{sys.argv[1]}#so_rcvbuf=4096"],
     "connect/timeout_ms": -1,
+    "connect/retry": {"period_init_ms": 20, "period_max_ms": 20, "period_increase_factor": 1},
     "scouting/multicast/enabled": False,
     "transport/link/tx/lease": 1000,
 }
@@ -23,6 +25,7 @@ def main() -> None:
     configuration = zenoh.Config()
     for path, value in SETTINGS.items():
         configuration.insert_json5(path, json.dumps(value))
+    print("looking", flush=True)
     with zenoh.open(configuration) as session, session.declare_subscriber("0/**") as messages:
         messages.recv()
         os.kill(os.getpid(), signal.SIGSTOP)
