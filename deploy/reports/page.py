@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -112,17 +113,25 @@ def write_page(
         values: what else the template asks for: always `title`, `verdict`, `facts`
             and `conditions`.
     """
+    address = plotly_library.address(path)
+    with ThreadPoolExecutor(max_workers=1) as executor:  # packs beside the drawing of the figures
+        packing = None if address else executor.submit(plotly_library.packed)
+        sections = _drawn(panels, subject)
+        packed = "" if packing is None else packing.result()
+    html = _ENVIRONMENT.get_template(template).render(
+        sections=sections, end_s=end_s, library=address, packed_library=packed, **values
+    )
+    write_whole(path, html)
+
+
+def _drawn(panels: Iterable[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
+    """Panels with what they show, by section; without those that have nothing to show."""
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
         content = panel.draw(subject)
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
-    address = plotly_library.address(path)
-    library = {"library": address, "packed_library": "" if address else plotly_library.packed()}
-    html = _ENVIRONMENT.get_template(template).render(
-        sections=sections, end_s=end_s, **library, **values
-    )
-    write_whole(path, html)
+    return sections
 
 
 _ENVIRONMENT = Environment(

@@ -12,6 +12,7 @@ from PIL import Image
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.reports import plotly_library, run_report
+from deploy.reports.figures import style
 from deploy.reports.figures.arm.pictures import arm_pictures
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.errors import error_in_funnel
@@ -251,3 +252,13 @@ def test_hundreds_of_faults_are_one_shape_in_each_row():
     for shape in shapes:
         assert shape.path.count("M") == len(faults)
         assert shape.path.startswith(f"M{spans[0][0]},0 L{spans[0][0]},1 L{spans[0][1]},1 ")
+
+
+def test_what_is_drawn_into_rows_of_joints_is_not_in_the_next_ones():
+    names = ("yaw", "elbow")
+    drawn, before = style.joint_rows(names, "mrad"), style.joint_rows(names, "mrad").to_dict()
+    drawn.add_scatter(x=[0.0], y=[1.0], row=2, col=1)
+    drawn.add_hline(1.0, row=1, line=style.DOTTED)
+    drawn.update_yaxes(range=[-1.0, 1.0], title_text="N m")
+    drawn.layout.annotations[0].text = "wrist"
+    assert style.joint_rows(names, "mrad").to_dict() == before

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import numpy as np
@@ -34,10 +35,10 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
     with closing(PybulletArm(run.setup.robot, run.setup.grid.substep_s)) as arm:
         extent = arm.extent(positions)
-        return [
-            Picture(float(times_s[tick]), _png(arm.render(position, *_RENDERED_PX, extent)))
-            for tick, position in zip(ticks, positions, strict=True)
-        ]
+        rendered = (arm.render(position, *_RENDERED_PX, extent) for position in positions)
+        with ThreadPoolExecutor(max_workers=1) as executor:  # one is written, the next rendered
+            files = list(executor.map(_png, rendered))
+    return [Picture(float(times_s[tick]), png) for tick, png in zip(ticks, files, strict=True)]
 
 
 def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
