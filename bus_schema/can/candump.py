@@ -13,10 +13,12 @@ _BIT_RATE_SWITCH = 1
 def candump_line(time_ns: int, channel: str, frame: CanFrame) -> str:
     """A frame as ``candump -L`` writes it: ``(seconds.microseconds) channel identifier#data``."""
     seconds, rest_us = divmod(time_ns // 1000, 1_000_000)
-    identifier = frame.identifier | (_ERROR_FLAG if frame.is_error else 0)
-    name = f"{identifier:08X}" if frame.is_extended or frame.is_error else f"{identifier:03X}"
-    content = "R" if frame.is_remote else frame.data.hex().upper()
-    mark = f"##{_BIT_RATE_SWITCH}" if frame.is_fd else "#"
+    identifier, data, is_extended, is_remote, is_error, is_fd = frame
+    if is_error:
+        identifier |= _ERROR_FLAG
+    name = f"{identifier:08X}" if is_extended or is_error else f"{identifier:03X}"
+    content = "R" if is_remote else data.hex().upper()
+    mark = f"##{_BIT_RATE_SWITCH}" if is_fd else "#"
     return f"({seconds}.{rest_us:06d}) {channel} {name}{mark}{content}"
 
 

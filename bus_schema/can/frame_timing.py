@@ -8,6 +8,7 @@ bits), so that frames sent back to back add up.
 
 from __future__ import annotations
 
+import struct
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ _CRC15_BITS = 15
 _STUFFED_RUN = 5
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _LONGEST_CLASSICAL_BYTES = 8
-_LARGEST_DATA_BITS = 8 * _LONGEST_CLASSICAL_BYTES
+_HALVES = struct.Struct(">II")
 _LARGEST_CRC17_BYTES = 16
 _EXTENDED_HEAD_BITS = 1 + 11 + 2 + 18 + 1
 # CRC delimiter, ACK slot and delimiter, end of frame (7), interframe space (3)
@@ -98,12 +99,9 @@ def classical_bits(frame: CanFrame) -> int:
     length = 0 if frame.is_remote else min(len(frame.data), _LONGEST_CLASSICAL_BYTES)
     # IDE and r0, or r1 and r0 of an extended frame, and the DLC
     head, head_bits = head << 6 | length, head_bits + 6
-    data = int.from_bytes(frame.data[:length], "big")
     # In halves: numba takes whole numbers of 64 bits for another type than smaller ones.
-    data <<= _LARGEST_DATA_BITS - 8 * length
-    return _CLASSICAL_TAIL_BITS + _stuffed_classical_bits(
-        head, head_bits, data >> 32, data & 0xFFFF_FFFF, 8 * length
-    )
+    first, rest = _HALVES.unpack_from(frame.data.ljust(_LONGEST_CLASSICAL_BYTES, b"\0"))
+    return _CLASSICAL_TAIL_BITS + _stuffed_classical_bits(head, head_bits, first, rest, 8 * length)
 
 
 def longest_classical_bits(data_bytes: int) -> int:

@@ -42,6 +42,8 @@ class Cia402Drive:
         self._send = send
         self._is_off_bus = False
         self._is_hot = False
+        # When events were looked for last, if nothing has happened since that they could tell.
+        self._looked_ns: int | None = None
         self._node = DriveNode(settings.node_id, self._send_if_on_bus)
         self._errors = ErrorLog(self._node, lambda: self._network.has_sdo)
         self._network = NetworkState(
@@ -77,6 +79,7 @@ class Cia402Drive:
         return None if code is ErrorCode.NONE else f"{SENTENCES[code]} (0x{code:04X})"
 
     def measure(self, reading: JointReading) -> None:
+        self._looked_ns = None
         self._motor.measure(reading)
 
     def demand(self) -> JointDemand:
@@ -88,13 +91,17 @@ class Cia402Drive:
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or self._network.state is NmtState.INITIALISING:
             return False
+        if frame.identifier not in self._takers and not frame.is_remote:
+            return False  # most are for others
         self._node.now_ns = now_ns
+        if frame.identifier != self._process_data.sync_identifier:
+            self._looked_ns = None
         try:
             is_mine = self._take(frame)
         except InvalidMessageError:
             self._send_events()
             raise
-        if is_mine:
+        if is_mine and self._looked_ns != now_ns:
             self._send_events()
         return is_mine
 
@@ -124,12 +131,12 @@ class Cia402Drive:
 
     def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         if fault is DriveFault.OVER_TEMPERATURE:
-            self._is_hot = False
+            self._is_hot, self._looked_ns = False, None
             self._errors.cause_gone(ErrorCode.OVER_TEMPERATURE)
 
     def lose_bus(self, now_ns: int) -> None:
         self._node.now_ns = now_ns
-        self._is_off_bus = True
+        self._is_off_bus, self._looked_ns = True, None
         self._motor.abort_connection(ErrorCode.BUS_OFF)
         self._leave_operational()
 
@@ -166,8 +173,8 @@ class Cia402Drive:
         self._takers = takers
 
     def _take_sync(self, data: bytes) -> None:
-        if self._is_operational():
-            self._process_data.sync(data)
+        if self._is_operational() and self._process_data.sync(data):
+            self._looked_ns = None
 
     def _take_pdo(self, pdo: ReceivedPdo, data: bytes) -> None:
         if self._is_operational():
@@ -224,6 +231,7 @@ class Cia402Drive:
         self._network.state = NmtState.INITIALISING
 
     def _send_events(self) -> None:
+        self._looked_ns = self._node.now_ns
         if self._is_operational():
             self._process_data.send_events()
 

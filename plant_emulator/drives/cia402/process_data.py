@@ -125,8 +125,13 @@ class ProcessData:
                 return pdo
         return None
 
-    def sync(self, data: bytes) -> None:
-        """SYNC: what is pending comes into force, what is due is sampled and sent."""
+    def sync(self, data: bytes) -> bool:
+        """SYNC: what is pending comes into force, what is due is sampled and sent.
+
+        Returns:
+            Whether that may have changed what event-driven TPDOs tell.
+        """
+        has_changed = self._errors.any
         if data:
             self._errors.note(ErrorCode.SYNC_LENGTH)
             raise InvalidMessageError("sync_length", f"a SYNC has no counter here: {data!r}")
@@ -135,9 +140,11 @@ class ProcessData:
         for received in self._received:
             if received.pending is not None:
                 data, received.pending = received.pending, None
+                has_changed = True
                 _unpack(received, data)
         for sent in self._on_sync:
             self._send_on_sync(sent)
+        return has_changed
 
     def receive(self, pdo: ReceivedPdo, data: bytes) -> None:
         """Data for an RPDO has come."""
