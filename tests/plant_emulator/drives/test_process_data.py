@@ -106,6 +106,32 @@ def test_a_synchronous_rpdo_comes_into_force_with_the_next_sync(bench):
     assert bench.state == "READY_TO_SWITCH_ON"
 
 
+def statuswords(bench):
+    return [struct.unpack_from("<H", data)[0] for data in bench.take(TPDO_2)]
+
+
+def test_what_a_sync_brings_into_force_is_told_at_the_same_instant(bench):
+    bench.write(0x1400, 2, 1)
+    bench.control(SHUTDOWN)
+    bench.take()
+    bench.hear(SYNC)
+    assert statuswords(bench) == [0x0231]
+    with pytest.raises(InvalidMessageError):
+        bench.hear(SYNC, 1)
+    assert statuswords(bench) == [0x02B1]  # a warning
+    bench.hear(SYNC)
+    assert statuswords(bench) == [0x0231]
+
+
+def test_what_is_measured_after_a_turn_is_told_at_a_sync_of_the_same_instant(bench):
+    remap(bench, 0x1801, 0x1A01, 0x60640020)
+    bench.hear(SYNC)
+    bench.take()
+    bench.move(position_rad=1.0)
+    bench.hear(SYNC)
+    assert bench.take(TPDO_2) == [struct.pack("<i", 166886)]
+
+
 def test_sync_moves_where_the_master_wants_it(bench):
     bench.write(0x1005, 0, 0x90)
     bench.take()
