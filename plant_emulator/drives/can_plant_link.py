@@ -61,7 +61,7 @@ class CanPlantLink(PlantLink):
         self._measured, self._sampled = Record(self._layout), Record(self._layout)
         self._command = Record(topics.layout(topics.JOINT_COMMANDS, run.joint_names))
         self._torque: Vector = np.zeros(len(run.joint_names))
-        self._is_sampled = False
+        self._is_measured = self._is_sampled = False
         self._commanded: set[int] = set()
         self._samplings = 0
         self._strangers = Strangers(codec, drives.bank.node_ids, run.grid.period_ns)
@@ -116,6 +116,7 @@ class CanPlantLink(PlantLink):
         fields = self._measured.fields
         bank = self._drives.bank
         bank.measure(fields["position"], fields["velocity"], fields["effort"])
+        self._is_measured = True
         bus_off_s = self._run.link.can.faults.bus_off_s
         if bus_off_s is not None and now_ns >= bus_off_s * 1e9 and not self._drives.is_off:
             self._drives.lose_bus(now_ns)
@@ -123,14 +124,18 @@ class CanPlantLink(PlantLink):
         self.publish(topics.PLANT_STATUS, status)
 
     def wait_until(self, clock: Clock, instant_ns: int) -> int:
-        """Serve the drives' frames until the instant comes, in real time."""
-        if self._run.lockstep or self._failure is not None:
+        """Serve the drives' frames until the instant comes, in real time.
+
+        Before the joints were first measured, drives have nothing to answer with.
+        """
+        if self._run.lockstep or self._failure is not None or not self._is_measured:
             return clock.wait_until(instant_ns)
         try:
+            is_past = clock.now_ns() >= instant_ns
             self._serve(clock, instant_ns)
             late_ns = clock.now_ns() - instant_ns
-            if late_ns > self._run.grid.period_ns:
-                # So long held up, the drives would do without all that came meanwhile.
+            if is_past or late_ns > self._run.grid.period_ns:
+                # Nobody has waited for frames, or for too long none was read.
                 self._catch_up(clock)
         except Exception as error:  # noqa: BLE001 (reported by `fault`, which ends the run)
             self._failure = f"frames are no longer served: {type(error).__name__}: {error}"

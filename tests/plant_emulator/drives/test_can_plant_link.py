@@ -20,7 +20,7 @@ from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.plant_loop import PlantLoop
 
-HANG_S = 20.0
+HANG_S = 60.0
 SYNC = CanFrame(0x080)
 
 

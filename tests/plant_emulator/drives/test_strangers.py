@@ -166,6 +166,21 @@ def test_what_came_while_the_loop_was_held_up_is_read_before_it_goes_on(held: He
     assert held.bus.frames == []
 
 
+def test_frames_are_read_though_every_instant_is_past_when_it_is_waited_for(held: Held) -> None:
+    held.measure()
+    held.bus.frames += [CanFrame(0x202, bytes(4))] * 50
+    held.clock.set_ms(3)
+    assert held.link.wait_until(held.clock, 2 * MS) == 1 * MS
+    assert held.bus.frames == []
+
+
+def test_drives_answer_with_nothing_before_their_joints_were_measured(held: Held) -> None:
+    """The SYNC that began the run waits: at 0 rad they are not."""
+    held.clock.set_ms(20)
+    held.link.wait_until(held.clock, 2 * MS)
+    assert not [frame for frame in held.bus.sent if frame.identifier == 0x181]
+
+
 def test_flood_keeps_no_instant_from_coming(held: Held) -> None:
     """Each frame takes its reader half a millisecond."""
     held.measure()
