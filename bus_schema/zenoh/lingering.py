@@ -16,7 +16,10 @@ def never_linger() -> None:
     Zenoh asks for ten seconds of that (SO_LINGER). It closes a connection once a peer was not heard
     of for its lease, and where that peer is frozen, receives nothing from anybody meanwhile.
     """
-    for entry in filter(Path.is_socket, Path("/dev/fd").iterdir()):
+    entries: list[Path] = []
+    with contextlib.suppress(OSError):  # no descriptor is left to look with
+        entries = list(Path("/dev/fd").iterdir())
+    for entry in filter(Path.is_socket, entries):
         with (
             contextlib.suppress(OSError),  # it is closed by now
             socket.fromfd(int(entry.name), socket.AF_INET, socket.SOCK_STREAM) as own,

@@ -39,6 +39,9 @@ _BATCH = 32
 _PATIENCE_S = 0.1
 """In virtual time a subscriber that reads slowly gets everything, and one that is frozen holds the
 loop up for so long, once. A loop in real time waits for nobody."""
+_LEASE_S, _REALTIME_LEASE_S = 60.0, 3.0
+"""In virtual time a frozen recorder is waited for. In real time zenoh 1.10 may never send again to
+a peer for which it has once dropped something: a recorder then soon connects anew."""
 
 
 class ZenohNode:
@@ -66,6 +69,7 @@ class ZenohNode:
             connect,
             low_latency=role is not Role.RECORDER,
             patience_s=_PATIENCE_S if lossless else 0.0,
+            lease_s=_LEASE_S if lossless else _REALTIME_LEASE_S,
             gossip=link.router_endpoint is not None,
             security=secure_settings(role, link.domain, link.security.keys)
             if link.security.enabled

@@ -136,6 +136,8 @@ class ZenohSession:
         connect: endpoints to connect to; retried in the background until they answer.
         patience_s: how long a full queue to a slow peer may hold up a sender, before messages for
             that peer are dropped; once, until that peer reads again.
+        lease_s: after so long without a sign of this session, others take it for gone; they look
+            for it anew.
         low_latency: use the transport without queues: least delay, but a peer that stops reading
             holds up the sender. Both ends must want it.
         gossip: tell a router where this session listens, and connect to whom it tells of: that is
@@ -153,10 +155,11 @@ class ZenohSession:
         *,
         low_latency: bool,
         patience_s: float = 10.0,
+        lease_s: float = 10.0,
         gossip: bool = False,
         security: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = _settings(listen, connect, low_latency, patience_s)
+        settings = _settings(listen, connect, low_latency, patience_s, lease_s)
         settings |= {"scouting/gossip/enabled": gossip} | dict(security or {})
         configuration = zenoh.Config()
         try:
@@ -279,7 +282,11 @@ def _delivery(sample: zenoh.Sample) -> Delivery:
 
 
 def _settings(
-    listen: Sequence[str], connect: Sequence[str], low_latency: bool, patience_s: float
+    listen: Sequence[str],
+    connect: Sequence[str],
+    low_latency: bool,
+    patience_s: float,
+    lease_s: float,
 ) -> dict[str, Any]:
     return {
         "mode": "peer",
@@ -292,6 +299,7 @@ def _settings(
         },
         "scouting/multicast/enabled": False,
         "scouting/delay": 0,
+        "transport/link/tx/lease": round(1e3 * lease_s),
         # Messages are too small for it, and a process leaves its segments behind in /dev/shm.
         "transport/shared_memory/enabled": False,
         "transport/unicast/lowlatency": low_latency,

@@ -120,7 +120,7 @@ def sockets() -> dict[str, bool]:
 
 
 def wait_for(session: ZenohSession, expected: set[str]) -> bool:
-    give_up_s = time.monotonic() + 10.0
+    give_up_s = time.monotonic() + 60.0
     while session.connected() != expected and time.monotonic() < give_up_s:
         time.sleep(0.01)
     return session.connected() == expected
