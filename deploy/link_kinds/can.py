@@ -51,6 +51,7 @@ class CanKind(LinkKind[DrivenArm]):
     logs_frames = True
     may_pin_loops = False
     brings_plant_status = False
+    controller_leads = True
     simulates_process_faults = False
     no_link_faults = "without link.kind can, where link.can.faults says what befalls the bus"
 

@@ -49,6 +49,8 @@ class LinkKind(ABC, Generic[Arm]):
         may_pin_loops: whether each loop may be bound to a CPU of its own.
         draws_random_numbers: whether the link itself does, in a simulation.
         brings_plant_status: whether the controller gets the plant's status with each state.
+        controller_leads: whether a run ends in order when the controller ends it, as the master of
+            drives does.
         simulates_process_faults: whether a controller can be silenced in a simulation.
         no_link_faults: what is allowed in place of scheduled faults of messages, where there are
             none that the plant could change; None where there are.
@@ -61,6 +63,7 @@ class LinkKind(ABC, Generic[Arm]):
     may_pin_loops = True
     draws_random_numbers = True
     brings_plant_status = True
+    controller_leads = False
     simulates_process_faults = True
     no_link_faults: str | None = None
 

@@ -163,7 +163,7 @@ class Launcher:
             plant = self._children[Role.PLANT]
             if self._stop_requested and not self._outcome.interrupted:
                 self._outcome.interrupted = True
-                plant.ask_to_stop()
+                self._ask_to_stop()
             if self._has_gone(Role.RECORDER) or self._relay_has_gone():
                 plant.ask_to_stop()
             self._look_after_program()
@@ -172,6 +172,12 @@ class Launcher:
             if leave_by_s is not None and time.monotonic() > leave_by_s:
                 return
             time.sleep(_POLL_S)
+
+    def _ask_to_stop(self) -> None:
+        """The plant's end is the controller's too, where the controller does not lead the plant."""
+        if self._setup.link_kind.controller_leads and Role.CONTROLLER in self._children:
+            self._children[Role.CONTROLLER].ask_to_stop()
+        self._children[Role.PLANT].ask_to_stop()
 
     def _one_of_ours_is_running(self) -> bool:
         ours = (child for child in self._children.values() if not isinstance(child, Program))

@@ -7,7 +7,16 @@ import socket
 from pathlib import Path
 
 import numpy as np
-from running import Watcher, funnel_hil, funnel_hil_here, processes_of, settings, started
+import pytest
+from running import (
+    Watcher,
+    await_true,
+    funnel_hil,
+    funnel_hil_here,
+    processes_of,
+    settings,
+    started,
+)
 
 from bus_schema.messages.topics import PLANT_TRUTH
 from deploy.runs.run_folder import read_manifest
@@ -56,6 +65,33 @@ def test_runs_at_once_do_not_meet(tmp_path: Path) -> None:
         assert run.digest == digest
     places = [read_manifest(run.folder)["scenario"]["link"]["can"] for run in (ended, other)]
     assert places[0]["port"] != places[1]["port"]
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_interrupted_run_blames_no_drive(tmp_path: Path, clock: str) -> None:
+    patient = settings(
+        plant__command_timeout_ms=30_000.0,
+        link__can__command_timeout_ms=30_000,
+        link__can__heartbeat_timeout_ms=30_000,
+    )
+    words = ["run", "paper_arm_can", *on_free_port(), *settings(duration_s=90, clock=clock)]
+    with started(*words, *patient, out=tmp_path / "run") as run:
+        log = run.folder / "can.log"
+        await_true(lambda: log.is_file() and log.stat().st_size > 50_000, "the drives follow")
+        run.send(signal.SIGINT)
+        ended = run.end()
+    assert ended.code == 130, ended.output
+    assert ended.summary["faults"] == []
+    assert ended.summary["completed"] is False
+
+
+def test_recording_in_real_time_is_not_replayed(tmp_path: Path) -> None:
+    """Which states the master missed, on a busy machine, is not in it."""
+    in_real_time = settings(duration_s=0.5, clock="realtime", controller__law="smc")
+    run = funnel_hil("run", "paper_arm_can", *on_free_port(), *in_real_time, out=tmp_path / "run")
+    refused = funnel_hil_here("replay", str(run.folder), out=None)
+    assert refused.code == 2
+    assert "cannot be replayed" in refused.output
 
 
 def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None:
