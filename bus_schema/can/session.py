@@ -126,7 +126,7 @@ def open_can_bus(configuration: CanConfiguration) -> CanBus:
         if interface == "udp_multicast":
             return _over_socket_of(bus, configuration)
     except Exception as error:
-        raise _explained(error, interface, channel) from error
+        raise _explained(error, configuration) from error
     return PythonCanBus(bus, channel)
 
 
@@ -174,7 +174,7 @@ def check_can_bus(configuration: CanConfiguration) -> None:
         elif interface == "socketcan":
             _require_up(channel)
     except OSError as error:
-        raise _explained(error, interface, channel) from error
+        raise _explained(error, configuration) from error
 
 
 def _require_route(group: str, port: int) -> None:
@@ -206,10 +206,12 @@ def _arguments(configuration: CanConfiguration) -> dict[str, Any]:
     return others.get(configuration.interface, rates)
 
 
-def _explained(error: Exception, interface: str, channel: str) -> ConfigurationError:
+def _explained(error: Exception, configuration: CanConfiguration) -> ConfigurationError:
     """What is wrong with a bus that cannot be joined, and what to do about it."""
     cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
-    key, given = "link.can.channel", channel
+    interface, channel = configuration.interface, configuration.resolved_channel
+    key: str = "link.can.channel"
+    given: str | int = channel
     match getattr(cause, "errno", None):
         case errno.EAFNOSUPPORT:
             key, given = "link.can.interface", interface
@@ -225,6 +227,9 @@ def _explained(error: Exception, interface: str, channel: str) -> ConfigurationE
             )
         case errno.ENETDOWN:
             advice = f"is down; as root: ip link set {channel} up (with `type can bitrate …` first)"
+        case errno.EADDRINUSE:
+            key, given = "link.can.port", configuration.port
+            advice = "is in use by another program on this machine: must be another port"
         case errno.EPERM | errno.EACCES:
             advice = "may not be opened by this user; ask for its group, or run as root"
         case _ if interface == "udp_multicast":

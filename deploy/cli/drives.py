@@ -86,7 +86,10 @@ def _serve(
     on_stop(rig.request_stop)
     clock.start()
     nodes = ", ".join(str(each) for each in can.node_ids_of(robot.joints))
-    monitor.print(f"{can.protocol} drives {nodes} on {can.interface} {can.resolved_channel}")
+    place = f"{can.interface} {can.resolved_channel}"
+    if can.interface == "udp_multicast":
+        place += f", port {can.port}"
+    monitor.print(f"{can.protocol} drives {nodes} on {place}")
     ticks = None if duration_s is None else round(duration_s * 1e9 / setup.grid.period_ns)
     try:
         rig.run(ticks)

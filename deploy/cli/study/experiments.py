@@ -105,6 +105,11 @@ def replay(
     law = data.setup.scenario.controller.law
     if data.setup.scenario.controller.process is not None:
         raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
+    if data.setup.link_kind.controller_leads and data.clock == "realtime":
+        raise ScenarioError(
+            f"{run_dir}: cannot be replayed: in real time over {data.setup.link_kind.name} it is"
+            " not recorded which of the drives' states came too late for the law"
+        )
     if is_custom(law) and not allow_custom_law:
         raise ScenarioError(
             f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
