@@ -98,10 +98,11 @@ class _QuickChunk(ChunkBuilder):
         self.message_end_time = max(map(max, times_ns))
         for channel, entries in self._entries.items():
             self.message_indices[channel] = _QuickIndex(channel, entries)  # type: ignore[arg-type]
-        self._count()
         return b"".join(self._parts)
 
     def reset(self) -> None:
+        """Begin the next one: this one is in the file."""
+        self._count()
         super().reset()  # type: ignore[no-untyped-call]
         self._parts, self._size, self._entries = [], 0, {}
 

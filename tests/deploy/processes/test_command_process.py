@@ -95,9 +95,17 @@ def _environment(process: Path) -> bytes:
 def ends(pid: int) -> bool:
     """Whether a process ends by itself."""
     give_up_s = time.monotonic() + 60.0
-    while Path(f"/proc/{pid}").exists() and time.monotonic() < give_up_s:
+    while not _has_ended(pid) and time.monotonic() < give_up_s:
         time.sleep(0.02)
-    return not Path(f"/proc/{pid}").exists()
+    return _has_ended(pid)
+
+
+def _has_ended(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state == "Z"  # in a container there may be nobody to take note of it
 
 
 KILLED_WHILE_ASKED = """
