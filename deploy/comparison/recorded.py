@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.folder import KIND as OF_LAWS
 from deploy.processes.recorder import DATA_ATTACHMENTS
 from deploy.runs.judging.metrics import summarise
-from deploy.runs.run_data import RunData
+from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.run_folder import (
     RunFolderError,
     load_run,
@@ -25,6 +26,8 @@ from deploy.runs.run_folder import (
 from deploy.scenario.agreement import values_in_common
 from deploy.scenario.yaml_files import ScenarioError
 
+Rows = NDArray[np.intp]
+
 KIND = "diff"
 _COMPARED = ("position", "velocity", "torque")
 _FILES = ("robot.urdf", "reference.file", "distribution_file")
@@ -34,10 +37,11 @@ class Parting(NamedTuple):
     """Where a run leaves the first one.
 
     Attributes:
-        tick: the first at which position, velocity or torque of a joint are not the same bits.
+        tick: of the first run, the first at which position, velocity or torque of a joint are not
+            the same bits, of those instants at which both have a tick.
         time_s: of that tick.
-        largest_rad: how far apart a joint's positions are at most, over the ticks that both have;
-            None where they have none.
+        largest_rad: how far apart a joint's positions are at most, over these instants; None where
+            they have none.
     """
 
     tick: int
@@ -150,17 +154,27 @@ def _require_same_joints(paths: Sequence[Path], runs: Sequence[LawRun]) -> None:
 
 def _parting(first: RunData, other: RunData) -> Parting | None:
     ours, theirs = (run.tables[topics.PLANT_TRUTH.name] for run in (first, other))
-    ticks = min(len(ours), len(theirs))
-    differs = np.zeros(ticks, dtype=bool)
+    here, there = ticks_in_common(first, other)
+    differs = np.zeros(len(here), dtype=bool)
     for field in _COMPARED:
-        pair = ours[field][:ticks], theirs[field][:ticks]
-        differs |= ~np.equal(*pair).reshape(ticks, -1).all(axis=1)
-    if not differs.any() and len(ours) == len(theirs):
+        pair = ours[field][here], theirs[field][there]
+        differs |= ~np.equal(*pair).reshape(len(here), -1).all(axis=1)
+    if not differs.any() and len(ours) == len(theirs) == len(here):
         return None
-    tick = int(np.argmax(differs)) if differs.any() else ticks
-    apart = np.abs(ours["position"][:ticks] - theirs["position"][:ticks])
-    largest = float(apart.max()) if ticks else None
+    tick = int(here[np.argmax(differs)]) if differs.any() else len(here)
+    apart = np.abs(ours["position"][here] - theirs["position"][there])
+    largest = float(apart.max()) if len(here) else None
     return Parting(tick, tick * first.setup.grid.period_ns * 1e-9, largest)
+
+
+def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:
+    """Rows of the true motion of two runs at the same instants, whatever their rates."""
+    ours_ns, theirs_ns = (
+        np.rint(1e9 * stamps_s(run.tables[topics.PLANT_TRUTH.name])).astype(np.int64)
+        for run in (first, other)
+    )
+    _, here, there = np.intersect1d(ours_ns, theirs_ns, return_indices=True)
+    return here, there
 
 
 def _differing(values: Sequence[dict[str, str]]) -> dict[str, list[str | None]]:

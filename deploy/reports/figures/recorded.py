@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison
+from deploy.comparison.recorded import ticks_in_common
 from deploy.reports.figures import style
 from deploy.reports.figures.laws import add_envelopes, law_colour, with_law_legend
 from deploy.reports.figures.timing import percentile_axes, percentile_curve
@@ -19,16 +20,16 @@ _TRUTH = topics.PLANT_TRUTH
 
 
 def positions_apart(runs: Comparison) -> go.Figure | None:
-    """How far each run's positions are from those of the first, at the same tick."""
+    """How far each run's positions are from those of the first, at the same instant."""
     first = runs.runs[0].data
     own = first.tables[_TRUTH.name]["position"]
     figure = with_law_legend(style.joint_rows(first.setup.robot.joint_names, "mrad"))
     for run in runs.drawn:
         theirs = run.data.tables[_TRUTH.name]["position"]
-        ticks = min(len(own), len(theirs))
-        apart = style.MRAD * (theirs[:ticks] - own[:ticks])
-        if run is not runs.runs[0] and ticks > 1 and apart.any():
-            add_envelopes(figure, runs, run.law, first.times_s(_TRUTH)[:ticks], apart)
+        here, there = ticks_in_common(first, run.data)
+        apart = style.MRAD * (theirs[there] - own[here])
+        if run is not runs.runs[0] and len(here) > 1 and apart.any():
+            add_envelopes(figure, runs, run.law, first.times_s(_TRUTH)[here], apart)
     return figure if figure.data else None
 
 

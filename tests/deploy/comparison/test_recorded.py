@@ -53,6 +53,14 @@ def rows_of(table):
     return {cells[0].text: [cell.text for cell in cells[1:]] for cells in table.cells}
 
 
+def test_runs_of_different_rates_are_compared_at_the_instants_that_both_have(folder, tmp_path):
+    """Tick 100 of the one is 0.1 s, of the other 0.2 s: compared by tick they are 45 mrad apart."""
+    slower = record(tmp_path / "slower", "rate_hz=500")
+    (_, parting) = recorded_runs([folder / "first", slower]).partings
+    assert parting.tick <= 10
+    assert parting.largest_rad < 0.01
+
+
 def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     compared = recorded_runs([folder / "first", folder / "again"])
     assert compared.labels == ["first", "again"]
