@@ -48,7 +48,7 @@ PANELS: list[Panel[Comparison]] = [
     Panel(
         "Motion", "positions-apart", "How far positions are from those of the first run",
         positions_apart,
-        "At the same tick, on a logarithmic scale. Where a line is missing, the runs have the same"
+        "At the same instant, on a logarithmic scale. Where a line is missing, the runs have the same"
         " bits.",
     ),
     Panel(
