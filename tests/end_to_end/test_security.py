@@ -100,7 +100,7 @@ def test_only_the_recorders_certificate_lets_one_listen(
 ) -> None:
     nameless, other_authority, recorder, plaintext = besieged[1]
     assert nameless == other_authority == plaintext == []
-    assert len(recorder) > 100  # the plant's states: so the others had something to miss
+    assert recorder  # the plant's states: so the others had something to miss
 
 
 def test_private_keys_appear_in_no_file_of_a_run(

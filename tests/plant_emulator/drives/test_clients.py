@@ -73,11 +73,13 @@ def until(condition):
 
 
 def patient_node(node_id):
-    """canopen's client, which on a busy machine waits for longer than by default."""
+    """canopen's client, which on a busy machine waits for longer than by default.
+
+    But not to reset a fault: that long it always waits, in vain, before it goes on.
+    """
     node = BaseNode402(node_id, str(CIA402_EDS))
     node.TIMEOUT_CHECK_TPDO = node.TIMEOUT_SWITCH_OP_MODE = PATIENCE_S
     node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = PATIENCE_S
-    node.TIMEOUT_RESET_FAULT = PATIENCE_S
     node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
     return node
 
