@@ -48,8 +48,8 @@ PANELS: list[Panel[Comparison]] = [
     Panel(
         "Motion", "positions-apart", "How far positions are from those of the first run",
         positions_apart,
-        "At the same instant, on a logarithmic scale. Where a line is missing, the runs have the same"
-        " bits.",
+        "At the same instant, on a logarithmic scale. Where a line is missing, the runs have the"
+        " same bits.",
     ),
     Panel(
         "Motion", "tip-paths", "Path of the end effector", tip_paths,
