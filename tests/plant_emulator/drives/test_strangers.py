@@ -74,7 +74,7 @@ class HandClock(VirtualClock):
 
 
 class HeldUpBus:
-    """Gives one SYNC; after that, time passes by whoever waits for frames, and holds him up once.
+    """Gives frames and a SYNC; then time passes by who waits for frames, and holds him up once.
 
     Attributes:
         frames: what is to be read.
@@ -83,9 +83,9 @@ class HeldUpBus:
         error: what ends it.
     """
 
-    def __init__(self, clock: HandClock) -> None:
+    def __init__(self, clock: HandClock, before_sync: Sequence[CanFrame]) -> None:
         self._clock = clock
-        self.frames = [CanFrame(0x080)]
+        self.frames = [*before_sync, CanFrame(0x080)]
         self.hold_up_ms = 0
         self.sent: list[CanFrame] = []
         self.error: Exception | None = None
@@ -116,10 +116,12 @@ class HeldUpBus:
 class Held:
     """A link in real time whose loop is held up."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, before_sync: Sequence[CanFrame] = ()
+    ) -> None:
         self.setup = load_setup("paper_arm_can", ["duration_s=20", "clock=realtime"])
         self.clock = HandClock()
-        self.bus = HeldUpBus(self.clock)
+        self.bus = HeldUpBus(self.clock, before_sync)
         telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
         monkeypatch.setattr(can_kind, "open_can_bus", lambda _: self.bus)
         monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
@@ -132,6 +134,10 @@ class Held:
         names = self.setup.robot.joint_names
         state = Record(layout(JOINT_STATES, names)).payload()
         self.link.send_state(state, layout(PLANT_STATUS, names).template)
+
+    @property
+    def states(self) -> int:
+        return sum(frame.identifier == 0x181 for frame in self.bus.sent)
 
     @property
     def heartbeats(self) -> int:
@@ -174,11 +180,19 @@ def test_frames_are_read_though_every_instant_is_past_when_it_is_waited_for(held
     assert held.bus.frames == []
 
 
-def test_drives_answer_with_nothing_before_their_joints_were_measured(held: Held) -> None:
+def test_drives_answer_with_nothing_before_their_joints_were_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The SYNC that began the run waits: at 0 rad they are not."""
+    held = Held(monkeypatch, [CanFrame(0x000, bytes([1, 0]))])  # all nodes operational
     held.clock.set_ms(20)
     held.link.wait_until(held.clock, 2 * MS)
-    assert not [frame for frame in held.bus.sent if frame.identifier == 0x181]
+    assert held.states == 0
+    held.measure()
+    held.link.wait_until(held.clock, 4 * MS)
+    assert held.states == 1
+    held.link.close()
+    held.arm.close()
 
 
 def test_flood_keeps_no_instant_from_coming(held: Held) -> None:
