@@ -62,7 +62,7 @@ class QuickWriter(Writer):
 
 
 class _QuickChunk(ChunkBuilder):
-    """A chunk in the making, which counts its messages once it is complete."""
+    """A chunk in the making, whose messages count once it is in the file."""
 
     def __init__(self, statistics: Statistics) -> None:
         super().__init__()

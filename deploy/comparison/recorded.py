@@ -161,7 +161,8 @@ def _parting(first: RunData, other: RunData) -> Parting | None:
         differs |= ~np.equal(*pair).reshape(len(here), -1).all(axis=1)
     if not differs.any() and len(ours) == len(theirs) == len(here):
         return None
-    tick = int(here[np.argmax(differs)]) if differs.any() else len(here)
+    after = int(here[-1]) + 1 if len(here) else 0  # where one of them ends, or has more ticks
+    tick = int(here[np.argmax(differs)]) if differs.any() else after
     apart = np.abs(ours["position"][here] - theirs["position"][there])
     largest = float(apart.max()) if len(here) else None
     return Parting(tick, tick * first.setup.grid.period_ns * 1e-9, largest)

@@ -1,7 +1,7 @@
 """What Python's fork server does before it forks: it alone imports this module.
 
 A process of a run takes a second or two to load the program. Forked from one that has done so, and
-that has no threads whatever `run` has, it takes none.
+that has few threads whatever `run` has, it takes none.
 """
 
 import contextlib
