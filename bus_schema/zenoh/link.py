@@ -169,7 +169,6 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
 
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
         has_answered, last_s, allowed_s = False, time.monotonic(), self._link.connect_timeout_s
-        plant_was_there = False
         silence = self.watch_silence(Role.PLANT)
         while not is_stop_requested():
             delivery = self._states.wait()
@@ -180,12 +179,10 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
                 continue
             if not has_answered:
                 self.require_same_scenario(Role.PLANT)
-            plant_is_there = self.has_publisher(topics.JOINT_STATES)
-            if plant_was_there and not plant_is_there:
+            if self.publishers_have_left(topics.JOINT_STATES):
                 return
-            if not plant_is_there and not has_answered:
+            if not self.has_publisher(topics.JOINT_STATES) and not has_answered:
                 silence.look()
-            plant_was_there = plant_is_there
             if time.monotonic() - last_s > allowed_s:
                 raise PeerSilentError(Role.PLANT, allowed_s, "joint state")
 

@@ -80,6 +80,7 @@ class ZenohNode:
         self._role = role
         self._node = node_name(role)
         self._entities: dict[str, Entity] = {}
+        self._offered: set[str] = set()  # topics of which others announced publishers, ever
         self._senders = Senders()
         self._acknowledged = threading.Event()
         self._flow = FlowControl() if lossless and role is not Role.RECORDER else None
@@ -166,6 +167,10 @@ class ZenohNode:
         """Whether another session has announced that it sends on a topic."""
         return any(entity.topic == topic.name for entity in self._others(EntityKind.PUBLISHER))
 
+    def publishers_have_left(self, topic: Topic) -> bool:
+        """Whether others had announced that they send on a topic, and none does any more."""
+        return topic.name in self._offered and not self.has_publisher(topic)
+
     def sender_has_left(self, sender: bytes) -> bool:
         """Whether a publisher had announced itself and is gone."""
         return self._senders.has_left(sender)
@@ -245,6 +250,8 @@ class ZenohNode:
         entity = Entity.from_token(token)
         if entity is not None and alive:
             self._entities[token] = entity
+            if entity.kind == EntityKind.PUBLISHER and entity.session != self._session.identifier:
+                self._offered.add(entity.topic)
             self._senders.come(token, entity)
         elif self._entities.pop(token, None) is not None:
             self._senders.leave(token)

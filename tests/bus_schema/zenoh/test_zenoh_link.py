@@ -111,6 +111,17 @@ def test_plant_knows_when_its_controller_has_left() -> None:
         await_true(plant.controller_has_left)
 
 
+def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> None:
+    """A run in lockstep may be over in 15 ms; then it was 6 s until the plant counted as silent."""
+    link = fresh_link()
+    with controller_on(link.model_copy(update={"connect_timeout_s": 0.0})) as controller:
+        controller.activate()
+        with plant_on(link):
+            await_true(lambda: controller.sees(Role.PLANT))
+        await_true(lambda: not controller.sees(Role.PLANT))
+        controller.spin()
+
+
 def test_commander_is_followed_only_once_it_has_left() -> None:
     link = fresh_link()
 
