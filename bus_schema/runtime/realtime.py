@@ -75,7 +75,7 @@ def go_realtime(priority: int = 50, cpu: int | None = None) -> list[RealtimeSett
         settings.append(_attempt(AFFINITY, lambda: _pin(cpu)))
     settings.append(_attempt(MEMORY_LOCK, _lock_memory))
     settings.append(_attempt(TIMER_SLACK, _minimise_timer_slack))
-    settings.append(_UNTIL_THE_END.enter_context(light_sleep()))
+    settings.append(sleep_lightly())
     settings.append(_freeze_garbage_collector())
     return settings
 
@@ -121,6 +121,11 @@ def use_batch_scheduling() -> None:
     if sys.platform == "linux":
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def sleep_lightly() -> RealtimeSetting:
+    """Keep all CPUs from idle states that take time to leave, to the end of the process."""
+    return _UNTIL_THE_END.enter_context(light_sleep())
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ import numpy as np
 
 from bus_schema.messages import topics
 from bus_schema.runtime.clock import MonotonicClock
-from bus_schema.runtime.realtime import go_realtime, use_batch_scheduling
+from bus_schema.runtime.realtime import go_realtime, sleep_lightly, use_batch_scheduling
 
 TIMEOUT_S = 10.0
 """For anything that should come at once."""
@@ -191,6 +191,7 @@ def main() -> None:
         go_realtime()
     else:
         use_batch_scheduling()
+        sleep_lightly()
     transport = importlib.import_module(f"deploy.benchmarks.transports.{name}")
     if role == "near":
         _ask(transport, sys.argv[2:], joint_messages(tuple(rest)))

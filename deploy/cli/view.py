@@ -20,6 +20,7 @@ from deploy.live.viewer import Source, Viewer, stand_back
 from deploy.processes.live.feed import FeedReceiver
 from deploy.processes.live.viewer import VIEWER
 from deploy.processes.processes import StopRequest
+from deploy.processes.scheduling import leave_loops_their_cpus
 from deploy.runs.run_folder import RunFolder, load_run
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -64,6 +65,7 @@ def view(
     """Show a run in the browser and in Foxglove: one under way, or a recorded one."""
     reporter, stop = reporter_of(VIEWER, parent_pid), StopRequest()
     stand_back()
+    leave_loops_their_cpus()
 
     def open_viewer(setup: Setup, source_name: str) -> Viewer:
         if layout is not None:

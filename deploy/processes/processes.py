@@ -29,7 +29,11 @@ from deploy.processes.network.clock_link import ClockLink
 from deploy.processes.network.delay_relay import DelayRelay
 from deploy.processes.network.reference_link import ReferenceLink
 from deploy.processes.recorder import SCENARIO_ATTACHMENT, Recorder
-from deploy.processes.scheduling import report_settings, set_up_scheduling
+from deploy.processes.scheduling import (
+    leave_loops_their_cpus,
+    report_settings,
+    set_up_scheduling,
+)
 from deploy.processes.status import StatusReporter
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.setup import Setup
@@ -172,6 +176,7 @@ def _end(
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:
     """Be the recorder for one run, and feed live views of it; the exit code."""
+    leave_loops_their_cpus()
     if setup.scenario.clock == "realtime":
         report_settings([raise_priority()], reporter)
     else:

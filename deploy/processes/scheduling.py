@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sys
 
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.own_cpu import claim_cpu, none_is_free
-from bus_schema.runtime.realtime import RealtimeSetting, go_realtime, use_batch_scheduling
+from bus_schema.runtime.realtime import (
+    RealtimeSetting,
+    go_realtime,
+    sleep_lightly,
+    use_batch_scheduling,
+)
 from deploy.processes.lacking import lacking
 from deploy.processes.status import StatusReporter
 from deploy.scenario.setup import Setup
@@ -19,6 +26,9 @@ def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> Non
     """Have a loop scheduled as its clock wants it, and report that; before other threads exist."""
     if setup.scenario.clock != "realtime":
         use_batch_scheduling()
+        # Each waits for the other at every tick; to wake up a CPU would be half of that. It is no
+        # matter of deadlines: where it is refused, the run takes longer.
+        sleep_lightly()
         return
     candidates = _cpus_for(setup, role)
     cpu = claim_cpu(candidates)
@@ -27,6 +37,17 @@ def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> Non
     else:
         settings = go_realtime(cpu=cpu)
     report_settings(settings, reporter)
+
+
+def leave_loops_their_cpus() -> None:
+    """Keep the calling process off the CPUs that loops are given first, where there are others.
+
+    For whoever works beside a run: recorder and live view. To be called before other threads exist.
+    """
+    if sys.platform == "linux":
+        usable = sorted(os.sched_getaffinity(0))
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, usable[1:-1] or usable)
 
 
 def report_settings(settings: list[RealtimeSetting], reporter: StatusReporter) -> None:
