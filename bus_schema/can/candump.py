@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from bus_schema.can.frame import CanFrame
@@ -12,14 +13,14 @@ _BIT_RATE_SWITCH = 1
 
 def candump_line(time_ns: int, channel: str, frame: CanFrame) -> str:
     """A frame as ``candump -L`` writes it: ``(seconds.microseconds) channel identifier#data``."""
-    seconds, rest_us = divmod(time_ns // 1000, 1_000_000)
+    time_us = time_ns // 1000
     identifier, data, is_extended, is_remote, is_error, is_fd = frame
     if is_error:
         identifier |= _ERROR_FLAG
     name = f"{identifier:08X}" if is_extended or is_error else f"{identifier:03X}"
     content = "R" if is_remote else data.hex().upper()
     mark = f"##{_BIT_RATE_SWITCH}" if is_fd else "#"
-    return f"({seconds}.{rest_us:06d}) {channel} {name}{mark}{content}"
+    return f"({time_us // 1_000_000}.{time_us % 1_000_000:06d}) {channel} {name}{mark}{content}"
 
 
 class CandumpLog:
@@ -34,9 +35,12 @@ class CandumpLog:
         self._file = path.open("w")
         self._channel = channel
 
-    def write(self, time_ns: int, frame: CanFrame) -> None:
-        """Append a frame."""
-        self._file.write(candump_line(time_ns, self._channel, frame) + "\n")
+    def write(self, times_ns: Iterable[int], frames: Iterable[CanFrame]) -> None:
+        """Append frames."""
+        self._file.writelines(
+            candump_line(time_ns, self._channel, frame) + "\n"
+            for time_ns, frame in zip(times_ns, frames, strict=True)
+        )
 
     def close(self) -> None:
         """Finish the file."""

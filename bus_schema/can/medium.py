@@ -4,18 +4,23 @@ It keeps time for frames that some software carries at once: each gets the insta
 would have won arbitration and been through on a wire, on the plant's clock. It delays nothing: a
 frame that takes tenths of a millisecond on the wire is answered within the same tick, whatever
 carries it, so a run gives the same bits over every interface. What a real wire would have added is
-reported.
+reported. Since nobody waits for that, it is worked out for many frames at once.
 """
 
 from __future__ import annotations
 
 import math
 import random
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.can.candump import CandumpLog
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.frame_timing import WireBits, arbitration_key, classical_bits, wire_bits
+from bus_schema.can.frame_bits import FrameBits, count_bits
 from bus_schema.link.can_configuration import CanConfiguration
 
 _ERROR_FLAG_BITS = (6, 12)
@@ -23,6 +28,7 @@ _ERROR_DELIMITER_AND_SPACE_BITS = 8 + 3
 _LOAD_WINDOW_NS = 100_000_000
 _MOST_NAMES = 1000
 _OTHERS, _NOBODY = -1, -2
+_WORTHWHILE, _MOST_WAITING = 128, 1024
 
 
 class CanMedium:
@@ -31,20 +37,26 @@ class CanMedium:
     Args:
         configuration: bit rates, and what goes wrong.
         seed: seed of the error frames.
+        log: takes every frame, with the instant at which it is through, counted from when the bus
+            came up; None for no log.
 
-    Attributes:
+    Attributes, as of the frames that are settled:
         free_ns: instant from which on the bus is idle.
         error_frames: frames that were destroyed and sent again.
         worst_latency_ns: longest time from a frame being ready to its end on the wire.
     """
 
-    def __init__(self, configuration: CanConfiguration, seed: int) -> None:
+    def __init__(
+        self, configuration: CanConfiguration, seed: int, log: CandumpLog | None = None
+    ) -> None:
         self._bitrate = configuration.bitrate
         self._data_bitrate = configuration.data_bitrate or configuration.bitrate
         self._error_probability = configuration.faults.frame_error_probability
         self._random = random.Random(seed)
-        self._durations_ns: dict[int, int] = {}
-        self._counts: dict[int, int] = {}
+        self._log = log
+        self._frames: list[CanFrame] = []
+        self._together: list[tuple[int, int]] = []
+        self._counts: Counter[int] = Counter()
         self._busy_ns = 0
         self._window, self._window_busy_ns, self._peak_busy_ns = 0, 0, 0
         self._worst_name = _NOBODY
@@ -52,29 +64,50 @@ class CanMedium:
         self.free_ns = 0
         self.error_frames = 0
         self.worst_latency_ns = 0
-        for is_fd in (False, True):
-            # Compiles what counts bits: in the midst of a run that takes longer than a busy
-            # machine's time-outs.
-            wire_bits(CanFrame(0, is_fd=is_fd))
+        # Compiles what counts bits: in the midst of a run that takes longer than a busy machine's
+        # time-outs.
+        count_bits([CanFrame(0)])
 
-    def transmit(self, frames: Sequence[CanFrame], ready_ns: int) -> list[tuple[int, CanFrame]]:
-        """Send frames that are ready at the same instant, by nodes that arbitrate.
+    def carry(self, frames: Sequence[CanFrame], now_ns: int) -> None:
+        """Send frames that become ready at the same instant, by nodes that arbitrate.
 
-        Returns:
-            The frames in the order in which they win, with the instants at which they are through,
-            counted from when the bus came up.
+        That is `now_ns`, or when all that was sent before is through, if that is later.
         """
-        passed = []
-        in_order = sorted(frames, key=arbitration_key) if len(frames) > 1 else frames
-        for frame in in_order:
-            start_ns = max(ready_ns, self.free_ns)
-            self.free_ns = start_ns + self._time_on_wire_ns(frame)
-            self._note(_name(frame), start_ns, self.free_ns - ready_ns)
-            passed.append((self._start_ns + self.free_ns, frame))
-        return passed
+        if frames:
+            self._frames += frames
+            self._together.append((now_ns, len(frames)))
+            if len(self._frames) >= _MOST_WAITING:
+                self.settle()
+
+    def catch_up(self) -> None:
+        """Settle, if it pays by now: this is a good time to do so."""
+        if len(self._frames) >= _WORTHWHILE:
+            self.settle()
+
+    def settle(self) -> None:
+        """Work out when what was sent so far was on the bus, count it and write it down."""
+        if not self._frames:
+            return
+        frames, (ready_ns, sizes) = self._frames, np.array(self._together, dtype=np.int64).T
+        self._frames, self._together = [], []
+        bits, group = count_bits(frames), np.repeat(np.arange(sizes.size), sizes)
+        order = np.lexsort((bits.arbitration, group))
+        frames = [frames[index] for index in order.tolist()]
+        durations_ns = self._durations_ns(bits)[order]
+        if self._error_probability:
+            durations_ns = np.array([self._with_errors_ns(each) for each in durations_ns.tolist()])
+        ends_ns = self._ends_ns(ready_ns[group], durations_ns)
+        starts_ns = ends_ns - durations_ns
+        first = np.cumsum(sizes) - sizes
+        if self._log is not None:
+            self._log.write((self._start_ns + ends_ns).tolist(), frames)
+        self._note_load(starts_ns, durations_ns)
+        self._note_frames(frames, ends_ns - starts_ns[first][group])
+        self.free_ns = int(ends_ns[-1])
 
     def start_counting(self) -> None:
         """The run begins: time is 0 again, and what came before does not count."""
+        self.settle()
         self._start_ns += self.free_ns
         self._counts.clear()
         self._window = self._window_busy_ns = self._peak_busy_ns = 0
@@ -82,10 +115,11 @@ class CanMedium:
 
     def summary(self, duration_ns: int) -> dict[str, Any]:
         """Load, latency and counts over a run of this length, ready for JSON."""
+        self.settle()
         return {
             "bitrate": self._bitrate,
             "load": self._busy_ns / duration_ns if duration_ns else None,
-            "peak_load_100_ms": max(self._peak_busy_ns, self._window_busy_ns) / _LOAD_WINDOW_NS,
+            "peak_load_100_ms": self._peak_busy_ns / _LOAD_WINDOW_NS,
             "worst_latency_us": self.worst_latency_ns * 1e-3,
             "worst_latency_identifier": _text(self._worst_name),
             "frames": sum(self._counts.values()),
@@ -95,10 +129,29 @@ class CanMedium:
             "error_frames": self.error_frames,
         }
 
-    def _time_on_wire_ns(self, frame: CanFrame) -> int:
+    def close(self) -> None:
+        """Settle, and finish the log."""
+        self.settle()
+        if self._log is not None:
+            self._log.close()
+
+    def _durations_ns(self, bits: FrameBits) -> NDArray[np.int64]:
+        """How long frames are on the wire if nothing happens to them."""
+        seconds = bits.nominal / self._bitrate + bits.fast / self._data_bitrate
+        return np.rint(1e9 * seconds).astype(np.int64)
+
+    def _ends_ns(
+        self, ready_ns: NDArray[np.int64], durations_ns: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """When each frame is through: it begins when it is ready and all before it are."""
+        through_ns = np.cumsum(durations_ns)
+        idle_ns = np.maximum.accumulate(ready_ns - (through_ns - durations_ns))
+        return np.asarray(through_ns + np.maximum(idle_ns, self.free_ns))
+
+    def _with_errors_ns(self, duration_ns: int) -> int:
         """With all that is destroyed on the way: error frames cut a frame off at a random bit."""
-        duration_ns = total_ns = self._duration_ns(frame)
-        while self._error_probability and self._random.random() < self._error_probability:
+        total_ns = duration_ns
+        while self._random.random() < self._error_probability:
             self.error_frames += 1
             flag = self._random.randint(*_ERROR_FLAG_BITS)
             wasted = self._random.random() * duration_ns
@@ -106,37 +159,28 @@ class CanMedium:
             total_ns += math.ceil(wasted + after)
         return total_ns
 
-    def _duration_ns(self, frame: CanFrame) -> int:
-        """How long the frame is on the wire if nothing happens to it."""
-        if frame.is_fd:
-            return wire_bits(frame).duration_ns(self._bitrate, self._data_bitrate)
-        bits = classical_bits(frame)
-        duration_ns = self._durations_ns.get(bits)
-        if duration_ns is None:
-            duration_ns = WireBits(bits, 0).duration_ns(self._bitrate, self._data_bitrate)
-            self._durations_ns[bits] = duration_ns
-        return duration_ns
+    def _note_load(self, starts_ns: NDArray[np.int64], durations_ns: NDArray[np.int64]) -> None:
+        """Add up how long the bus was busy in each window."""
+        self._busy_ns += int(durations_ns.sum())
+        windows, first = np.unique(starts_ns // _LOAD_WINDOW_NS, return_index=True)
+        busy_ns = np.add.reduceat(durations_ns, first)
+        if windows[0] == self._window:
+            busy_ns[0] += self._window_busy_ns
+        self._peak_busy_ns = max(self._peak_busy_ns, int(busy_ns.max()))
+        self._window, self._window_busy_ns = int(windows[-1]), int(busy_ns[-1])
 
-    def _note(self, name: int, start_ns: int, latency_ns: int) -> None:
-        if name not in self._counts:
-            if len(self._counts) >= _MOST_NAMES:
-                name = _OTHERS  # a flood of them fills counters, not memory
-            self._counts.setdefault(name, 0)
-        self._counts[name] += 1
-        busy_ns = self.free_ns - start_ns
-        self._busy_ns += busy_ns
-        window = start_ns // _LOAD_WINDOW_NS
-        if window != self._window:
-            self._peak_busy_ns = max(self._peak_busy_ns, self._window_busy_ns)
-            self._window, self._window_busy_ns = window, 0
-        self._window_busy_ns += busy_ns
-        if latency_ns > self.worst_latency_ns:
-            self.worst_latency_ns, self._worst_name = latency_ns, name
+    def _note_frames(self, frames: Sequence[CanFrame], latencies_ns: NDArray[np.int64]) -> None:
+        names = [frame.identifier << 1 | frame.is_extended for frame in frames]
+        for name, count in Counter(names).items():
+            self._counts[self._known(name)] += count
+        worst = int(latencies_ns.argmax())
+        if latencies_ns[worst] > self.worst_latency_ns:
+            self.worst_latency_ns = int(latencies_ns[worst])
+            self._worst_name = self._known(names[worst])
 
-
-def _name(frame: CanFrame) -> int:
-    """Identifier and format of a frame in one number: texts are made when they are asked for."""
-    return frame.identifier << 1 | frame.is_extended
+    def _known(self, name: int) -> int:
+        """The name by which a frame is counted: a flood of them fills counters, not memory."""
+        return name if name in self._counts or len(self._counts) < _MOST_NAMES else _OTHERS
 
 
 def _text(name: int) -> str:

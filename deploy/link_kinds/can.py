@@ -105,12 +105,12 @@ class CanKind(LinkKind[DrivenArm]):
         can, robot = run.link.can, run.robot
         node_ids = can.node_ids_of(robot.joints)
         bus, telemetry = _open_bus(run), _open_telemetry(run, Role.PLANT)
+        log = None if run.can_log is None else CandumpLog(run.can_log, can.log_channel)
         drives = DrivesOnBus(
             bus,
             [parse_fault(text, node_ids) for text in can.faults.drives],
             lambda send: build_bank(can, robot, run.plant, send, polled=True, tuned=run.drive),
-            CanMedium(can, run.seed),
-            None if run.can_log is None else CandumpLog(run.can_log, can.log_channel),
+            CanMedium(can, run.seed, log),
             run.link.downlink.delay_ns,
         )
         arm.attach(drives)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from bus_schema.can.candump import CandumpLog
 from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
 from bus_schema.can.medium import CanMedium
 from plant_emulator.drives.bank import DriveBank
@@ -20,8 +19,7 @@ class DrivesOnBus:
         bus: the bus.
         faults: what goes wrong with drives, in the time of the run.
         build: makes the drives, given where they send to.
-        medium: keeps the bus's time.
-        log: takes every frame; None for no log.
+        medium: keeps the bus's time and its log.
         delay_ns: how long a master that is far away takes to reach the drives in the run.
 
     Attributes:
@@ -38,10 +36,9 @@ class DrivesOnBus:
         faults: Sequence[PlannedFault],
         build: Callable[[Send], DriveBank],
         medium: CanMedium,
-        log: CandumpLog | None,
         delay_ns: int = 0,
     ) -> None:
-        self._bus, self._log = bus, log
+        self._bus = bus
         self.medium = medium
         self.delay_ns = delay_ns
         self._under_way: deque[tuple[int, CanFrame]] = deque()
@@ -89,8 +86,8 @@ class DrivesOnBus:
         self.bank.receive(frame, self._began_ns + now_ns)
         self._send_answers()
         if not frame.is_error:  # else it never was on the bus
-            self._note((frame,), now_ns)
-        self._note(self.answers, now_ns)
+            self.medium.carry((frame,), now_ns)
+        self.medium.carry(self.answers, now_ns)
 
     def advance(self, now_ns: int) -> None:
         """Let happen to the drives what is planned, and let them do what is due."""
@@ -99,7 +96,8 @@ class DrivesOnBus:
             self._faults.run_due(self._began_ns + now_ns)
         self.bank.advance(self._began_ns + now_ns)
         self._send_answers()
-        self._note(self.answers, now_ns)
+        self.medium.carry(self.answers, now_ns)
+        self.medium.catch_up()
 
     def lose_bus(self, now_ns: int) -> None:
         """The drives' side goes bus-off."""
@@ -107,10 +105,9 @@ class DrivesOnBus:
         self.is_off = True
 
     def close(self) -> None:
-        """Leave the bus and finish the log."""
+        """Leave the bus and finish its log."""
         self._bus.close()
-        if self._log is not None:
-            self._log.close()
+        self.medium.close()
 
     def _send(self, frame: CanFrame) -> None:
         if not self.is_off:
@@ -120,12 +117,3 @@ class DrivesOnBus:
         """Nobody who waits for them has to wait for them to be timed and written down."""
         if self.answers:
             self._bus.send_all(self.answers)
-
-    def _note(self, frames: Sequence[CanFrame], now_ns: int) -> None:
-        """Frames become ready together, when what they answer is through."""
-        if not frames:
-            return
-        passed = self.medium.transmit(frames, max(now_ns, self.medium.free_ns))
-        if self._log is not None:
-            for time_ns, frame in passed:
-                self._log.write(time_ns, frame)

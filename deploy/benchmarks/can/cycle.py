@@ -107,7 +107,7 @@ def _ours(interface: str, size: int) -> Iterator[Cycle]:
         settings = [DriveSettings(node, _RATED_NM, _LARGEST_NM) for node in can.node_ids_of(size)]
         drives = DrivesOnBus(
             ends[1], [], lambda send: DriveBank(Cia402Drive, settings, send),
-            CanMedium(can, 1), CandumpLog(Path(folder) / "can.log", "bench"),
+            CanMedium(can, 1, CandumpLog(Path(folder) / "can.log", "bench")),
         )  # fmt: skip
         codec = Cia402Codec(can.node_ids_of(size), can.counts_per_turn, np.full(size, _RATED_NM))
         master = Cia402Master(ends[0], can, can.node_ids_of(size), codec)

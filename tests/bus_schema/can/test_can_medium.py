@@ -5,10 +5,12 @@ from __future__ import annotations
 import random
 import subprocess
 import sys
+from collections.abc import Iterable
 
 import pytest
 from bit_strings import classical
 
+from bus_schema.can.candump import CandumpLog
 from bus_schema.can.cia402_codec import Cia402Codec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_timing import check_cycle_fits, cycle_bits
@@ -34,7 +36,7 @@ def test_load_of_a_three_drive_cycle_is_that_of_its_bits(bitrate: int) -> None:
     ticks, period_ns = 200, 10 * MS
     for tick in range(ticks):
         for frames in three_drive_cycle(chance):
-            medium.transmit(frames, max(tick * period_ns, medium.free_ns))
+            medium.carry(frames, tick * period_ns)
             bits += sum(len(classical(frame)) for frame in frames)
     summary = medium.summary(ticks * period_ns)
     assert summary["load"] == pytest.approx(bits / bitrate / (ticks * period_ns * 1e-9), rel=0.01)
@@ -42,28 +44,73 @@ def test_load_of_a_three_drive_cycle_is_that_of_its_bits(bitrate: int) -> None:
     assert summary["frames_by_identifier"]["181"] == ticks
 
 
+class Passed(CandumpLog):
+    """A log in memory: what was through on the bus, and when."""
+
+    def __init__(self) -> None:
+        self.frames: list[CanFrame] = []
+        self.ends_ns: list[int] = []
+
+    def write(self, times_ns: Iterable[int], frames: Iterable[CanFrame]) -> None:
+        self.ends_ns += times_ns
+        self.frames += frames
+
+
 def test_frames_that_wait_together_go_by_identifier() -> None:
-    medium = CanMedium(CanConfiguration(), 0)
-    passed = medium.transmit([CanFrame(0x203), CanFrame(0x181), CanFrame(0x202)], 1000)
-    assert [frame.identifier for _, frame in passed] == [0x181, 0x202, 0x203]
-    ends_ns = [end_ns for end_ns, _ in passed]
-    lengths = [len(classical(frame)) * 1000 for _, frame in passed]  # a bit lasts 1000 ns
-    assert ends_ns == [1000 + sum(lengths[:n]) for n in (1, 2, 3)]
+    passed = Passed()
+    medium = CanMedium(CanConfiguration(), 0, passed)
+    medium.carry([CanFrame(0x203), CanFrame(0x181), CanFrame(0x202)], 1000)
+    medium.settle()
+    assert [frame.identifier for frame in passed.frames] == [0x181, 0x202, 0x203]
+    lengths = [len(classical(frame)) * 1000 for frame in passed.frames]  # a bit lasts 1000 ns
+    assert passed.ends_ns == [1000 + sum(lengths[:n]) for n in (1, 2, 3)]
     assert medium.worst_latency_ns == sum(lengths)
 
 
 def test_frame_that_finds_the_bus_busy_waits_whatever_its_identifier() -> None:
-    medium = CanMedium(CanConfiguration(), 0)
-    ((first_ns, _),) = medium.transmit([CanFrame(0x700, bytes(8))], 0)
-    ((second_ns, _),) = medium.transmit([CanFrame(0x080)], 1000)
+    passed = Passed()
+    medium = CanMedium(CanConfiguration(), 0, passed)
+    medium.carry([CanFrame(0x700, bytes(8))], 0)
+    medium.carry([CanFrame(0x080)], 1000)
+    medium.settle()
+    first_ns, second_ns = passed.ends_ns
     assert second_ns == first_ns + 1000 * len(classical(CanFrame(0x080)))
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.2])
+def test_it_does_not_matter_when_times_are_worked_out(probability: float) -> None:
+    chance = random.Random(5)
+    sent = [(tick * 7 * MS, frames) for tick in range(300) for frames in three_drive_cycle(chance)]
+    logs, summaries = [], []
+    for settles in (lambda: True, lambda: chance.random() < 0.1, lambda: False):
+        faults, passed = CanFaults(frame_error_probability=probability), Passed()
+        medium = CanMedium(CanConfiguration(bitrate=125_000, faults=faults), 1, passed)
+        for now_ns, frames in sent:
+            medium.carry(frames, now_ns)
+            if settles():
+                medium.settle()
+        summaries.append(medium.summary(sent[-1][0]))
+        logs.append(list(zip(passed.ends_ns, passed.frames, strict=True)))
+    assert summaries[0] == summaries[1] == summaries[2]
+    assert logs[0] == logs[1] == logs[2]
+    assert len(logs[0]) == 7 * 300
+
+
+def test_flood_of_identifiers_is_counted_but_not_by_name() -> None:
+    medium = CanMedium(CanConfiguration(), 0)
+    for identifier in range(3000):
+        medium.carry([CanFrame(identifier, is_extended=True)], 0)
+    summary = medium.summary(MS)
+    assert summary["frames"] == 3000
+    assert len(summary["frames_by_identifier"]) == 1001
+    assert summary["frames_by_identifier"]["others"] == 2000
 
 
 def test_overload_shows_as_load_above_one() -> None:
     medium = CanMedium(CanConfiguration(bitrate=125_000), 0)
     for tick in range(100):
         for frames in three_drive_cycle(random.Random(tick)):
-            medium.transmit(frames, max(tick * MS, medium.free_ns))
+            medium.carry(frames, tick * MS)
     assert medium.summary(100 * MS)["load"] > 4.0
     assert medium.worst_latency_ns < 100 * MS
 
@@ -74,7 +121,8 @@ def test_error_frames_cost_time_and_come_as_often_as_asked_for() -> None:
     frame = CanFrame(0x181, b"\x55" * 8)
     for each in (medium, clean):
         for _ in range(2000):
-            each.transmit([frame], each.free_ns)
+            each.carry([frame], 0)
+        each.settle()
     # each attempt fails with 0.2: 0.25 failures for each success; 5 standard deviations
     assert medium.error_frames == pytest.approx(500, abs=5 * 25)
     wasted_bits = (medium.free_ns - clean.free_ns) / 1000 / medium.error_frames
@@ -107,13 +155,16 @@ def test_budget_is_the_longest_that_a_cycle_can_be() -> None:
 
 
 NEW_MEDIUM = """
-from bus_schema.can import frame_timing
+from bus_schema.can.frame_bits import _count
 from bus_schema.can.medium import CanMedium
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.can.frame import CanFrame
 
-CanMedium(CanConfiguration(), 0)
-kernels = frame_timing._stuffed_classical_bits, frame_timing._stuff_bits
-print(*(len(kernel.signatures) for kernel in kernels))
+medium = CanMedium(CanConfiguration(), 0)
+before = len(_count.signatures)
+medium.carry([CanFrame(0x10, bytes(64), True, is_fd=True), CanFrame(0x10, bytes(3))], 0)
+medium.settle()
+print(before, len(_count.signatures))
 """
 
 

@@ -10,12 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.frame_timing import (
-    arbitration_key,
-    longest_classical_bits,
-    longest_fd_bits,
-    wire_bits,
-)
+from bus_schema.can.frame_bits import count_bits
+from bus_schema.can.frame_timing import WireBits, longest_classical_bits, longest_fd_bits
 
 frames = st.builds(
     lambda extended, identifier, data, remote: CanFrame(
@@ -28,6 +24,11 @@ frames = st.builds(
     | st.integers(0, 8).map(lambda n: b"\xff" * n),
     st.booleans(),
 )
+
+
+def wire_bits(frame: CanFrame) -> WireBits:
+    bits = count_bits([frame])
+    return WireBits(int(bits.nominal[0]), int(bits.fast[0]))
 
 
 @given(frames)
@@ -67,7 +68,23 @@ def test_lower_identifier_wins_then_data_over_remote_then_standard_over_extended
     extended_remote = CanFrame(0x181 << 18, is_extended=True, is_remote=True)
     order = [low, remote, extended, extended_remote, high]
     shuffled = [high, extended, low, extended_remote, remote]
-    assert sorted(shuffled, key=arbitration_key) == order
+    keys = count_bits(shuffled).arbitration
+    assert [shuffled[index] for index in keys.argsort()] == order
+
+
+@given(st.lists(frames, min_size=2, max_size=9))
+def test_frames_count_the_same_alone_and_among_others(together: list[CanFrame]) -> None:
+    counted = count_bits(together)
+    alone = [count_bits([frame]) for frame in together]
+    for all_of_them, ones in zip(counted, zip(*alone, strict=True), strict=True):
+        assert all_of_them.tolist() == [int(each[0]) for each in ones]
+
+
+@pytest.mark.parametrize("is_fd", [False, True])
+def test_what_is_beyond_the_format_is_not_counted(is_fd: bool) -> None:
+    most = 64 if is_fd else 8
+    whole, more = (CanFrame(1 << 40 | 0x123, bytes(n), is_fd=is_fd) for n in (most, most + 300))
+    assert wire_bits(more) == wire_bits(whole._replace(identifier=0x123))
 
 
 def test_duration_counts_each_phase_at_its_own_rate() -> None:
