@@ -100,7 +100,7 @@ class CommandPath:
 
 def _commander(sender: bytes, former: bytes | None) -> str:
     """Who commands from now on, in words."""
-    name = f"session {sender.hex()}" if sender else "a session without a name"
+    name = f"session {sender.hex()}" if sender else "a controller without an id"
     if former is None:
-        return name
-    return f"{name}, after {former.hex() or 'one without a name'} left"
+        return f"commanded by {name}"
+    return f"commanded by {name}, after {former.hex() or 'one without an id'} left"

@@ -104,7 +104,8 @@ class PlantLoop:
         """Run from tick 0 to the end, a fault or a request to stop."""
         started_s, stolen_before_ms = time.monotonic(), stolen_ms()
         self._clock.start()
-        self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {self._grid.period_ns} ns")
+        period_ms = self._grid.period_ns * 1e-6
+        self._announce(EventKind.STARTED, f"{self._task.ticks} ticks of {period_ms:g} ms")
         self._arm.begin()
         self._announce_mode("brakes engaged until the first valid command")
         try:

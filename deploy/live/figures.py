@@ -15,7 +15,8 @@ from bus_schema.arrays import Matrix
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.reports.figures import style
-from deploy.reports.figures.arm.motion import CAMERA, skeletons, still_space
+from deploy.reports.figures.arm.motion import skeletons
+from deploy.reports.figures.arm.space import still_space
 from deploy.scenario.setup import Setup
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 
@@ -86,9 +87,9 @@ def _arm(setup: Setup) -> go.Figure:
         _in_space("arm", style.palette(0), 9).update(meta={"lines": "arm"}),
         _in_space("path of the tip", style.palette(1), 3).update(meta={"path": "arm"}),
     ])  # fmt: skip
-    style.apply(figure, 480, legend=True)
-    figure.update_layout(
-        scene={"camera": CAMERA, "uirevision": "arm", **still_space(_cube(setup))},
+    figure.update_layout(  # as high as the page has it
+        showlegend=True,
+        scene={"uirevision": "arm", **still_space(_cube(setup))},
         margin={"l": 0, "r": 0, "b": 0, "t": 10},
         legend={"y": 0},
     )

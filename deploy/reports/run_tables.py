@@ -7,11 +7,12 @@ from typing import Any
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.percentiles import PERCENTILES
 from deploy.reports import quantities
-from deploy.reports.tables import ABSENT, Column, Table, Value, scaled
+from deploy.reports.tables import ABSENT, Column, Table, Value, number, scaled
 from deploy.runs.judging.stalls import STALL_MS
 from deploy.runs.run_data import RunData
 
 _SHOWN_EVENTS = 200
+_UNITS = ("_s", "_ms")
 _PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
 _TRANSPORT = {
     "sent": "Sent",
@@ -127,7 +128,16 @@ def _value(values: dict[str, Any], dotted_key: str) -> float | None:
 
 def _detail(event: RunEvent) -> str:
     """What an event says: its sentence, or its values as words."""
-    values = event.values().items()
-    words = (f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}".lower()
-             for key, value in values)  # fmt: skip
-    return ", ".join(words) or event.detail
+    words = (_told(name, value) for name, value in event.values().items())
+    return ", ".join(filter(None, words)) or event.detail
+
+
+def _told(name: str, value: object) -> str:
+    """A value with its name and unit; of what was counted by reason only what occurred."""
+    title, _, unit = name.rpartition("_") if name.endswith(_UNITS) else (name, "", "")
+    words = title.replace("_", " ")
+    if isinstance(value, dict):
+        counted = (_told(str(reason), count) for reason, count in value.items() if count)
+        return f"{words}: {' and '.join(counted) or 'none'}"
+    shown = number(value) if isinstance(value, float) else str(value).lower()
+    return f"{words} {shown} {unit}".rstrip()

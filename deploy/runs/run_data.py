@@ -39,7 +39,7 @@ class RunData:
         clock: ``realtime``, ``lockstep`` or ``virtual`` (in one process).
         link: kind of link.
         tables: messages by topic name; every fixed-size topic has one, perhaps without rows.
-        events: run events in order.
+        events: run events, by their time; those of one instant as they came.
         digest: SHA-256 over the delivered joint states and the commands, in order.
         messages: number of recorded messages.
         lost: messages that the recorder knows it missed, by topic; None if nobody counted them to
@@ -102,10 +102,10 @@ class RunData:
 
     def faults(self) -> list[str]:
         """All faults, a sentence each, the first one first."""
-        found = [event for event in self.events if event.kind == EventKind.FAULT]
         return [
             f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
-            for event in sorted(found, key=lambda event: event.stamp_ns)
+            for event in self.events
+            if event.kind == EventKind.FAULT
         ]
 
 
@@ -154,7 +154,9 @@ def build_run_data(
             for topic in topics.TOPICS
             if topic is not topics.RUN_EVENTS
         },
-        events=list(_events(payloads.get(topics.RUN_EVENTS.name, ()))),
+        events=sorted(
+            _events(payloads.get(topics.RUN_EVENTS.name, ())), key=lambda event: event.stamp_ns
+        ),
         digest=digest(states, commands),
         messages=sum(len(messages) for messages in payloads.values()),
         lost=lost,

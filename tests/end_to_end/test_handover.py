@@ -54,4 +54,6 @@ def test_second_controller_is_not_heard_before_the_first_has_left(tmp_path: Path
     assert ended.summary["transport"]["downlink"]["rejected"]["other_commander"] > 0
     commanders = [e.detail for e in ended.data.events if e.kind == EventKind.COMMANDER]
     assert len(commanders) == 2
-    assert commanders[1].endswith(f"after {commanders[0].removeprefix('session ')} left")
+    assert commanders[1].endswith(
+        f"after {commanders[0].removeprefix('commanded by session ')} left"
+    )

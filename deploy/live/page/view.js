@@ -58,6 +58,12 @@ function grow(scene, points) {
   }
 }
 
+// A scene in space is seen whole in a square; where its card is narrower, from further away.
+function stepBack(scene, place) {
+  const farther = Math.max(1, place.clientHeight / place.clientWidth);
+  for (const axis of "xyz") scene.camera.eye[axis] *= farther;
+}
+
 function draw() {
   const begun = performance.now();
   if (frames.length) {
@@ -108,6 +114,7 @@ async function start() {
   document.title = `${run.name} · live view`;
   element("about").textContent = `${run.name} · ${run.law} · ${run.source}`;
   for (const [id, figure] of Object.entries(figures)) {
+    if (figure.layout.scene) stepBack(figure.layout.scene, element(id));
     await Plotly.newPlot(id, figure.data, figure.layout, { responsive: true, displayModeBar: false });
   }
   const source = new EventSource(place("events"));

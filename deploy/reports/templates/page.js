@@ -108,8 +108,15 @@ function startClock(bar) {
   return clock;
 }
 
+/* A scene in space is seen whole in a square; where the figure is narrower, from further away. */
+function stepBack({ scene }, place) {
+  const farther = Math.max(1, place.clientHeight / place.clientWidth);
+  for (const axis of scene ? "xyz" : "") scene.camera.eye[axis] *= farther;
+}
+
 async function draw(source, clock) {
   const figure = JSON.parse(source.textContent), id = source.dataset.plot;
+  stepBack(figure.layout, document.getElementById(id));
   const plot = await Plotly.newPlot(id, figure.data, figure.layout, config);
   resized.observe(plot);
   plot.on("plotly_click", ({ points: [point] }) => {

@@ -15,6 +15,10 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 TRACES = (
     "id => document.getElementById(id).data.map(trace => trace.y.filter(Number.isFinite).length)"
 )
+BLANK_BELOW_THE_ARM_PX = """
+document.getElementById("arm").parentElement.getBoundingClientRect().bottom
+  - document.querySelector("#arm + figcaption").getBoundingClientRect().bottom
+"""
 SPACE_AROUND_AN_ARM_THAT_LEFT_IT = """
 grow(figures.arm.layout.scene, { x: [0, 5], y: [0, null], z: [0, 0] }),
 ["x", "z"].flatMap(axis => figures.arm.layout.scene[`${axis}axis`].range)
@@ -51,6 +55,7 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
             seen["drawn"] = await page.value(
                 "!!document.querySelector('#arm canvas, #arm .no-webgl')"
             )
+            seen["blank_px"] = await page.value(BLANK_BELOW_THE_ARM_PX)
             await page.screenshot(tmp_path / "page.png")
             seen["said"] = page.said
 
@@ -68,6 +73,7 @@ def test_the_page_draws_a_run_and_says_when_it_is_over(viewer, tmp_path):
     assert high_x > 5.0
     assert high_z - low_z == pytest.approx(high_x - low_x)
     assert seen["drawn"]
+    assert 0 < seen["blank_px"] < 30
     assert (tmp_path / "page.png").stat().st_size > 20_000
     wrong = [
         said for said in seen["said"] if json.loads(said).get("entry", {}).get("level") != "warning"

@@ -17,6 +17,7 @@ from controller.reference import sample_positions
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.reports import plotly_library
 from deploy.reports.figure_json import figure_json
+from deploy.reports.figures.arm.end_effector import tip_path
 from deploy.reports.figures.arm.motion import arm_motion
 from deploy.reports.run_report import PANELS, write_report
 from deploy.reports.studies.compare_report import write_comparison_report
@@ -84,6 +85,32 @@ def test_the_space_stands_still_and_holds_the_arm_wherever_it_goes(run):
         scales.append(scene.aspectratio[name] / (high - low))
     assert scales == pytest.approx([scales[0]] * 3)
     assert 0 < scales[0] < np.inf
+
+
+@pytest.mark.parametrize("scenario", ["paper_arm", "panda"])
+def test_the_whole_arm_and_all_of_its_path_are_in_the_picture(scenario):
+    short = simulate(load_setup(scenario, ["duration_s=0.2"])).data()
+    motion, path = arm_motion(short), tip_path(short)
+    for points, scene in (
+        (motion.points, motion.figure.layout.scene),
+        (np.hstack([[trace.x, trace.y, trace.z] for trace in path.data]).T, path.layout.scene),
+    ):
+        assert np.abs(in_picture(points.reshape(-1, 3), scene)).max() < 1.0
+
+
+def in_picture(points, scene):
+    """Where plotly's camera, which looks through 45°, sees points, 1 being its picture's edges."""
+    ranges = np.array([scene[f"{name}axis"].range for name in "xyz"])
+    of_scene = [[part[name] for name in "xyz"] for part in (scene.aspectratio, scene.camera.eye)]
+    sides, eye = map(np.array, of_scene)
+    placed = sides * ((points - ranges[:, 0]) / np.ptp(ranges, axis=1) - 0.5) - eye
+    forward = np.array([scene.camera.center[name] for name in "xyz"]) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    across = placed @ np.column_stack([right, np.cross(right, forward)])
+    seen = across / (placed @ forward)[:, np.newaxis] / np.tan(np.pi / 8)
+    return seen[np.isfinite(seen).all(axis=1)]
 
 
 def test_a_run_without_data_has_no_arm_that_moves(run):

@@ -22,7 +22,7 @@ from deploy.reports.figures.timing import deadline_misses
 from deploy.reports.figures.torque import torques
 from deploy.reports.page import Panel
 from deploy.reports.run_report import write_report
-from deploy.reports.run_tables import timing_table
+from deploy.reports.run_tables import event_table, timing_table
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
@@ -172,6 +172,21 @@ def test_every_deadline_missed_fills_its_figure(run, late_run):
     assert deadline_misses(run) is None
     figure = deadline_misses(late_run)
     assert max(figure.data[0].y) == pytest.approx(100.0)
+
+
+def test_events_are_in_the_order_of_their_time_and_in_words():
+    plant = RunEvent(4_000_000, "plant", EventKind.LIMIT, "reached for the first time: velocity")
+    counted = {"late": 0, "wall_s": 0.25, "rejected": {}, "limits": {"torque_rate": 7, "speed": 0}}
+    controller = RunEvent(3_000_000, "controller", EventKind.ENDED, json.dumps(counted))
+    data = build_run_data(
+        load_setup("paper_arm"), {"run_events": [plant.encode(), controller.encode()]},
+        clock="virtual", link="in_process",
+    )  # fmt: skip
+    assert event_table(data).rows == [
+        ["0.003", "controller", "ended",
+         "late 0, wall 0.25 s, rejected: none, limits: torque rate 7"],
+        ["0.004", "plant", "limit", "reached for the first time: velocity"],
+    ]  # fmt: skip
 
 
 def test_times_that_are_always_0_take_no_row(run):

@@ -14,10 +14,10 @@ from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.comparison.comparison import Comparison
 from deploy.reports.figures import style
+from deploy.reports.figures.arm.space import still_space
 from deploy.reports.figures.laws import add_envelopes, law_colour, with_law_legend
 from deploy.runs.run_data import RunData, stamps_s
 
-_CAMERA = {"eye": {"x": 1.8, "y": 1.55, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.12}}
 _HEIGHT_PX = 480
 _POINTS = 2000
 _HEADROOM = 1.6
@@ -113,9 +113,9 @@ def _mark(point: Vector, name: str, symbol: str) -> go.Scatter3d:
 
 def _style_path(figure: go.Figure, height_px: float) -> None:
     style.apply(figure, height_px, legend=True)
-    axes = {f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5} for name in "xyz"}
+    points = np.hstack([[trace.x, trace.y, trace.z] for trace in figure.data]).T
     figure.update_layout(
-        scene={"aspectmode": "data", "camera": _CAMERA, **axes},
+        scene=still_space(points),
         margin={"l": 0, "r": 0, "b": 0},
         legend={"y": 0},
     )

@@ -11,14 +11,13 @@ from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
 from deploy.reports.figures import style
+from deploy.reports.figures.arm.space import still_space
 from deploy.reports.page import Motion
 from deploy.runs.run_data import RunData, stamps_s
 
 _FRAMES = 400
 _HEIGHT_PX = 480
-_ROOM_M = 0.05
 _GHOST = {"color": style.MUTED, "width": 18}
-CAMERA = {"eye": {"x": 1.5, "y": 1.3, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.16}}
 
 
 def arm_motion(run: RunData) -> Motion | None:
@@ -41,7 +40,7 @@ def arm_motion(run: RunData) -> Motion | None:
     ])  # fmt: skip
     style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
-        scene={"camera": CAMERA, **still_space(np.concatenate([ghost, arm]))},
+        scene=still_space(np.concatenate([ghost, arm])),
         margin={"l": 0, "r": 0, "b": 0},
         legend={"y": 0},
     )
@@ -61,25 +60,3 @@ def skeletons(model: ManipulatorModel, positions: Matrix) -> NDArray[np.float64]
 def _skeleton(points: Matrix, name: str, mode: str, **look: object) -> go.Scatter3d:
     x, y, z = points.T
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode=mode, hoverinfo="skip", **look)
-
-
-def still_space(points: NDArray[np.float64]) -> dict[str, object]:
-    """A scene that stands still while something moves in it, of one scale along all axes.
-
-    Left to itself, the scale would follow what is shown at the instant.
-
-    Args:
-        points: all that the axes have to hold, shape (..., 3), m; NaN where there is none.
-    """
-    lower, upper = (
-        extreme(points.reshape(-1, 3), axis=0) + room
-        for extreme, room in ((np.nanmin, -_ROOM_M), (np.nanmax, _ROOM_M))
-    )
-    spans = upper - lower
-    aspects = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, whatever its form
-    axes = {
-        f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 5, "range": [low, high]}
-        for name, low, high in zip("xyz", lower.tolist(), upper.tolist(), strict=True)
-    }
-    ratio = dict(zip("xyz", aspects.tolist(), strict=True))
-    return {"aspectmode": "manual", "aspectratio": ratio, **axes}
