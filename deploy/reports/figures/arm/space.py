@@ -10,9 +10,9 @@ from bus_schema.arrays import Matrix, Vector
 _ROOM = 0.05
 """On every side, as a share of the longest one."""
 _FROM = np.array([1.5, 1.3, 0.7])
-_TAN_HALF_VIEW = np.tan(np.pi / 8)  # plotly looks through 45°
+_TAN_HALF_VIEW = 0.92 * np.tan(np.pi / 8)  # plotly looks through 45°; some is for ticks and titles
 _LOWERED = 0.1
-"""How far below the middle of the box the camera looks, as ticks and titles stand at its foot."""
+"""How far below the middle of the box the camera looks: most ticks and titles are at its foot."""
 
 
 def still_space(points: NDArray[np.float64]) -> dict[str, object]:
@@ -50,10 +50,10 @@ def whole_view(sides: Vector) -> dict[str, object]:
     back = _FROM / np.linalg.norm(_FROM)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
-    corners = _corners(sides)
+    down = np.array([0.0, 0.0, -_LOWERED])
+    corners = _corners(sides) - down
     aside = np.abs(corners @ np.column_stack([right, np.cross(back, right)])).max(axis=1)
     distance = float((aside / _TAN_HALF_VIEW + corners @ back).max())
-    down = np.array([0.0, 0.0, -_LOWERED])
     return {
         "eye": dict(zip("xyz", (distance * back + down).tolist(), strict=True)),
         "center": dict(zip("xyz", down.tolist(), strict=True)),
