@@ -23,12 +23,11 @@ from typing import IO, NamedTuple, NoReturn
 
 from setproctitle import setproctitle
 
-from deploy.processes.parent import FOR_FORK_SERVER, PR_SET_PDEATHSIG, SAFE_PATH
+from deploy.processes.parent import FOR_FORK_SERVER, PR_SET_PDEATHSIG, PROGRAM, SAFE_PATH
 from deploy.stop_signals import STOPS
 
-_PROGRAM = "deploy.cli"
 _CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload(["deploy.processes.fork_server", f"{_PROGRAM}.processes"])
+_CONTEXT.set_forkserver_preload(["deploy.processes.fork_server"])
 CANNOT_START = 127
 """Exit code of a program that could not be started, as shells have it."""
 _LONG_PATH = 60
@@ -134,12 +133,12 @@ def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
     sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
     sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     words = [*words, "--to-parent", str(os.getppid())]
-    title = " ".join([sys.executable, "-m", _PROGRAM, *words])
+    title = " ".join([sys.executable, "-m", PROGRAM, *words])
     setproctitle(title.encode(errors="replace").decode())  # for `ps` and the like
     launcher = multiprocessing.parent_process()
     if launcher is not None and launcher.is_alive():  # from here on its end is noticed
         sys.argv[1:] = words
-        runpy.run_module(_PROGRAM, run_name="__main__", alter_sys=True)
+        runpy.run_module(PROGRAM, run_name="__main__", alter_sys=True)
 
 
 def _be_program(

@@ -10,10 +10,11 @@ import gc
 import os
 import signal
 import sys
+from importlib import import_module
 
-from deploy.processes.parent import FOR_FORK_SERVER, PR_SET_PDEATHSIG, SAFE_PATH
+from deploy.processes.parent import FOR_FORK_SERVER, PR_SET_PDEATHSIG, PROGRAM, SAFE_PATH
 
-gc.set_threshold(20_000)  # as the command line does: Python's 700 make loading a third slower
+gc.disable()  # until all is loaded: looking for garbage would be a sixth of that
 if os.environ.get(SAFE_PATH) == FOR_FORK_SERVER:  # no business of programs that others start
     del os.environ[SAFE_PATH]
 if sys.platform == "linux":
@@ -26,3 +27,7 @@ from bus_schema.runtime.finite import all_finite  # noqa: E402
 
 with contextlib.suppress(Exception):  # whoever needs it will say what is wrong
     all_finite(np.zeros(1))  # numba loads most of itself with the first compiled function
+
+import_module(f"{PROGRAM}.processes")
+gc.freeze()  # no child looks through all this again, nor copies the memory that it is in
+gc.enable()

@@ -9,6 +9,8 @@ import sys
 from types import FrameType
 
 PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+PROGRAM = "deploy.cli"
+"""What a process of a run is, by name: the command line stands above this folder."""
 SAFE_PATH, FOR_FORK_SERVER = "PYTHONSAFEPATH", "fork server"
 """While Python's fork server starts, by which it does not look for modules in this folder."""
 _LEAVE_WITHIN_S = 30
