@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from rich.console import Console
 
@@ -25,6 +26,8 @@ from deploy.processes.network.real_delay import (
     real_delay,
 )
 from deploy.processes.program import require_program
+from deploy.processes.status import StatusMessage
+from deploy.reports.conclude import load_report
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
@@ -53,7 +56,7 @@ def run_in_processes(
             awaits_controller=await_controller, live=live,
         )  # fmt: skip
         notice = _waiting_sentence(setup, delay) if await_controller else None
-        outcome = _watched(launcher, console, setup, notice)
+        outcome = _watched(launcher, console, setup, notice, draws_report=options.draws_report)
         held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
         folder.write_manifest(setup, outcome.realtime, held_back)
         folder.write_scenario(as_given)
@@ -80,14 +83,34 @@ def _checked(options: RunOptions, real_delay_ms: float | None, *, await_controll
     return setup
 
 
-def _watched(launcher: Launcher, console: Console, setup: Setup, notice: str | None) -> RunOutcome:
+def _watched(
+    launcher: Launcher, console: Console, setup: Setup, notice: str | None, *, draws_report: bool
+) -> RunOutcome:
     """Run the processes, and show how far they are; a notice is said first."""
     on_stop(launcher.request_stop)
     name, duration_s = setup.scenario.name, setup.scenario.duration_s
     with CommandProgress(console, name, duration_s, "s") as progress:
         if notice is not None:
             progress.say(notice)
-        return launcher.run(status_handler(progress, setup.robot.joint_names))
+        show = status_handler(progress, setup.robot.joint_names)
+        return launcher.run(loading_report(show) if draws_report else show)
+
+
+def loading_report(
+    on_message: Callable[[StatusMessage], None],
+) -> Callable[[StatusMessage], None]:
+    """The same, which also loads what draws a report: as the processes leave the bus.
+
+    Before, it would take time from loops that are measured; later, it would be waited for.
+    """
+    loading = threading.Thread(target=load_report, daemon=True)
+
+    def handle(message: StatusMessage) -> None:
+        if message.kind == "result" and message.role == Role.PLANT and loading.ident is None:
+            loading.start()
+        on_message(message)
+
+    return handle
 
 
 def _waiting_sentence(setup: Setup, delay: RealDelay | None) -> str:

@@ -14,9 +14,11 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
+from deploy.reports.figure_json import with_template
 from deploy.reports.figures import style
 from deploy.reports.figures.arm.motion import skeletons
 from deploy.reports.figures.arm.space import still_space
+from deploy.reports.figures.template import without_template
 from deploy.scenario.setup import Setup
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 
@@ -28,13 +30,9 @@ WINDOW_S = 10.0
 
 def live_figures(setup: Setup) -> dict[str, Any]:
     """Figures by the id of the element they are drawn in, as Plotly's JSON."""
-    figures = {
-        "error": _errors(setup),
-        "torque": _torques(setup),
-        "age": _ages(setup),
-        "arm": _arm(setup),
-    }
-    return {name: figure.to_plotly_json() for name, figure in figures.items()}
+    draw = {"error": _errors, "torque": _torques, "age": _ages, "arm": _arm}
+    figures = {name: without_template(each, setup) for name, each in draw.items()}
+    return {name: with_template(figure.to_plotly_json()) for name, figure in figures.items()}
 
 
 def _errors(setup: Setup) -> go.Figure:

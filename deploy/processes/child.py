@@ -70,6 +70,11 @@ class ChildProcess(ABC):
     def is_running(self) -> bool:
         return self._process.is_alive()
 
+    @property
+    def sentinel(self) -> int:
+        """What `multiprocessing.connection.wait` takes to wait for its end."""
+        return self._process.sentinel
+
     def is_frozen(self) -> bool:
         """Whether the process is stopped by a signal."""
         try:

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,8 @@ class Launcher:
                 leave_by_s = leave_by_s or time.monotonic() + self._time_to_leave_s()
             if leave_by_s is not None and time.monotonic() > leave_by_s:
                 return
-            time.sleep(_POLL_S)
+            running = [child.sentinel for child in self._all_children() if child.is_running()]
+            connection.wait(running, _POLL_S)
 
     def _ask_to_stop(self) -> None:
         """The plant's end is the controller's too, where the controller does not lead the plant."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json
@@ -32,8 +32,7 @@ def conclude(
         if (record := fault_record(run)) is not None:
             write_json(folder.fault, record)
         if draws_report:
-            from deploy.reports.run_report import write_report  # figures take their time to import
-
+            write_report = load_report()
             write_report(run, summary, folder.report, conditions_in(folder, run))
     except OSError as error:
         summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
@@ -41,6 +40,13 @@ def conclude(
     with contextlib.suppress(OSError):  # a full disk has the one from before
         write_json(folder.summary, summary)
     return summary
+
+
+def load_report() -> Callable[..., None]:
+    """What writes a report; figures take their time to import."""
+    from deploy.reports.run_report import write_report
+
+    return write_report
 
 
 def conditions_in(folder: RunFolder, run: RunData) -> Conditions:

@@ -10,10 +10,17 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.io.json import to_json_plotly
 
+from deploy.reports.figures.template import template
+
 
 def figure_json(figure: go.Figure) -> str:
-    """A figure as plotly.js reads it."""
-    return str(to_json_plotly(_packed(figure.to_dict())))
+    """A figure as plotly.js reads it, with the looks that all have."""
+    return str(to_json_plotly(_packed(with_template(figure.to_dict()))))
+
+
+def with_template(figure: dict[str, Any]) -> dict[str, Any]:
+    """A figure's JSON with the looks that all have."""
+    return {**figure, "layout": {"template": template(), **figure["layout"]}}
 
 
 def typed_array(values: NDArray[Any]) -> dict[str, str]:

@@ -22,6 +22,7 @@ from bus_schema.arrays import Vector
 from bus_schema.recording.atomic_files import write_whole
 from deploy.reports import plotly_library
 from deploy.reports.figure_json import figure_json, typed_array
+from deploy.reports.figures.template import without_template
 from deploy.reports.tables import Table
 
 T = TypeVar("T")
@@ -128,7 +129,7 @@ def _drawn(panels: Iterable[Panel[T]], subject: T) -> dict[str, list[tuple[Panel
     """Panels with what they show, by section; without those that have nothing to show."""
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
-        content = panel.draw(subject)
+        content = without_template(panel.draw, subject)
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
     return sections

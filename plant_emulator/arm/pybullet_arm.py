@@ -161,9 +161,10 @@ class PybulletArm:
             width_px, height_px, view, projection, renderer=pybullet.ER_TINY_RENDERER,
             lightDirection=[1, -2, 3], shadow=0, physicsClientId=self._client,
         )  # fmt: skip
-        picture = np.array(colours, dtype=np.uint8).reshape(height_px, width_px, 4)[..., :3]
-        picture[np.reshape(bodies, (height_px, width_px)) < 0] = 255
-        return picture
+        picture = np.array(colours, dtype=np.uint8).reshape(height_px, width_px, 4)
+        pixels = picture.view(np.uint32)[..., 0]  # whole ones take a quarter of the time
+        pixels[np.reshape(bodies, (height_px, width_px)) < 0] = 0xFFFFFFFF
+        return picture[..., :3]
 
     def close(self) -> None:
         """Free the physics server."""

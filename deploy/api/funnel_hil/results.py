@@ -12,6 +12,7 @@ from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison as LawComparison
 from deploy.comparison.recorded import RecordedRuns
 from deploy.input_error import InputError
+from deploy.reports.figures.template import template, without_template
 from deploy.reports.page import Panel
 from deploy.reports.run_report import PANELS as RUN_PANELS
 from deploy.reports.studies.compare_report import PANELS as COMPARISON_PANELS
@@ -232,10 +233,10 @@ def _names(panels: Sequence[Panel[T]]) -> list[str]:
 
 def _draw(panels: Sequence[Panel[T]], name: str, what: T) -> go.Figure:
     by_name = {panel.id: panel for panel in panels}
-    figure = by_name[_known(name, list(by_name), "figure")].draw(what)
+    figure = without_template(by_name[_known(name, list(by_name), "figure")].draw, what)
     if not isinstance(figure, go.Figure):
         raise InputError(f"figure {name!r}: there is nothing to draw")
-    return figure
+    return figure.update_layout(template=template())
 
 
 def _known(name: str, names: Sequence[str], what: str) -> str:

@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import numpy as np
 import plotly.graph_objects as go
-import plotly.io as pio
 from plotly.subplots import make_subplots
 
 from bus_schema.arrays import Matrix, Vector
@@ -18,29 +17,10 @@ from deploy.runs.run_data import RunData
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 INK, MUTED, GRID, BAND, ALARM = "#1f2933", "#7b8794", "#e9edf1", "rgba(0,114,178,0.11)", "#c0392b"
 _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#5b5b5b")
-_ROW_GAP_PX, _TOP_PX, _BOTTOM_PX = 34, 34, 50
+TOP_PX, BOTTOM_PX, _ROW_GAP_PX = 34, 50, 34
 _BUTTONS_PX, _LEGEND_ROW_PX = 27, 21  # plotly's buttons stand above the legend
 MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
-
-
-def _template() -> go.layout.Template:
-    """The looks of every figure: set once, as Plotly takes a long time to apply them to one."""
-    axis = {"gridcolor": GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
-    template = go.layout.Template(layout=pio.templates["plotly_white"].layout)
-    template.layout.update(
-        margin={"l": 62, "r": 14, "t": _TOP_PX, "b": _BOTTOM_PX},
-        font={"family": FONT, "size": 12, "color": INK},
-        hoverlabel={"font": {"family": FONT}},
-        legend={"orientation": "h", "x": 0, "y": -0.2, "yanchor": "top"},
-        xaxis={**axis, "showline": True, "ticks": "outside", "tickcolor": "#cbd2d9"},
-        yaxis={**axis, "exponentformat": "power"},
-    )
-    return template
-
-
-pio.templates["report"] = _template()
-pio.templates.default = "report"
 
 
 def palette(index: int) -> str:
@@ -100,7 +80,7 @@ def _empty_joint_rows(names: tuple[str, ...]) -> go.Figure:
     )
     for joint, title in enumerate(figure.layout.annotations):
         title.update(x=0, xanchor="left", font={"size": 12, "color": palette(joint)})
-    apply(figure, plot_px + _TOP_PX + _BOTTOM_PX)
+    apply(figure, plot_px + TOP_PX + BOTTOM_PX)
     figure.update_xaxes(title_text="time (s)", row=rows)
     return figure
 
@@ -145,7 +125,7 @@ def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:
     height = figure.layout.height + added_px
     figure.update_layout(
         height=height,
-        margin={"t": _TOP_PX + added_px},
+        margin={"t": TOP_PX + added_px},
         showlegend=True,
         legend={
             "x": 0, "xanchor": "left", "y": 1.0 - _BUTTONS_PX / height, "yanchor": "top",

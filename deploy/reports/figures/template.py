@@ -1,0 +1,59 @@
+"""The looks that all figures have in common, as a template in Plotly's sense.
+
+Figures are made without it, and get it when they are written or handed out: as an object of
+Plotly's, loading and checking it would take as long as making all figures of a report.
+"""
+
+from __future__ import annotations
+
+import json
+import pkgutil
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, TypeVar
+
+import plotly.io as pio
+
+from deploy.reports.figures import style
+
+_AXIS = {"gridcolor": style.GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
+_OURS = {
+    "margin": {"l": 62, "r": 14, "t": style.TOP_PX, "b": style.BOTTOM_PX},
+    "font": {"family": style.FONT, "size": 12, "color": style.INK},
+    "hoverlabel": {"font": {"family": style.FONT}},
+    "legend": {"orientation": "h", "x": 0, "y": -0.2, "yanchor": "top"},
+    "xaxis": {**_AXIS, "showline": True, "ticks": "outside", "tickcolor": "#cbd2d9"},
+    "yaxis": {**_AXIS, "exponentformat": "power"},
+}
+
+Drawn = TypeVar("Drawn")
+What = TypeVar("What")
+
+
+@cache
+def template() -> dict[str, Any]:
+    """Plotly's own on white, with what is ours: as it stands in a figure's JSON."""
+    file = pkgutil.get_data("plotly", "package_data/templates/plotly_white.json")
+    if file is None:
+        raise FileNotFoundError("plotly's template plotly_white is not there")
+    return {"layout": _merged(json.loads(file)["layout"], _OURS)}
+
+
+def without_template(draw: Callable[[What], Drawn], what: What) -> Drawn:
+    """What `draw` gives, where Plotly gives no figure its own template; for others it stays."""
+    before, pio.templates.default = pio.templates.default, None
+    try:
+        return draw(what)
+    finally:
+        pio.templates.default = before
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A nested table in which each change takes the place of what was there."""
+    return {
+        **base,
+        **{
+            key: _merged(base.get(key, {}), value) if isinstance(value, dict) else value
+            for key, value in changes.items()
+        },
+    }
