@@ -6,6 +6,7 @@ A table is built once from a summary; `terminal.print_table`, the templates of t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -15,6 +16,10 @@ from deploy.runs.conditions import conditions_line
 ABSENT = "–"
 _FAR_OUTSIDE = -1.0
 """Margin below which an error is told as a multiple of its bound."""
+
+_ALL_DIGITS_FROM = 999.5
+_EXPONENT = re.compile(r"e-0*(\d+)")
+_RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Value = str | float | None
 """A text, a number in the unit of its column, or nothing known."""
@@ -27,7 +32,8 @@ def number(value: float | None, factor: float = 1.0, unit: str = "") -> str:
     if value is None:
         return ABSENT
     scaled = factor * value
-    return (f"{scaled:,.0f}" if abs(scaled) >= 1000 else f"{scaled:.3g}") + unit
+    shown = f"{scaled:,.0f}" if abs(scaled) >= _ALL_DIGITS_FROM else f"{scaled:.3g}"
+    return _EXPONENT.sub(lambda match: f" × 10⁻{match[1].translate(_RAISED)}", shown) + unit
 
 
 def percent(value: float | None) -> str:
@@ -44,7 +50,7 @@ def margin_percent(margin: float | None) -> Value:
     """
     if margin is None or margin >= _FAR_OUTSIDE:
         return scaled(margin, 100.0)
-    return f"at most {number(1.0 - margin)} times its bound"
+    return f"error {number(1.0 - margin)} × bound"
 
 
 def margin_text(margin: float | None) -> str:

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 from deploy.reports.tables import Column, Status, Table
+from deploy.runs.conditions import Conditions, conditions_line
 
 STYLES: dict[Status, str] = {"": "", "good": "bold green", "bad": "bold red", "best": "bold"}
 _WHOLE_LETTERS = 24
@@ -35,6 +36,17 @@ def print_table(console: Console, table: Table) -> None:
     console.print(shown)
     if not shown.show_edge:  # which is a blank line, too
         console.print()
+
+
+def print_conditions(console: Console, conditions: Conditions) -> None:
+    """Print what results are to be quoted with; through a pipe on one line."""
+    console.print(
+        conditions_line(conditions),
+        markup=False,
+        highlight=False,
+        soft_wrap=not console.is_terminal,
+        style="dim",
+    )
 
 
 def _heading(column: Column) -> Text:

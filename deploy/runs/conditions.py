@@ -57,7 +57,7 @@ def host_of(manifest: Mapping[str, Any]) -> Conditions:
     granted = [f"{role} {_grants_text(settings)}" for role, settings in grants.items()]
     return {
         "host": _each(manifest, _host_text),
-        "granted": "; ".join(granted) or "nothing asked for: no real-time loops here",
+        "granted": "; ".join(granted) or "nothing asked for, as no loop ran in real time",
     }
 
 

@@ -26,7 +26,7 @@ def conditions_of_study(
     durations = {base.scenario.name: f"{base.scenario.duration_s:g} s" for base in study.bases}
     return {
         **provenance_of(manifest),
-        "study": f"{summary['kind']} {summary['name']}",
+        "study": " ".join(dict.fromkeys([summary["kind"], summary["name"]])),
         "scenario": ", ".join(durations),
         "law": ", ".join(_laws(study, summary)),
         "quantity": _quantity(summary),
@@ -59,7 +59,7 @@ def _quantity(summary: Mapping[str, Any]) -> str:
     text = f"{summary['title']} ({summary['unit'] or 'no unit'})"
     if "values" in summary:
         return f"{text} at {', '.join(f'{value:g}' for value in summary['values'])}"
-    return f"{text} to {summary['resolution']:g}, up to {summary['limit']:g}"
+    return f"{text} up to {summary['limit']:g}, found to within {summary['resolution']:g}"
 
 
 def _starts(summary: Mapping[str, Any]) -> str:

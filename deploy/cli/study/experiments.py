@@ -30,9 +30,8 @@ from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.studies.compare_report import write_comparison_report
 from deploy.reports.studies.compare_tables import bounds_sentence, joint_table, verdict_table
 from deploy.reports.tables import number
-from deploy.reports.terminal import print_table
+from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import PARTIAL, damaged
-from deploy.runs.conditions import conditions_line
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import (
     ResultFolder,
@@ -233,9 +232,7 @@ def _conclude_comparison(
         conditions = folder.conditions(comparison)
         write_comparison_report(comparison, folder.report, conditions)
     _show_comparison(console, comparison)
-    console.print(
-        conditions_line(conditions), markup=False, highlight=False, soft_wrap=True, style="dim"
-    )
+    print_conditions(console, conditions)
     show_places(console, folder)
 
 

@@ -37,8 +37,7 @@ from deploy.reports.studies.study_tables import (
     point_table,
     write_margin_table,
 )
-from deploy.reports.terminal import print_table
-from deploy.runs.conditions import conditions_line
+from deploy.reports.terminal import print_conditions, print_table
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.stop_signals import on_stop
@@ -212,9 +211,7 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")
-    console.print(
-        conditions_line(summary.get("conditions", {})), markup=False, highlight=False, style="dim"
-    )
+    print_conditions(console, summary.get("conditions", {}))
     if summary["runs_failed"]:
         count = f"{summary['runs_failed']} of {summary['runs']}"
         console.print(f"[bold red]{count} runs failed[/]; their rows say why. The commonest error:")

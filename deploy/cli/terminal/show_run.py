@@ -14,9 +14,9 @@ from deploy.processes.live.viewer import VIEWER
 from deploy.processes.status import StatusMessage
 from deploy.reports.run_tables import joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
-from deploy.reports.terminal import print_table
+from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import verdict_on_run
-from deploy.runs.conditions import Conditions, conditions_line
+from deploy.runs.conditions import Conditions
 from deploy.runs.run_data import RunData
 
 _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
@@ -71,13 +71,12 @@ def show_summary(
         console.print(reason, markup=False)
     factor, rate = summary["real_time_factor"], summary["timing"]["success_rate"]
     console.print(
-        f"{summary['ticks']} ticks"
+        f"{summary['ticks']:,} ticks"
         + (f", {percent(rate)} of the deadlines met" if rate is not None else "")
         + (f", real-time factor {factor:.2f}" if factor is not None else "")
         + f", digest {summary['digest'][:16]}"
     )
-    line = conditions_line(conditions)
-    console.print(line, markup=False, highlight=False, soft_wrap=True, style="dim")
+    print_conditions(console, conditions)
 
 
 def show_relay(console: Console, held_back: dict[str, Any]) -> None:

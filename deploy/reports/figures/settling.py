@@ -19,16 +19,15 @@ def settling(comparison: Comparison) -> go.Figure | None:
     figure = joint_bars(comparison, SETTLING_TIME)
     if figure is None:
         return None
-    figure.update_yaxes(type="linear", dtick=None)
+    figure.update_yaxes(type="linear")
     for run in comparison.runs:
         bounds = SETTLING_BOUND.of_joints(run.summary)
         if any(bound is not None for bound in bounds):
             colour = law_colour(comparison, run.law)
             figure.add_scatter(
                 x=[style.plain(name) for name in run.summary["tracking"]["joint_names"]], y=bounds,
-                name=f"bound of {style.plain(run.law)}", mode="lines+markers", showlegend=False,
-                line={"color": colour, "width": 1.5, "dash": "dash"},
-                marker={"symbol": "line-ew-open", "size": 18, "color": colour},
+                name=f"bound of {style.plain(run.law)}", mode="markers", showlegend=False,
+                marker={"symbol": "line-ew-open", "size": 40, "color": colour, "line_width": 2},
             )  # fmt: skip
     return figure
 

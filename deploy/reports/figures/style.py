@@ -108,9 +108,14 @@ def apply(figure: go.Figure, height_px: float, *, legend: bool = False) -> None:
     figure.update_layout(height=round(height_px), showlegend=legend)
 
 
-def log_axis(figure: go.Figure, decades: int = 1) -> None:
-    """Make the vertical axes logarithmic, with a line for every one or more powers of ten."""
-    figure.update_yaxes(type="log", dtick=decades, tickformat="~g")
+def log_axis(figure: go.Figure, ticks: int = 3) -> None:
+    """Make the vertical axes logarithmic, with ticks also where they span less than a decade.
+
+    Args:
+        figure: the figure.
+        ticks: about how many there are, also after zooming in; three are enough for a row.
+    """
+    figure.update_yaxes(type="log", nticks=ticks, tickformat="~g")
 
 
 def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:

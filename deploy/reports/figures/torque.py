@@ -77,7 +77,7 @@ def torque_spectra(comparison: Comparison) -> go.Figure | None:
         add_law(figure, comparison, run.law, frequencies[1:], amplitudes.T)
     figure.update_xaxes(type="log", dtick=1, title_text="")
     figure.update_xaxes(title_text="frequency (Hz)", row=len(names))
-    style.log_axis(figure, decades=2)
+    style.log_axis(figure)
     figure.add_vline(CHATTER_HZ, row="all", line=style.DOTTED)
     return figure
 

@@ -22,12 +22,12 @@ PANELS: list[Panel[Comparison]] = [
     Panel(
         "Precision", "rms", "RMS error of every joint",
         partial(joint_bars, quantity=quantities.RMS_ERROR),
-        "On a logarithmic scale: one line of the grid is a factor of ten.",
+        "On a logarithmic scale.",
     ),
     Panel(
         "Precision", "settling", "Settling time", settling,
-        "When the error entered the bounds' steady state to stay. Dashed, for laws that have"
-        " one: the bound on the settling time that follows from gains and inertia, whatever"
+        "When the error entered the bounds' steady state to stay. A stroke across, for laws that"
+        " have one: the bound on the settling time that follows from gains and inertia, whatever"
         " the start. A missing bar is a joint that never settled.",
     ),
     Panel(

@@ -43,7 +43,7 @@ PANELS: list[Panel[Comparison]] = [
     Panel(
         "Joint errors", "rms", "RMS error of every joint",
         partial(joint_bars, quantity=quantities.RMS_ERROR),
-        "On a logarithmic scale: one line of the grid is a factor of ten.",
+        "On a logarithmic scale.",
     ),
     Panel(
         "Motion", "positions-apart", "How far positions are from those of the first run",

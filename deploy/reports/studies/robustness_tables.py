@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from deploy.reports.studies.study_text import COMPENSATION, case_name, optional_columns
+from deploy.reports.studies.study_text import case_name, optional_columns
 from deploy.reports.tables import ABSENT, Column, Table, Value, quotable
 
 _SHOWN_EFFECTS = 6
@@ -51,14 +51,13 @@ def robustness_table(summary: dict[str, Any]) -> Table:
         [
             Column("Arm", is_text=True),
             Column("Law", is_text=True),
-            Column("Compensation", brief="Compen-\nsation", is_text=True),
             *(column for column, _ in more),
             Column(f"{share} kept up to", brief=f"{share}\nup to"),
             *(Column(f"{value:g}") for value in summary["values"]),
         ],
         [
             [
-                case["arm"], case["law"], COMPENSATION[case["compensation"]],
+                case["arm"], case["law"],
                 *(text(case) for _, text in more), kept_text(case, summary),
                 *(_count(value, summary) for value in case["values"]),
             ]

@@ -7,7 +7,6 @@ from typing import Any
 
 from deploy.reports.studies.robustness_tables import interval_text, share_text
 from deploy.reports.studies.study_text import (
-    COMPENSATION,
     CaseText,
     case_name,
     ceiling_text,
@@ -39,6 +38,10 @@ def margin_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
     return f"{margin_figure(case)} {summary['unit'] if has_unit else ''}".rstrip()
 
 
+def _with_unit(value: float | None, summary: dict[str, Any]) -> str | None:
+    return None if value is None else f"{value:g} {summary['unit']}".rstrip()
+
+
 def probe_at(case: dict[str, Any], value: float | None) -> dict[str, Any] | None:
     """What became of a value that was tried."""
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
@@ -67,7 +70,6 @@ def margin_table(summary: dict[str, Any]) -> Table:
         [
             Column("Arm", is_text=True),
             Column("Law", is_text=True),
-            Column("Compensation", brief="Compen-\nsation", is_text=True),
             *(column for column, _ in more),
             Column("Margin", brief="Held"),
             Column("First failure", brief="First\nfailure"),
@@ -90,9 +92,9 @@ def _margin_row(
 ) -> list[Value]:
     failed, last = probe_at(case, case["first_failure"]), probe_at(case, case["margin"])
     return [
-        case["arm"], case["law"], COMPENSATION[case["compensation"]],
+        case["arm"], case["law"],
         *(text(case) for text in more),
-        margin_text(case, summary), case["first_failure"],
+        margin_text(case, summary), _with_unit(case["first_failure"], summary),
         scaled(failed["violation_fraction"]["mean"], 100.0) if failed else None,
         scaled(last["worst_rms_rad"]["mean"], 1e3) if last else None,
         ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT,

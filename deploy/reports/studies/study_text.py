@@ -37,6 +37,9 @@ def ceiling_text(case: dict[str, Any]) -> str | None:
 def optional_columns(summary: dict[str, Any]) -> list[tuple[Column, CaseText]]:
     """Columns that only some studies have something to say in."""
     cases, columns = summary["cases"], list[tuple[Column, CaseText]]()
+    if any(case["compensation"] is not None for case in cases):
+        compensation = Column("Compensation", brief="Compen-\nsation", is_text=True)
+        columns.append((compensation, lambda case: COMPENSATION[case["compensation"]]))
     if any(case["drive_feedback"] is not None for case in cases):
         feedback = Column("Drive feedback", brief="Drive\nfeedback", is_text=True)
         columns.append((feedback, lambda case: COMPENSATION[case["drive_feedback"]]))

@@ -158,7 +158,7 @@ def test_an_error_far_outside_is_told_as_a_multiple_of_its_bound(comparison):
     verdict, *_ = tables_of(Comparison([far, near]))
     place = [column.heading for column in verdict.columns].index("Smallest margin")
     texts = [row[place].text for row in verdict.cells]
-    assert texts == ["at most 15.1 times its bound", "-20 %"]
+    assert texts == ["error 15.1 × bound", "-20 %"]
     assert (
         verdict_on_laws(Comparison([far, near])).reasons[0].endswith("at most 15.1 times its bound")
     )

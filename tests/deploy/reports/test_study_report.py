@@ -104,11 +104,20 @@ def test_seeds_are_told_so_that_every_run_can_be_repeated(sweep, margin, page_of
 
 def test_terminal_and_report_tell_the_same_numbers(margin, page_of):
     text, page = shown(margin), page_of(margin)
-    for number in ("4 ms", "8", "25"):
+    for number in ("4 ms", "8 ms", "25"):
         assert f">{number}</td>" in page
         assert number in text.split("─")[-1]
     assert "held again at 12, beyond its first failure" in text
     assert "held again at 12, beyond its first failure" in page
+
+
+@pytest.mark.parametrize(("compensation", "shown_there"), [(True, True), (None, False)])
+def test_margins_without_a_word_on_compensation_have_no_column_of_it(
+    margin, page_of, compensation, shown_there
+):
+    margin["cases"][0]["compensation"] = compensation
+    assert ("Compen" in shown(margin)) is shown_there
+    assert (">Compensation</th>" in page_of(margin)) is shown_there
 
 
 def test_a_long_sweep_is_cut_in_the_terminal_only(sweep, page_of):

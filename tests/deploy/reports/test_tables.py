@@ -64,7 +64,16 @@ def test_a_document_has_every_column():
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(None, "–"), (0, "0"), (3, "3"), (0.01234, "0.0123"), (999.6, "1e+03"), (94355.4, "94,355")],
+    [
+        (None, "–"),
+        (0, "0"),
+        (3, "3"),
+        (0.01234, "0.0123"),
+        (999.6, "1,000"),
+        (94355.4, "94,355"),
+        (6.61e-5, "6.61 × 10⁻⁵"),
+        (-2e-12, "-2 × 10⁻¹²"),
+    ],
 )
 def test_numbers_have_three_digits_or_all_before_the_point(value, text):
     assert number(value) == text
