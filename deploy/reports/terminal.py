@@ -18,9 +18,7 @@ def print_table(console: Console, table: Table) -> None:
     """Print the columns of a table that have their place in a terminal."""
     chosen = [index for index, column in enumerate(table.columns) if column.brief is not None]
     cells = [[row[index] for index in chosen] for row in table.cells]
-    shown = rich_table.Table(
-        title=Text(table.title), title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1)
-    )
+    shown = rich_table.Table(box=box.SIMPLE_HEAD, padding=(0, 1))
     for place, column in enumerate(table.columns[index] for index in chosen):
         widest = max((len(row[place].text) for row in cells), default=0)
         shown.add_column(
@@ -33,6 +31,7 @@ def print_table(console: Console, table: Table) -> None:
         shown.add_row(*(Text(cell.text, STYLES[cell.status]) for cell in row))
     if console.measure(shown, options=console.options.update(width=10_000)).maximum > console.width:
         shown.padding, shown.show_edge = 0, False
+    console.print(Text(table.title, "table.title"))  # not as the table's, which may be narrower
     console.print(shown)
     if not shown.show_edge:  # which is a blank line, too
         console.print()

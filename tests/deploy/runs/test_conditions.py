@@ -67,7 +67,7 @@ def test_a_table_of_margins_is_quotable_alone(tmp_path, funnel_hil):
     line = text.rstrip().splitlines()[-1]
     assert "largest round trip" in title
     assert table.startswith("| law |")
-    for part in ("quantity: round trip (ms) to 1, up to 1", "law: smc", "seeds: 1;",
+    for part in ("quantity: round trip (ms) up to 1, found to within 1", "law: smc", "seeds: 1;",
                  "starts: initial offset × 1, -0.5", "paper_arm 0.05 s", "metrics.from_s=0",
                  "version: funnel-hil", "date: 20", "CPUs usable"):  # fmt: skip
         assert part in line

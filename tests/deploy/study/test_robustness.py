@@ -229,7 +229,7 @@ def test_a_study_of_plants_is_reported_again(funnel_hil, tmp_path):
     assert json.loads((path / "summary.json").read_text())["kind"] == "robustness"
     table = (path / "table.md").read_text().splitlines()
     assert table[0].endswith("| 95 % kept up to | 8 | 16 | 32 |")
-    assert table[2].startswith("| paper_arm | smc |  | 123 ms | 8 ms | 20 |")
+    assert table[2].startswith("| paper_arm | smc | 123 ms | 8 ms | 20 |")
 
 
 def test_an_unfinished_study_of_plants_has_a_report(tmp_path):
