@@ -37,7 +37,8 @@ class Arrivals:
         self._first: list[CommandArrival] = []
         self._closed = threading.Event()
         self.received = self.overflow = 0
-        threading.Thread(target=self._receive, daemon=True).start()
+        self._thread = threading.Thread(target=self._receive, daemon=True)
+        self._thread.start()
 
     def is_empty(self) -> bool:
         """Whether none waits to be taken."""
@@ -59,9 +60,10 @@ class Arrivals:
         return taken
 
     def close(self) -> None:
-        """Let the thread end."""
+        """End the thread: one that comes out of Zenoh while Python ends aborts the process."""
         self._closed.set()
         self._inbox.knock()
+        self._thread.join()
 
     def _receive(self) -> None:
         while not self._closed.is_set():

@@ -156,7 +156,8 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
             self.advertise(topic)
         self._states = self.inbox(topics.JOINT_STATES, _LARGEST_STATE_BACKLOG, lossless=False)
         self._closed = threading.Event()
-        threading.Thread(target=self._knock, daemon=True).start()
+        self._knocking = threading.Thread(target=self._knock, daemon=True)
+        self._knocking.start()
         self.announce()
 
     def serve(self, on_state: StateHandler) -> None:
@@ -188,6 +189,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
 
     def close(self) -> None:
         self._closed.set()
+        self._knocking.join()  # one that comes out of Zenoh while Python ends aborts the process
         super().close()
 
     def _answer(self, delivery: Delivery) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -23,7 +25,7 @@ from bus_schema.zenoh import arrivals
 from bus_schema.zenoh import link as zenoh_link
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
-from bus_schema.zenoh.session import ZenohSession
+from bus_schema.zenoh.session import Inbox, ZenohSession
 from plant_emulator.command_gate import CommandGate
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
@@ -120,6 +122,26 @@ def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> N
             await_true(lambda: controller.sees(Role.PLANT))
         await_true(lambda: not controller.sees(Role.PLANT))
         controller.spin()
+
+
+@pytest.mark.parametrize(("side", "held_up"), [(plant_on, "wait"), (controller_on, "knock")])
+def test_threads_of_a_link_have_ended_once_it_is_closed(
+    monkeypatch: pytest.MonkeyPatch, side: Any, held_up: str
+) -> None:
+    """Python aborts a process in which a thread comes back from Zenoh while it ends."""
+    quick = getattr(Inbox, held_up)
+
+    def slow(inbox: Inbox) -> Any:
+        time.sleep(0.5)
+        return quick(inbox)
+
+    monkeypatch.setattr(Inbox, held_up, slow)
+    before = set(threading.enumerate())
+    with side(fresh_link(), **{"lockstep": False} if side is plant_on else {}):
+        ours = set(threading.enumerate()) - before
+        time.sleep(0.2)  # they are held up now
+    assert ours
+    assert not [thread for thread in ours if thread.is_alive()]
 
 
 def test_commander_is_followed_only_once_it_has_left() -> None:
