@@ -41,11 +41,13 @@ def template() -> dict[str, Any]:
 
 def without_template(draw: Callable[[What], Drawn], what: What) -> Drawn:
     """What `draw` gives, where Plotly gives no figure its own template; for others it stays."""
-    before, pio.templates.default = pio.templates.default, None
+    # Not by `templates.default`, which would load and check the template that it is set to.
+    templates: Any = pio.templates
+    before, templates._default = templates._default, None
     try:
         return draw(what)
     finally:
-        pio.templates.default = before
+        templates._default = before
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
