@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import logging
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -18,6 +19,9 @@ from typing import Any, ParamSpec, TypeVar, cast
 
 from bus_schema.arrays import Matrix
 
+logger = logging.getLogger(__name__)
+HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
+"""Environment variable by which the processes that one starts know that it has said so."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -51,9 +55,22 @@ class _CompiledBefore(FunctionCache):
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         rtsys.initialize(target)  # what machine code may call
+        found = None
         with self._guard_against_spurious_io_errors():
-            return cast("Any", self)._load_overload(signature, target)
-        return None
+            found = cast("Any", self)._load_overload(signature, target)
+        if found is None:
+            _say_that_it_compiles()
+        return found
+
+
+def _say_that_it_compiles() -> None:
+    """Tell why nothing seems to happen; once, whatever other processes this one starts."""
+    if HAS_SAID not in os.environ:
+        os.environ[HAS_SAID] = "1"
+        logger.warning(
+            "compiling the numerical kernels, which takes up to half a minute: once on a machine,"
+            " and again after a change of version"
+        )
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:

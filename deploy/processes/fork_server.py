@@ -23,8 +23,10 @@ if sys.platform == "linux":
 
 import numpy as np  # noqa: E402 (takes its time, in which the command may end)
 
+from bus_schema.runtime.compiled import HAS_SAID  # noqa: E402
 from bus_schema.runtime.finite import all_finite  # noqa: E402
 
+os.environ[HAS_SAID] = "1"  # `run` itself says that it compiles
 with contextlib.suppress(Exception):  # whoever needs it will say what is wrong
     all_finite(np.zeros(1))  # numba loads most of itself with the first compiled function
 

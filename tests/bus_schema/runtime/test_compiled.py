@@ -1,10 +1,15 @@
 import ast
+import importlib.util
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 import bus_schema
+from bus_schema.runtime.compiled import HAS_SAID
 
 ROOT = Path(bus_schema.__file__).parent.parent
 ROOMS = ("bus_schema", "controller", "plant_emulator")
@@ -74,3 +79,44 @@ def test_a_second_run_compiles_nothing_and_loads_no_compiler() -> None:
     )
     assert second[:2] == ["0", "False"]
     assert second[2] == first[2]
+
+
+KERNELS = """
+from bus_schema.runtime.compiled import compiled
+
+@compiled
+def double(value):
+    return 2 * value
+
+@compiled
+def triple(value):
+    return 3 * value
+"""
+
+
+def fresh(file: Path) -> ModuleType:
+    """The module in a file, loaded again."""
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_compiling_is_said_once_and_only_when_it_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "kernels.py"
+    file.write_text(KERNELS)
+    monkeypatch.delenv(HAS_SAID)
+    module = fresh(file)
+    assert caplog.messages == []
+    assert (module.double(2), module.triple(2)) == (4, 6)
+    assert len(caplog.messages) == 1
+    assert caplog.messages[0].startswith("compiling the numerical kernels")
+    caplog.clear()
+    monkeypatch.delenv(HAS_SAID)
+    again = fresh(file)
+    assert (again.double(2), again.triple(2)) == (4, 6)
+    assert caplog.messages == []
