@@ -2,20 +2,17 @@
 
 The frame formats are those of ISO 11898-1, stuff bits counted. What a frame occupies reaches from
 its start-of-frame bit to the end of the interframe space (three bits), so that frames sent back to
-back add up. What no controller could send, a virtual bus may carry all the same; bits and bytes
-beyond the format are not counted.
+back add up. Bytes beyond the format are not counted.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.can.frame import CanFrame
+from bus_schema.can.frame_table import FrameTable
 from bus_schema.runtime.compiled import compiled
 
 CRC15_BITS = 15
@@ -35,15 +32,6 @@ _LONGEST_CLASSICAL_BYTES, _LONGEST_FD_BYTES = 8, 64
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _MOST_BITS = 1 + 11 + 2 + 18 + 1 + 3 + 5 + 8 * _LONGEST_FD_BYTES
 
-_ROW = struct.Struct(f"<iB???{_LONGEST_FD_BYTES}s")
-_TABLE = np.dtype(
-    [
-        ("identifier", "<i4"), ("data_bytes", "u1"),
-        ("is_extended", "?"), ("is_remote", "?"), ("is_fd", "?"),
-        ("data", "u1", _LONGEST_FD_BYTES),
-    ]
-)  # fmt: skip
-
 
 class FrameBits(NamedTuple):
     """What frames are on the wire; all of shape (frames,).
@@ -61,22 +49,16 @@ class FrameBits(NamedTuple):
     arbitration: NDArray[np.int64]
 
 
-def count_bits(frames: Sequence[CanFrame]) -> FrameBits:
+def count_bits(table: FrameTable) -> FrameBits:
     """Bits of each frame, including the stuff bits that its content makes necessary."""
-    rows = [
-        _ROW.pack(
-            identifier & 0x1FFF_FFFF, min(len(data), _LONGEST_FD_BYTES), extended, remote, fd, data
-        )
-        for identifier, data, extended, remote, _, fd in frames
-    ]
-    counted = FrameBits(*np.empty((3, len(rows)), dtype=np.int64))
-    _count(np.frombuffer(b"".join(rows), _TABLE), *counted)
+    counted = FrameBits(*np.empty((3, table.size), dtype=np.int64))
+    _count(table, *counted)
     return counted
 
 
 @compiled
 def _count(
-    table: NDArray[np.void],
+    table: FrameTable,
     nominal: NDArray[np.int64],
     fast: NDArray[np.int64],
     arbitration: NDArray[np.int64],

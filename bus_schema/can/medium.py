@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from bus_schema.can.candump import CandumpLog
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_bits import FrameBits, count_bits
+from bus_schema.can.frame_table import FrameTable, frame_table
 from bus_schema.link.can_configuration import CanConfiguration
 
 _ERROR_FLAG_BITS = (6, 12)
@@ -66,7 +67,7 @@ class CanMedium:
         self.worst_latency_ns = 0
         # Compiles what counts bits: in the midst of a run that takes longer than a busy machine's
         # time-outs.
-        count_bits([CanFrame(0)])
+        count_bits(frame_table([CanFrame(0)]))
 
     def carry(self, frames: Sequence[CanFrame], now_ns: int) -> None:
         """Send frames that become ready at the same instant, by nodes that arbitrate.
@@ -90,19 +91,19 @@ class CanMedium:
             return
         frames, (ready_ns, sizes) = self._frames, np.array(self._together, dtype=np.int64).T
         self._frames, self._together = [], []
-        bits, group = count_bits(frames), np.repeat(np.arange(sizes.size), sizes)
+        table, group = frame_table(frames), np.repeat(np.arange(sizes.size), sizes)
+        bits = count_bits(table)
         order = np.lexsort((bits.arbitration, group))
-        frames = [frames[index] for index in order.tolist()]
-        durations_ns = self._durations_ns(bits)[order]
+        table, durations_ns = table[order], self._durations_ns(bits)[order]
         if self._error_probability:
             durations_ns = np.array([self._with_errors_ns(each) for each in durations_ns.tolist()])
         ends_ns = self._ends_ns(ready_ns[group], durations_ns)
         starts_ns = ends_ns - durations_ns
         first = np.cumsum(sizes) - sizes
         if self._log is not None:
-            self._log.write((self._start_ns + ends_ns).tolist(), frames)
+            self._log.write(self._start_ns + ends_ns, table)
         self._note_load(starts_ns, durations_ns)
-        self._note_frames(frames, ends_ns - starts_ns[first][group])
+        self._note_frames(table, ends_ns - starts_ns[first][group])
         self.free_ns = int(ends_ns[-1])
 
     def start_counting(self) -> None:
@@ -169,8 +170,8 @@ class CanMedium:
         self._peak_busy_ns = max(self._peak_busy_ns, int(busy_ns.max()))
         self._window, self._window_busy_ns = int(windows[-1]), int(busy_ns[-1])
 
-    def _note_frames(self, frames: Sequence[CanFrame], latencies_ns: NDArray[np.int64]) -> None:
-        names = [frame.identifier << 1 | frame.is_extended for frame in frames]
+    def _note_frames(self, table: FrameTable, latencies_ns: NDArray[np.int64]) -> None:
+        names = (table["identifier"] << 1 | table["is_extended"]).tolist()
         for name, count in Counter(names).items():
             self._counts[self._known(name)] += count
         worst = int(latencies_ns.argmax())

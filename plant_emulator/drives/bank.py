@@ -42,9 +42,8 @@ class _Axis:
         self._loop = self.drive if isinstance(self.drive, LoopDrive) else None
         self.node_id = settings.node_id
         self.targets_taken = 0
-        self._faults: set[DriveFault] = set()
         self._position_rad = 0.0
-        self.is_silent = False
+        self.is_silent = self._is_frozen = False
 
     def measure(self, position_rad: float, velocity_rad_s: float, torque_nm: float) -> None:
         position_rad, velocity_rad_s = self.seen(position_rad, velocity_rad_s)
@@ -56,23 +55,27 @@ class _Axis:
 
     def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
         """What its encoder shows of a motion."""
-        if DriveFault.ENCODER_FROZEN in self._faults:
+        if self._is_frozen:
             return self._position_rad, 0.0
         return position_rad, velocity_rad_s
 
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         if fault in _OUTSIDE:
-            self._faults.add(fault)
-            self.is_silent = DriveFault.SILENT in self._faults
+            self._set_outside(fault, is_on=True)
         else:
             self.drive.inject(fault, now_ns)
 
     def heal(self, fault: DriveFault, now_ns: int) -> None:
         if fault in _OUTSIDE:
-            self._faults.discard(fault)
-            self.is_silent = DriveFault.SILENT in self._faults
+            self._set_outside(fault, is_on=False)
         else:
             self.drive.heal(fault, now_ns)
+
+    def _set_outside(self, fault: DriveFault, *, is_on: bool) -> None:
+        if fault is DriveFault.SILENT:
+            self.is_silent = is_on
+        else:
+            self._is_frozen = is_on
 
     def _send_if_connected(self, frame: CanFrame) -> None:
         if not self.is_silent:

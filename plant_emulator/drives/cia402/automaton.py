@@ -87,10 +87,11 @@ class Automaton:
 
     def command(self, command: Command) -> None:
         """Make the transition that a command asks for, if the standard has one."""
-        following = TRANSITIONS.get((self.state, command))
         if self.state is State.OPERATION_ENABLED and command is Command.ENABLE_OPERATION:
             self._slow_down = None  # a slow-down to another state is called off
-        elif following is not None:
+            return
+        following = TRANSITIONS.get((self.state, command))
+        if following is not None:
             self._go(command, following)
 
     def fault(self, *, power_off: bool = False) -> None:

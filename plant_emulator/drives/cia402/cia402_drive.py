@@ -91,13 +91,18 @@ class Cia402Drive:
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or self._network.state is NmtState.INITIALISING:
             return False
-        if frame.identifier not in self._takers and not frame.is_remote:
+        take = self._takers.get(frame.identifier)
+        if take is None and not frame.is_remote:
             return False  # most are for others
         self._node.now_ns = now_ns
         if frame.identifier != self._process_data.sync_identifier:
             self._looked_ns = None
         try:
-            is_mine = self._take(frame)
+            if take is None or frame.is_remote:
+                is_mine = self._answer_remote(frame.identifier)
+            else:
+                take(frame.data)
+                is_mine = True
         except InvalidMessageError:
             self._send_events()
             raise
@@ -148,15 +153,6 @@ class Cia402Drive:
 
     def describe(self, frame: CanFrame) -> str | None:
         return describe(frame, self._node, self._process_data)
-
-    def _take(self, frame: CanFrame) -> bool:
-        if frame.is_remote:
-            return self._answer_remote(frame.identifier)
-        take = self._takers.get(frame.identifier)
-        if take is None:
-            return False
-        take(frame.data)
-        return True
 
     def _set_up(self) -> None:
         """Note who takes the data of which identifier, as the dictionary has it now."""

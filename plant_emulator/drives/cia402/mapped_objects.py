@@ -28,7 +28,8 @@ class Entry(NamedTuple):
 class _Field(NamedTuple):
     """Where an entry's value goes."""
 
-    entry: Entry
+    object_index: int
+    subindex: int
     lowest: float
     highest: float
     write: Writer | None
@@ -61,12 +62,12 @@ def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], Non
         lowest = float("-inf") if variable.min is None else variable.min
         highest = float("inf") if variable.max is None else variable.max
         write = node.writer(entry.object_index)
-        fields.append(_Field(entry, lowest, highest, write, slice(start, end)))
+        fields.append(_Field(*entry[:2], lowest, highest, write, slice(start, end)))
         start = end
     layout = _layout(node, entries)
 
     def unpack_each(data: bytes) -> None:
-        for (index, subindex, _), _, _, _, part in fields:
+        for index, subindex, _, _, _, part in fields:
             node.set_data(index, subindex, data[part])
 
     if layout is None:
@@ -74,13 +75,10 @@ def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], Non
     unpack, store = layout.unpack, node.data_store
 
     def unpack_all(data: bytes) -> None:
-        for value, ((index, subindex, _), lowest, highest, write, part) in zip(
-            unpack(data), fields, strict=True
-        ):
-            if value > highest:
-                raise SdoAbortedError(Abort.TOO_HIGH)
-            if value < lowest:
-                raise SdoAbortedError(Abort.TOO_LOW)
+        for field, value in zip(fields, unpack(data), strict=True):
+            index, subindex, lowest, highest, write, part = field
+            if not lowest <= value <= highest:
+                raise SdoAbortedError(Abort.TOO_HIGH if value > highest else Abort.TOO_LOW)
             if write is not None:
                 write(subindex, value)
             store.setdefault(index, {})[subindex] = data[part]

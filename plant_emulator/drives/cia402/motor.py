@@ -20,6 +20,7 @@ _MODES = (NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE)
 INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
 _PER_MILLE = 1000
 _MILLI = 1e-3
+_ALWAYS_SET = Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
 _ABORT_FAULT, _ABORT_DISABLE, _ABORT_QUICK_STOP = 1, 2, 3
 
 
@@ -127,9 +128,9 @@ class Motor:
             self.fail(ErrorCode.FOLLOWING_ERROR)
             self._errors.note(ErrorCode.FOLLOWING_ERROR)
 
-    def statusword(self) -> int:
+    def statusword(self, _subindex: int = 0) -> int:
         """Object 0x6041."""
-        word = self.automaton.state.value | Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
+        word = self.automaton.state | _ALWAYS_SET
         if self._errors.any:
             word |= Statusword.WARNING
         if self._mode != NO_MODE and self.automaton.follows:
@@ -194,7 +195,7 @@ class Motor:
     def _serve(self) -> None:
         node = self._node
         node.serve(0x603F, lambda _: self.error_code)
-        node.serve(0x6041, lambda _: self.statusword())
+        node.serve(0x6041, self.statusword)
         node.serve(0x6061, lambda _: self._mode)
         node.serve(0x6064, lambda _: self._position)
         node.serve(0x606C, lambda _: self._velocity)

@@ -38,15 +38,18 @@ class Pdo:
         event_ns: time after which it is sent anyway, or awaited no longer; 0 for none.
         entries: what is mapped.
         length: bytes.
+        pack: gives the mapped objects' values.
+        unpack: writes the mapped objects; raises `SdoAbortedError` if one does not take its value,
+            those before it were written.
     """
+
+    pack: Callable[[], bytes]
+    unpack: Callable[[bytes], None]
 
     def __init__(
         self, node: DriveNode, communication: int, mapping: int, *, is_received: bool
     ) -> None:
         self._node = node
-        # Made at the first use: only then is it certain who serves the objects.
-        self._packer: Callable[[], bytes] | None = None
-        self._unpacker: Callable[[bytes], None] | None = None
         self._communication, self._mapping = communication, mapping
         self._is_received = is_received
         node.on_write(communication, self._write_communication)
@@ -58,22 +61,6 @@ class Pdo:
         for subindex in (_COB_ID, _TYPE, _INHIBIT, _EVENT):
             self._take(subindex, self._node.value(self._communication, subindex))
         self._set_entries(self._node.value(self._mapping, 0))
-
-    def pack(self) -> bytes:
-        """The mapped objects' values."""
-        if self._packer is None:
-            self._packer = packer(self._node, self.entries)
-        return self._packer()
-
-    def unpack(self, data: bytes) -> None:
-        """Write the mapped objects.
-
-        Raises:
-            SdoAbortedError: an object does not take its value; those before it were written.
-        """
-        if self._unpacker is None:
-            self._unpacker = unpacker(self._node, self.entries)
-        self._unpacker(data)
 
     def _take(self, subindex: int, value: int) -> None:
         """Take a communication parameter."""
@@ -92,7 +79,16 @@ class Pdo:
     def _set_entries(self, count: int) -> None:
         self.entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(count)]
         self.length = sum(entry.bits for entry in self.entries) // 8
-        self._packer = self._unpacker = None
+        # Tables are made at the first use: only then is it certain who serves the objects.
+        self.pack, self.unpack = self._first_pack, self._first_unpack
+
+    def _first_pack(self) -> bytes:
+        self.pack = packer(self._node, self.entries)
+        return self.pack()
+
+    def _first_unpack(self, data: bytes) -> None:
+        self.unpack = unpacker(self._node, self.entries)
+        self.unpack(data)
 
     def _write_communication(self, subindex: int, value: int) -> None:
         if subindex == _COB_ID:

@@ -194,8 +194,9 @@ class ProcessData:
         if len(data) > pdo.length:
             self._errors.note(ErrorCode.PDO_TOO_LONG)
             raise InvalidMessageError("pdo_too_long", f"{len(data)} for {pdo.length} bytes")
-        self._errors.clear(ErrorCode.PDO_TOO_SHORT)
-        self._errors.clear(ErrorCode.PDO_TOO_LONG)
+        if self._errors.any:
+            self._errors.clear(ErrorCode.PDO_TOO_SHORT)
+            self._errors.clear(ErrorCode.PDO_TOO_LONG)
 
     def _move_sync(self, _subindex: int, value: int) -> None:
         if value & _PRODUCES_SYNC:

@@ -25,10 +25,10 @@ Transitions are numbered as in the standard:
 
 from __future__ import annotations
 
-from enum import Enum, auto
+from enum import IntEnum, auto
 
 
-class State(Enum):
+class State(IntEnum):
     """States, and the bits of the statusword that name each."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
@@ -41,7 +41,7 @@ class State(Enum):
     FAULT = 0x08
 
 
-class Command(Enum):
+class Command(IntEnum):
     """What a controlword asks for."""
 
     SHUTDOWN = auto()
@@ -105,8 +105,7 @@ def decode_command(controlword: int, previous: int) -> Command | None:
     """
     if controlword & Controlword.FAULT_RESET:
         return None if previous & Controlword.FAULT_RESET else Command.FAULT_RESET
-    lacking = (command for bit, command in _COMMAND_WITHOUT.items() if not controlword & bit)
-    return next(lacking, Command.ENABLE_OPERATION)
+    return _COMMANDS[controlword & _COMMAND_BITS]
 
 
 _COMMAND_WITHOUT = {
@@ -116,3 +115,12 @@ _COMMAND_WITHOUT = {
     Controlword.ENABLE_OPERATION: Command.SWITCH_ON,
 }
 """What a controlword asks for by the first of these bits that it lacks."""
+
+_COMMAND_BITS = sum(_COMMAND_WITHOUT)
+_COMMANDS = [
+    next(
+        (command for bit, command in _COMMAND_WITHOUT.items() if not word & bit),
+        _C.ENABLE_OPERATION,
+    )
+    for word in range(_COMMAND_BITS + 1)
+]

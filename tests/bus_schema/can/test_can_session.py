@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 from can.interfaces.udp_multicast.utils import pack_message
 
-from bus_schema.can.candump import candump_line
+from bus_schema.can.candump import candump_lines
 from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.frame_table import frame_table
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -145,11 +147,14 @@ def test_bus_that_cannot_be_joined_is_a_configuration_error_with_advice(
         (CanFrame(0x12345, b"", is_extended=True), "(1.000002) can0 00012345#"),
         (CanFrame(0x009, is_remote=True), "(1.000002) can0 009#R"),
         (CanFrame(0x111, b"\xff" * 12, is_fd=True), "(1.000002) can0 111##1" + "FF" * 12),
+        (CanFrame(0x111, b"", is_fd=True), "(1.000002) can0 111##1"),
         (CanFrame(0x040, bytes(8), is_error=True), "(1.000002) can0 20000040#" + "00" * 8),
     ],
 )
 def test_log_lines_are_those_of_candump(frame: CanFrame, line: str) -> None:
-    assert candump_line(1_000_002_999, "can0", frame) == line
+    times_ns = np.array([1_000_002_999, 12_345_678_901_234])
+    lines = candump_lines(times_ns, "can0", frame_table([frame, CanFrame(0x7AB, b"\x01")]))
+    assert lines.decode() == f"{line}\n(12345.678901) can0 7AB#01\n"
 
 
 def _close(*buses: CanBus) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_bits import count_bits
+from bus_schema.can.frame_table import frame_table
 from bus_schema.can.frame_timing import WireBits, longest_classical_bits, longest_fd_bits
 
 frames = st.builds(
@@ -27,7 +28,7 @@ frames = st.builds(
 
 
 def wire_bits(frame: CanFrame) -> WireBits:
-    bits = count_bits([frame])
+    bits = count_bits(frame_table([frame]))
     return WireBits(int(bits.nominal[0]), int(bits.fast[0]))
 
 
@@ -68,14 +69,14 @@ def test_lower_identifier_wins_then_data_over_remote_then_standard_over_extended
     extended_remote = CanFrame(0x181 << 18, is_extended=True, is_remote=True)
     order = [low, remote, extended, extended_remote, high]
     shuffled = [high, extended, low, extended_remote, remote]
-    keys = count_bits(shuffled).arbitration
+    keys = count_bits(frame_table(shuffled)).arbitration
     assert [shuffled[index] for index in keys.argsort()] == order
 
 
 @given(st.lists(frames, min_size=2, max_size=9))
 def test_frames_count_the_same_alone_and_among_others(together: list[CanFrame]) -> None:
-    counted = count_bits(together)
-    alone = [count_bits([frame]) for frame in together]
+    counted = count_bits(frame_table(together))
+    alone = [count_bits(frame_table([frame])) for frame in together]
     for all_of_them, ones in zip(counted, zip(*alone, strict=True), strict=True):
         assert all_of_them.tolist() == [int(each[0]) for each in ones]
 
