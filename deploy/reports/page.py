@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -83,6 +83,8 @@ class Panel(Generic[T]):
         is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
         is_over_time: whether its horizontal axis is the time of a run, on which the page shows the
             instant that is looked at.
+        is_drawn_beside: whether it is drawn by another thread, which pays where most of it is done
+            outside of Python.
     """
 
     section: str
@@ -92,6 +94,7 @@ class Panel(Generic[T]):
     caption: str
     is_clickable: bool = False
     is_over_time: bool = False
+    is_drawn_beside: bool = False
 
 
 def write_page(
@@ -115,9 +118,9 @@ def write_page(
             and `conditions`.
     """
     address = plotly_library.address(path)
-    with ThreadPoolExecutor(max_workers=1) as executor:  # packs beside the drawing of the figures
+    with ThreadPoolExecutor(max_workers=2) as executor:  # packs beside the drawing of the figures
         packing = None if address else executor.submit(plotly_library.packed)
-        sections = _drawn(panels, subject)
+        sections = _drawn(list(panels), subject, executor)
         packed = "" if packing is None else packing.result()
     html = _ENVIRONMENT.get_template(template).render(
         sections=sections, end_s=end_s, library=address, packed_library=packed, **values
@@ -125,11 +128,15 @@ def write_page(
     write_whole(path, html)
 
 
-def _drawn(panels: Iterable[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
+def _drawn(
+    panels: Sequence[Panel[T]], subject: T, executor: Executor
+) -> dict[str, list[tuple[Panel[T], Any]]]:
     """Panels with what they show, by section; without those that have nothing to show."""
+    beside = {p.id: executor.submit(p.draw, subject) for p in panels if p.is_drawn_beside}
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
-        content = without_template(panel.draw, subject)
+        is_beside = panel.id in beside
+        content = beside[panel.id].result() if is_beside else without_template(panel.draw, subject)
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
     return sections

@@ -89,6 +89,7 @@ PANELS: list[Panel[RunData]] = [
     Panel(
         "Motion", "arm", "The arm", arm_pictures,
         "At the start, in the middle and at the end of the run, by one camera.",
+        is_drawn_beside=True,
     ),
     Panel(
         "What the network learned", "network-output",

@@ -82,8 +82,9 @@ class BulletArm(BulletServer):
         gui: bool = False,
     ) -> None:
         super().__init__(
-            robot, grid.substep_s, payload_kg=payload_kg, payload_changes=payload_changes, gui=gui
-        )
+            robot, grid.substep_s, payload_kg=payload_kg, payload_changes=payload_changes, gui=gui,
+            shapes="drawable" if gui else "none",
+        )  # fmt: skip
         self._torques = torques
         limits = robot.effort_limits_nm
         self._brake_torques: Vector = np.where(

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import RobotDescription
+from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.compiled import c_function, compiled
 from bus_schema.urdf_resolved import PAYLOAD_LINK
 from plant_emulator.arm.bullet_gears import tie
@@ -128,6 +128,7 @@ class BulletServer:
         payload_kg: point mass at the tip.
         payload_changes: whether there will be another one, see `carry`.
         gui: open Bullet's window (needs a display).
+        shapes: of the links; physics needs none.
 
     Attributes:
         payload_kg: point mass at the tip, as of now.
@@ -141,18 +142,19 @@ class BulletServer:
 
     def __init__(
         self, robot: RobotDescription, substep_s: float, *,
-        payload_kg: float, payload_changes: bool, gui: bool,
+        payload_kg: float = 0.0, payload_changes: bool = False, gui: bool = False,
+        shapes: Shapes = "none",
     ) -> None:  # fmt: skip
         with quiet():
             self.handle: int = _connect_window(0, None) if gui else _connect()
         reset = _reset(self.handle)
         # One body that never touches anything: looking for contacts would be a tenth of a step.
         _set_reset_flags(reset, _USE_SIMPLE_BROADPHASE)
-        self._submit(reset)
+        self.submit(reset)
         try:
             # Bullet cannot add a link later: one without mass is there for what is picked up.
             at_first_kg = payload_kg or (_ANY_PAYLOAD_KG if payload_changes else 0.0)
-            urdf = robot.resolved_urdf(at_first_kg, "drawable" if gui else "none")
+            urdf = robot.resolved_urdf(at_first_kg, shapes)
             self.body = _load(self.handle, robot.path, urdf)
         except RobotDescriptionError:
             self.close()
@@ -172,7 +174,7 @@ class BulletServer:
         ]
         for joint, leader, follower in self._followers:
             links = joint.link, self.joints[leader].link
-            tie(self.handle, self.body, links, follower, self._submit)
+            tie(self.handle, self.body, links, follower, self.submit)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
@@ -184,7 +186,7 @@ class BulletServer:
             pose = _pose(self.handle, self.body)
             _set_position(self.handle, pose, joint.link, angle)
             _set_velocity(self.handle, pose, joint.link, 0.0)
-            self._submit(pose)
+            self.submit(pose)
 
     def hold_with(self, torques_nm: Sequence[float]) -> None:
         """Hold each joint at rest with so much torque at most; 0 lets it go."""
@@ -195,7 +197,7 @@ class BulletServer:
             _set_desired_velocity(motors, joint.velocity_index, 0.0)
             _set_velocity_gain(motors, joint.velocity_index, 1.0)
             _set_largest_force(motors, joint.velocity_index, torque_nm)
-        self._submit(motors)
+        self.submit(motors)
 
     def carry(self, payload_kg: float) -> None:
         """Carry this point mass at the tip from now on; one that was announced (see the class).
@@ -208,13 +210,18 @@ class BulletServer:
             _set_mass(change, self.body, link, payload_kg)
             # left to itself, Bullet makes up an inertia of what it takes for the link's extent
             _set_inertia(change, self.body, link, (DOUBLE * 3)())
-            self._submit(change)
+            self.submit(change)
 
     def close(self) -> None:
         """Free the server."""
         _disconnect(self.handle)
 
-    def _submit(self, command: int) -> int:
+    def submit(self, command: int) -> int:
+        """Have a command carried out; its status.
+
+        Raises:
+            ConnectionError: the server is gone.
+        """
         if not _can_submit(self.handle):
             raise no_answer()
         status: int = _submit(self.handle, command)
@@ -237,13 +244,13 @@ class BulletServer:
         if iterates:  # else gears are left half solved
             _set_iterations(world, _MOST_ITERATIONS)
             _set_residual(world, 0.0)
-        self._submit(world)
+        self.submit(world)
         for link in range(_BASE_LINK, links):
             change = _dynamics(self.handle)
             _set_linear_damping(change, self.body, 0.0)
             _set_angular_damping(change, self.body, 0.0)
             _set_joint_damping(change, self.body, link, 0.0)
-            self._submit(change)
+            self.submit(change)
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""The arm by pybullet's own Python functions: pictures, and what a run's physics is held against.
+"""The arm by pybullet's own Python functions: what a run's physics is held against.
 
 In a run the arm is a `BulletArm`, which gives the same bits at less cost.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
@@ -18,10 +17,6 @@ from plant_emulator.arm.quiet import quiet
 
 with quiet():
     import pybullet
-
-_CAMERA_FROM = np.array([0.55, -0.75, 0.36])
-_FIELD_OF_VIEW_DEG = 35.0
-_FRAME_MARGIN = 1.05
 
 
 class PybulletArm:
@@ -109,62 +104,6 @@ class PybulletArm:
         )
         inverse = np.argsort(order)
         return np.ascontiguousarray(full[np.ix_(inverse, inverse)])
-
-    def extent(self, positions: Matrix) -> tuple[Vector, Vector]:
-        """Corners of the box around all joints and links at all `positions`, m, shape (3,) each.
-
-        Moves the arm: not for one that is running.
-
-        Args:
-            positions: joint positions, rad, shape (poses, joints).
-        """
-        points = [np.zeros(3)]
-        links = range(pybullet.getNumJoints(self._body, physicsClientId=self._client))
-        for position in positions:
-            self.place(position)
-            for link in links:
-                state = pybullet.getLinkState(
-                    self._body, link, computeForwardKinematics=True, physicsClientId=self._client
-                )
-                points += [np.array(state[0]), np.array(state[4])]
-        return np.min(points, axis=0), np.max(points, axis=0)
-
-    def render(
-        self,
-        position: Vector,
-        width_px: int,
-        height_px: int,
-        extent: tuple[Vector, Vector] | None = None,
-    ) -> NDArray[np.uint8]:
-        """Picture of the arm on white by the software renderer, shape (height, width, 3), RGB.
-
-        Moves the arm: not for one that is running.
-
-        Args:
-            position: joint positions, rad, shape (joints,).
-            width_px: width of the picture.
-            height_px: height of the picture.
-            extent: box that fills the picture, m; by default the arm's own at `position`.
-        """
-        lower, upper = extent or self.extent(position[None, :])
-        self.place(position)
-        centre = (lower + upper) / 2
-        radius = _FRAME_MARGIN * float(np.linalg.norm(upper - lower)) / 2
-        half_angle = np.radians(_FIELD_OF_VIEW_DEG / 2)
-        distance = radius / np.sin(half_angle) * max(1.0, height_px / width_px)
-        eye = centre + distance * _CAMERA_FROM / np.linalg.norm(_CAMERA_FROM)
-        view = pybullet.computeViewMatrix(eye.tolist(), centre.tolist(), [0, 0, 1])
-        projection = pybullet.computeProjectionMatrixFOV(
-            _FIELD_OF_VIEW_DEG, width_px / height_px, distance / 10, distance * 10
-        )
-        _, _, colours, _, bodies = pybullet.getCameraImage(
-            width_px, height_px, view, projection, renderer=pybullet.ER_TINY_RENDERER,
-            lightDirection=[1, -2, 3], shadow=0, physicsClientId=self._client,
-        )  # fmt: skip
-        picture = np.array(colours, dtype=np.uint8).reshape(height_px, width_px, 4)
-        pixels = picture.view(np.uint32)[..., 0]  # whole ones take a quarter of the time
-        pixels[np.reshape(bodies, (height_px, width_px)) < 0] = 0xFFFFFFFF
-        return picture[..., :3]
 
     def close(self) -> None:
         """Free the physics server."""

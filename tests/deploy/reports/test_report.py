@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import re
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from plant_emulator.arm.pybullet_arm import PybulletArm
+from plant_emulator.arm.arm_camera import ArmCamera
 
 FIGURES = ("timeline", "error-in-funnel", "error-first-second", "transformed-error", "torques",
            "tip-path", "tip-error", "arm-motion", "arm", "network-output",
@@ -159,9 +160,8 @@ def test_a_run_without_any_data_still_has_a_report(run, page_of):
 
 
 def test_a_picture_shows_the_whole_arm(run):
-    arm = PybulletArm(run.setup.robot, run.setup.grid.substep_s)
-    picture = arm.render(run.setup.start_position_rad, 160, 120)
-    arm.close()
+    with closing(ArmCamera(run.setup.robot)) as camera:
+        picture = camera.render(run.setup.start_position_rad, 160, 120)
     assert picture.shape == (120, 160, 3)
     is_arm = (picture < 255).any(axis=2)
     assert is_arm.sum() > 500

@@ -15,12 +15,11 @@ from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
 from deploy.reports.page import Picture
 from deploy.runs.run_data import RunData
-from plant_emulator.arm.pybullet_arm import PybulletArm
+from plant_emulator.arm.arm_camera import ArmCamera
 
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _OVERSAMPLING = 1.5
 _RENDERED_PX = round(_OVERSAMPLING * _WIDTH_PX), round(_OVERSAMPLING * _HEIGHT_PX)
-_ANY_STEP_S = 1e-3
 
 
 def arm_pictures(run: RunData) -> list[Picture] | None:
@@ -33,9 +32,9 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    with closing(PybulletArm(run.setup.robot, run.setup.grid.substep_s)) as arm:
-        extent = arm.extent(positions)
-        rendered = (arm.render(position, *_RENDERED_PX, extent) for position in positions)
+    with closing(ArmCamera(run.setup.robot)) as camera:
+        extent = camera.extent(positions)
+        rendered = (camera.render(position, *_RENDERED_PX, extent) for position in positions)
         with ThreadPoolExecutor(max_workers=1) as executor:  # one is written, the next rendered
             files = list(executor.map(_png, rendered))
     return [Picture(float(times_s[tick]), png) for tick, png in zip(ticks, files, strict=True)]
@@ -43,8 +42,8 @@ def arm_pictures(run: RunData) -> list[Picture] | None:
 
 def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
     """A PNG file of the arm in one posture, shape (joints,)."""
-    with closing(PybulletArm(robot, _ANY_STEP_S)) as arm:
-        return _png(arm.render(position_rad, *_RENDERED_PX))
+    with closing(ArmCamera(robot)) as camera:
+        return _png(camera.render(position_rad, *_RENDERED_PX))
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

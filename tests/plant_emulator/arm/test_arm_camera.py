@@ -1,0 +1,33 @@
+"""Pictures by Bullet's C functions are those that pybullet gives."""
+
+from contextlib import closing
+
+import numpy as np
+import pybullet
+import pytest
+
+from deploy.scenario.scenario import load_setup
+from plant_emulator.arm.arm_camera import ArmCamera, look_at
+from plant_emulator.arm.pybullet_arm import PybulletArm
+
+SIZE = WIDTH, HEIGHT = 120, 90
+
+
+@pytest.mark.parametrize("name", ["paper_arm", "iiwa"])
+def test_a_picture_is_the_one_that_pybullet_gives(name):
+    setup = load_setup(name, [])
+    robot, position = setup.robot, setup.start_position_rad
+    with closing(ArmCamera(robot)) as camera:
+        camera.render(position + 0.5, *SIZE)  # of which nothing stays
+        box = camera.extent(position[None, :])
+        picture = camera.render(position, *SIZE)
+    with closing(PybulletArm(robot, 1e-3)) as arm:
+        arm.place(position)
+        _, _, colours, _, bodies = pybullet.getCameraImage(
+            *SIZE, *map(list, look_at(box, *SIZE)), renderer=pybullet.ER_TINY_RENDERER,
+            lightDirection=[1, -2, 3], shadow=0, physicsClientId=arm._client,
+        )  # fmt: skip
+    expected = np.reshape(colours, (HEIGHT, WIDTH, 4))[..., :3]
+    is_arm = np.reshape(bodies, (HEIGHT, WIDTH, 1)) >= 0
+    assert is_arm.sum() > 300
+    np.testing.assert_array_equal(picture, np.where(is_arm, expected, 255))
