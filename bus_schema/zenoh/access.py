@@ -31,6 +31,16 @@ def scenario_key_expression(
     return f"funnel_hil/{domain}/scenario/{role}/{session}/{digests}"
 
 
+def bundle_key_expression(domain: int, role: str = "*") -> str:
+    """Key of the bundles of a loop."""
+    return f"funnel_hil/{domain}/bundles/{role}"
+
+
+def bundling_key_expression(domain: int, role: str = "*", session: str = "*") -> str:
+    """Liveliness token by which a loop tells that it bundles all it sends."""
+    return f"funnel_hil/{domain}/bundling/{role}/{session}"
+
+
 def secure_settings(role: Role, domain: int, keys: KeyFolder) -> dict[str, Any]:
     """Settings of a session that speaks to holders of our authority's certificates alone.
 
@@ -78,18 +88,23 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
     """What one process may send to another: every listener may listen, few may speak."""
     allowed = {
         "put": [topic.key_expression(domain) for topic in topics_of(speaker)],
-        "declare_subscriber": [f"{domain}/**", progress_key_expression(domain)],
+        "declare_subscriber": [
+            f"{domain}/**", progress_key_expression(domain), bundle_key_expression(domain)
+        ],
         "liveliness_token": [
             node_tokens(domain, speaker), scenario_key_expression(domain, speaker)
         ],
         "declare_liveliness_subscriber": [
             graph_key_expression(domain), recorded_key_expression(domain),
-            scenario_key_expression(domain),
+            scenario_key_expression(domain), bundling_key_expression(domain),
         ],
     }  # fmt: skip
     if speaker is Role.RECORDER:
         allowed["put"].append(progress_key_expression(domain))
         allowed["liveliness_token"].append(recorded_key_expression(domain))
+    else:
+        allowed["put"].append(bundle_key_expression(domain, speaker))
+        allowed["liveliness_token"].append(bundling_key_expression(domain, speaker))
     allowed["liveliness_query"] = allowed["declare_liveliness_subscriber"]
     return [
         _rule(f"{name}: {message}", message, [flow], keys)

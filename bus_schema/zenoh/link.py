@@ -52,7 +52,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         lockstep: bool,
         agreement: Agreement | None = None,
     ) -> None:
-        super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement)
+        super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement, bundles=lockstep)
         self._commander_was_seen = False
         self._states = self.advertise(topics.JOINT_STATES)
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
@@ -150,7 +150,9 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
     def __init__(
         self, link: LinkConfiguration, *, lossless: bool, agreement: Agreement | None = None
     ) -> None:
-        super().__init__(link, Role.CONTROLLER, lossless=lossless, agreement=agreement)
+        super().__init__(
+            link, Role.CONTROLLER, lossless=lossless, agreement=agreement, bundles=lossless
+        )
         self._on_state: StateHandler | None = None
         for topic in (topics.CONTROL_STATUS, topics.RUN_EVENTS):
             self.advertise(topic)

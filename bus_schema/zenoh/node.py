@@ -19,6 +19,7 @@ from bus_schema.zenoh.access import (
     scenario_key_expression,
     secure_settings,
 )
+from bus_schema.zenoh.bundles import BundleMailbox, Bundler
 from bus_schema.zenoh.diagnosis import SilenceWatch
 from bus_schema.zenoh.flow_control import FlowControl
 from bus_schema.zenoh.ros_graph import (
@@ -52,6 +53,7 @@ class ZenohNode:
         role: what this node is.
         lossless: rather wait for a slow recorder than go on without it.
         agreement: what others must agree on; None asks nobody.
+        bundles: send everything in bundles too, for recorders.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class ZenohNode:
         *,
         lossless: bool,
         agreement: Agreement | None = None,
+        bundles: bool = False,
     ) -> None:
         listen, connect = _endpoints(link, role)
         # A recorder may fall behind, and must not hold up the loop when it does.
@@ -96,6 +99,7 @@ class ZenohNode:
         if agreement is not None:
             own = (role.value, self._session.identifier, agreement.encode())
             self._session.announce(scenario_key_expression(link.domain, *own))
+        self._bundler = Bundler(self._session, link.domain, role) if bundles else None
         if self._flow is not None:
             self._session.subscribe(progress_key_expression(link.domain), self._on_progress)
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
@@ -127,9 +131,13 @@ class ZenohNode:
         self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return inbox
 
-    def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox:
+    def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox | BundleMailbox:
         """Subscribe to everything in the domain, in one mailbox."""
-        mailbox = self._session.mailbox(f"{self._domain}/**", capacity, lossless=lossless)
+        mailbox = (
+            BundleMailbox(self._session, self._domain, capacity, self._speakers)
+            if lossless
+            else self._session.mailbox(f"{self._domain}/**", capacity, lossless=False)
+        )
         for topic in topics.TOPICS:
             self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return mailbox
@@ -142,11 +150,14 @@ class ZenohNode:
         """
         publisher, gid = self._publishers[topic.name]
         self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
-        attachment = Attachment(sequence, time.time_ns(), gid).encode() + beside
+        attachment = Attachment(sequence, time.time_ns(), gid).encode()
         if self._flow is not None:
             self._flow.send(len(payload) + len(beside), sequence if topic.paces else 0)
         if topic.urgent:
-            publisher.put(payload, attachment)
+            publisher.put(payload, attachment + beside)
+        if self._bundler is not None:
+            self._bundler.add(topic.name, attachment, payload)
+        if topic.urgent:
             return sequence
         with self._waiting_lock:
             self._waiting.append((publisher, payload, attachment))
@@ -155,6 +166,8 @@ class ZenohNode:
                 for waiting, its_payload, its_attachment in self._waiting:
                     waiting.put(its_payload, its_attachment)
                 self._waiting.clear()
+                if self._bundler is not None:
+                    self._bundler.send()
         if is_full and self._flow is not None:
             self._flow.await_recorders()
         return sequence
@@ -233,6 +246,12 @@ class ZenohNode:
     def _others(self, kind: EntityKind) -> list[Entity]:
         own, known = self._session.identifier, list(self._entities.values())
         return [entity for entity in known if entity.session != own and entity.kind == kind]
+
+    def _speakers(self) -> set[str]:
+        """Sessions that have announced that they send on our topics."""
+        names = {topic.name for topic in topics.TOPICS}
+        others = self._others(EntityKind.PUBLISHER)
+        return {entity.session for entity in others if entity.topic in names}
 
     def _token(self, kind: EntityKind, topic: Topic) -> str:
         self._sequences["entities"] = entity_id = self._sequences["entities"] + 1

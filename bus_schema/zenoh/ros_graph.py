@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import xxhash
 
@@ -20,8 +21,7 @@ _ADMIN = "@ros2_lv"
 _FIELDS_BEFORE_NODE_NAME = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Attachment:
+class Attachment(NamedTuple):
     """Travels beside every payload.
 
     Attributes:

@@ -68,6 +68,11 @@ class Mailbox:
         sample = self._subscriber.try_recv()
         return None if sample is None else (str(sample.key_expr), _delivery(sample))
 
+    def close(self) -> None:
+        """Subscribe no longer; what was not taken is lost."""
+        with contextlib.suppress(zenoh.ZError):
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
 
 class Inbox:
     """Deliveries on one key, for a thread that waits for them itself.

@@ -109,8 +109,10 @@ class GapCounter:
         if not sequence:
             return
         last = self._last_sequence[topic, sender]
-        self.missed[topic] += max(0, sequence - last - 1)
-        self._last_sequence[topic, sender] = max(sequence, last)
+        if sequence > last + 1:
+            self.missed[topic] += sequence - last - 1
+        if sequence > last:
+            self._last_sequence[topic, sender] = sequence
 
     def expect(self, topic: str, count: int) -> int:
         """Somebody else got `count` messages; how many of them nobody had missed so far."""
@@ -240,7 +242,7 @@ class Recorder:
         self._log.write(topic, attachment.sequence, self._last_stamp_ns, sent_ns, delivery.payload)
         if topic is topics.JOINT_STATES:
             self._view.show(delivery.payload, self._last_stamp_ns, sent_ns)
-        if self._feed is not None:
+        if self._feed is not None and self._feed.is_watched:
             self._feed.take(Message(topic, self._last_stamp_ns, delivery.payload))
         if self._is_virtual and topic.paces and attachment.gid:
             self._progress[attachment.gid] = attachment.sequence

@@ -56,6 +56,11 @@ class LiveFeed:
         self._sampler: Sampler | None = None
         self.dropped = 0
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether there are viewers, for whom messages are to be taken."""
+        return self._sampler is not None
+
     def take(self, message: Message) -> None:
         """A message was recorded."""
         if self._sampler is not None:

@@ -1,0 +1,170 @@
+"""Messages in bundles: what loops in virtual time send, as a recorder takes it.
+
+A recorder that subscribes to what loops send at every tick is a second peer to each `put`, and a
+thread that is woken up each time, beside loops that wait for one another. So in virtual time loops
+put all they send into bundles too, and tell so by a token. While nobody else speaks, a recorder
+takes bundles alone. Whoever subscribes to topics gets each message at once, as ever.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+
+from bus_schema.messages.topics import Role, topics_of
+from bus_schema.zenoh.access import bundle_key_expression, bundling_key_expression
+from bus_schema.zenoh.ros_graph import GID_BYTES, Attachment
+from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
+
+_LARGEST_BYTES = 1 << 16
+_HEAD = struct.Struct("<BBI")  # bytes of topic, attachment and payload, which follow
+_LOOPS = {Role.PLANT, Role.CONTROLLER}
+
+
+class Bundler:
+    """Sends bundles.
+
+    Args:
+        session: of the loop.
+        domain: ROS domain.
+        role: which loop it is.
+    """
+
+    def __init__(self, session: ZenohSession, domain: int, role: Role) -> None:
+        self._publisher: ZenohPublisher = session.publisher(bundle_key_expression(domain, role))
+        session.announce(bundling_key_expression(domain, role, session.identifier))
+        self._lock = threading.Lock()
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def add(self, topic: str, attachment: bytes, payload: bytes) -> None:
+        """Add a message; a bundle that is large enough is sent."""
+        name = topic.encode()
+        with self._lock:
+            head = _HEAD.pack(len(name), len(attachment), len(payload))
+            self._parts += (head, name, attachment, payload)
+            self._size += len(payload)
+            if self._size >= _LARGEST_BYTES:
+                self._send()
+
+    def send(self) -> None:
+        """Send what was added since the last bundle."""
+        with self._lock:
+            self._send()
+
+    def _send(self) -> None:
+        if self._parts:
+            self._publisher.put(b"".join(self._parts), b"")
+            self._parts, self._size = [], 0
+
+
+def unbundled(bundle: bytes) -> Iterator[tuple[bytes, Delivery]]:
+    """Topic and content of each message; what is no message ends it."""
+    at, end = 0, len(bundle)
+    while at + _HEAD.size <= end:
+        name_bytes, attachment_bytes, payload_bytes = _HEAD.unpack_from(bundle, at)
+        name_at = at + _HEAD.size
+        attachment_at = name_at + name_bytes
+        payload_at = attachment_at + attachment_bytes
+        at = payload_at + payload_bytes
+        if at <= end:
+            yield (
+                bundle[name_at:attachment_at],
+                Delivery(bundle[payload_at:at], bundle[attachment_at:payload_at]),
+            )
+
+
+class BundleMailbox:
+    """All that is sent in a domain, each message once, in the order in which its sender sent it.
+
+    Args:
+        session: of the recorder.
+        domain: ROS domain.
+        capacity: deliveries to keep; once there are more, senders wait.
+        speakers: gives the sessions that have announced that they send on our topics.
+    """
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        domain: int,
+        capacity: int,
+        speakers: Callable[[], set[str]],
+    ) -> None:
+        self._session, self._domain, self._capacity = session, domain, capacity
+        self._speakers = speakers
+        self._bundling: dict[str, str] = {}  # role by session
+        self._keys = {
+            bundle_key_expression(domain, role): {
+                topic.name.encode(): topic.key_expression(domain) for topic in topics_of(role)
+            }
+            for role in _LOOPS
+        }
+        self._unbundled: deque[tuple[str, Delivery]] = deque()
+        self._bundled: set[bytes] = set()  # ids of publishers whose messages come in bundles
+        self._heard: dict[tuple[str, bytes], int] = {}  # numbers that came before that was known
+        self._bundles = session.mailbox(bundle_key_expression(domain), capacity, lossless=True)
+        self._direct: Mailbox | None = None
+        self._listen()
+        session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
+
+    def take(self) -> tuple[str, Delivery] | None:
+        """Key and content of the oldest delivery not yet taken; None if there is none."""
+        while not self._unbundled:
+            bundle = self._bundles.take()
+            if bundle is not None:
+                self._unbundle(*bundle)
+                continue
+            delivery = self._direct.take() if self._direct is not None else None
+            if delivery is None:
+                self._listen()
+                return None
+            if not self._will_be_bundled(*delivery):
+                return delivery
+        return self._unbundled.popleft()
+
+    def _unbundle(self, key: str, bundle: Delivery) -> None:
+        keys = self._keys.get(key, {})
+        for topic, delivery in unbundled(bundle.payload):
+            if topic in keys and self._is_new(keys[topic], delivery.attachment):
+                self._unbundled.append((keys[topic], delivery))
+
+    def _is_new(self, key: str, attachment: bytes) -> bool:
+        """Whether a message in a bundle has not come by itself before."""
+        self._bundled.add(attachment[-GID_BYTES:])
+        if not self._heard:  # as ever but at the beginning
+            return True
+        sent = Attachment.decode(attachment)
+        heard = 0 if sent is None else self._heard.get((key, sent.gid), 0)
+        if sent is None or sent.sequence < heard:
+            return False
+        self._heard.pop((key, sent.gid), None)
+        return sent.sequence > heard
+
+    def _will_be_bundled(self, key: str, delivery: Delivery) -> bool:
+        """Whether a message that has come by itself comes in a bundle too, if it has not yet."""
+        sent = Attachment.decode(delivery.attachment)
+        if sent is None or not sent.sequence:
+            return False
+        if sent.gid not in self._bundled:
+            self._heard[key, sent.gid] = sent.sequence
+        return sent.gid in self._bundled
+
+    def _listen(self) -> None:
+        """Listen to all that is sent, unless all of it comes in bundles."""
+        if set(self._bundling.values()) != _LOOPS or not self._speakers() <= self._bundling.keys():
+            if self._direct is None:
+                key = f"{self._domain}/**"
+                self._direct = self._session.mailbox(key, self._capacity, lossless=True)
+        elif self._direct is not None:
+            self._direct.close()
+            self._direct = None
+
+    def _on_bundling(self, token: str, alive: bool) -> None:
+        *_, role, session = token.split("/")
+        if alive:
+            self._bundling[session] = role
+        else:
+            self._bundling.pop(session, None)

@@ -1,0 +1,230 @@
+"""What loops send in bundles comes to a recorder once, in order, and with all that others send."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+import zenoh
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role, Topic
+from bus_schema.zenoh.access import bundle_key_expression
+from bus_schema.zenoh.bundles import BundleMailbox, Bundler, unbundled
+from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+from bus_schema.zenoh.node import ZenohNode
+from bus_schema.zenoh.ros_graph import Attachment, EntityKind, endpoint_token
+from bus_schema.zenoh.session import ZenohSession
+from tests.bus_schema.zenoh.zenoh_pair import (
+    HANG_S,
+    await_true,
+    controller_on,
+    fresh_link,
+    plant_on,
+    state,
+    status,
+)
+
+CAPACITY = 10_000
+FOREIGN = Attachment(7, 0, b"f" * 16)
+
+
+class Ear:
+    """A recorder's: numbers and payloads of what it took, by topic."""
+
+    def __init__(self, link: LinkConfiguration) -> None:
+        self.node = ZenohNode(link, Role.RECORDER, lossless=True)
+        mailbox = self.node.listen_to_all(CAPACITY, lossless=True)
+        assert isinstance(mailbox, BundleMailbox)
+        self.mailbox = mailbox
+        self.node.announce()
+        self._names = {topic.key_expression(0): topic.name for topic in topics.TOPICS}
+        self.heard: dict[str, list[tuple[int, bytes]]] = {name: [] for name in self._names.values()}
+
+    def take_all(self) -> None:
+        for key, delivery in iter(self.mailbox.take, None):
+            sent = Attachment.decode(delivery.attachment)
+            number = 0 if sent is None else sent.sequence
+            self.heard[self._names[key]].append((number, delivery.payload))
+
+    def await_heard(self, topic: Topic, count: int) -> None:
+        self.await_true(lambda: len(self.heard[topic.name]) >= count)
+
+    def await_true(self, condition: Callable[[], bool]) -> None:
+        def holds() -> bool:
+            self.take_all()
+            return condition()
+
+        await_true(holds)
+
+
+@contextmanager
+def ear_on(link: LinkConfiguration, *loops: ZenohNode) -> Iterator[Ear]:
+    """A recorder that loops know of: what they send from now on comes there."""
+    ear = Ear(link)
+    try:
+        for loop in loops:
+            loop.await_recorder(HANG_S)
+        yield ear
+    finally:
+        ear.node.close()
+
+
+def client_of(endpoint: str) -> zenoh.Session:
+    """A session for which the plant is a router."""
+    configuration = zenoh.Config()
+    for name, value in {"mode": "client", "connect/endpoints": [endpoint]}.items():
+        configuration.insert_json5(name, json.dumps(value))
+    return zenoh.open(configuration)
+
+
+def hears_bundles_alone(plant: ZenohPlantLink) -> bool:
+    """Nobody but a recorder subscribes to the status by itself."""
+    publisher, _ = plant._publishers[topics.PLANT_STATUS.name]
+    return not publisher.has_subscribers()
+
+
+def exchange(
+    plant: ZenohPlantLink, controller: ZenohControllerLink, ticks: range
+) -> dict[str, list[tuple[int, bytes]]]:
+    """Ticks of both loops; what a recorder is to have of them."""
+    for tick in ticks:
+        plant.send_state(state(tick), status())
+        controller.publish(topics.JOINT_COMMANDS, state(tick))
+        plant.publish(topics.PLANT_TRUTH, b"truth %d" % tick)
+        controller.publish(topics.CONTROL_STATUS, b"control %d" % tick)
+    for link, role in ((plant, Role.PLANT), (controller, Role.CONTROLLER)):
+        link.publish(topics.RUN_EVENTS, RunEvent(0, role, EventKind.ENDED, "").encode())
+    numbered = [(tick + 1, tick) for tick in ticks]
+    return {
+        "joint_states": [(number, state(tick)) for number, tick in numbered],
+        "joint_commands": [(number, state(tick)) for number, tick in numbered],
+        "plant_status": [(number, status()) for number, _ in numbered],
+        "plant_truth": [(number, b"truth %d" % tick) for number, tick in numbered],
+        "control_status": [(number, b"control %d" % tick) for number, tick in numbered],
+    }
+
+
+def assert_heard(ear: Ear, *sent: dict[str, list[tuple[int, bytes]]]) -> None:
+    for name in sent[0]:
+        assert ear.heard[name] == [message for part in sent for message in part[name]], name
+
+
+def test_recorder_takes_bundles_alone_while_none_but_both_loops_speak() -> None:
+    link = fresh_link()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        ear.await_true(lambda: hears_bundles_alone(plant))
+        sent = exchange(plant, controller, range(100))
+        ear.await_heard(topics.RUN_EVENTS, 2)
+        assert_heard(ear, sent)
+
+
+def test_each_message_comes_once_whenever_the_recorder_turns_to_bundles() -> None:
+    link = fresh_link()
+    with plant_on(link) as plant, ear_on(link, plant) as ear:
+        await_true(lambda: not hears_bundles_alone(plant))
+        with controller_on(link) as controller:
+            controller.activate()
+            controller.await_recorder(HANG_S)
+            sent = [exchange(plant, controller, range(at, at + 50)) for at in range(0, 300, 50)]
+            ear.await_heard(topics.RUN_EVENTS, 12)
+            assert_heard(ear, *sent)
+
+
+def test_recorder_hears_whoever_else_announces_that_it_speaks() -> None:
+    link = fresh_link()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        ear.await_true(lambda: hears_bundles_alone(plant))
+        before = exchange(plant, controller, range(40))
+        ear.await_heard(topics.RUN_EVENTS, 2)
+        stranger = client_of(link.plant_endpoint)
+        token = stranger.liveliness().declare_token(
+            endpoint_token(
+                0, str(stranger.zid()), "stranger", 1, EntityKind.PUBLISHER, topics.CONTROL_STATUS
+            )
+        )
+        ear.await_true(lambda: not hears_bundles_alone(plant))
+        after = exchange(plant, controller, range(40, 80))
+        ear.await_heard(topics.RUN_EVENTS, 4)
+        assert_heard(ear, before, after)
+
+        def is_heard() -> bool:
+            stranger.put(topics.CONTROL_STATUS.key_expression(0), b"strange")
+            return ear.heard["control_status"][-1] == (0, b"strange")
+
+        ear.await_true(is_heard)
+        token.undeclare()
+        stranger.close()  # type: ignore[no-untyped-call]
+        ear.await_true(lambda: hears_bundles_alone(plant))
+
+
+def test_recorder_hears_all_again_once_a_loop_has_left() -> None:
+    link = fresh_link()
+    with plant_on(link) as plant, ear_on(link, plant) as ear:
+        with controller_on(link) as controller:
+            controller.activate()
+            ear.await_true(lambda: hears_bundles_alone(plant))
+        ear.await_true(lambda: not hears_bundles_alone(plant))
+
+
+def test_bundle_of_the_controller_says_nothing_in_the_plants_name() -> None:
+    link = fresh_link()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        bundler = controller._bundler
+        assert bundler is not None
+        bundler.add(topics.PLANT_TRUTH.name, FOREIGN.encode(), b"forged")
+        bundler.add(topics.CONTROL_STATUS.name, FOREIGN.encode(), b"its own")
+        bundler.send()
+        ear.await_heard(topics.CONTROL_STATUS, 1)
+        assert ear.heard["plant_truth"] == []
+
+
+@pytest.mark.parametrize("cut_off", [1, 5, 40, 60])
+def test_what_is_no_bundle_is_taken_as_far_as_it_is_one(cut_off: int) -> None:
+    session = ZenohSession([], [], low_latency=False)
+    taken: list[bytes] = []
+    session.subscribe(bundle_key_expression(0), lambda delivery: taken.append(delivery.payload))
+    bundler = Bundler(session, 0, Role.PLANT)
+    for number in range(3):
+        bundler.add("plant_truth", FOREIGN.encode(), b"%d" % number)
+    bundler.send()
+    bundler.send()  # nothing more
+    await_true(lambda: bool(taken))
+    session.close()
+    (bundle,) = taken
+    said = [(name, delivery.payload) for name, delivery in unbundled(bundle)]
+    assert said == [(b"plant_truth", b"%d" % number) for number in range(3)]
+    assert [delivery.payload for _, delivery in unbundled(bundle[:-cut_off])] in (
+        [b"0", b"1"], [b"0"]
+    )  # fmt: skip
+    for garbage in (b"", b"\0" * 5, b"\xff" * 300, bundle[7:]):
+        list(unbundled(garbage))
+
+
+def test_large_messages_do_not_wait_for_others() -> None:
+    session = ZenohSession([], [], low_latency=False)
+    taken: list[bytes] = []
+    session.subscribe(bundle_key_expression(0), lambda delivery: taken.append(delivery.payload))
+    bundler = Bundler(session, 0, Role.PLANT)
+    bundler.add("plant_truth", FOREIGN.encode(), bytes(70_000))
+    await_true(lambda: bool(taken))
+    session.close()
