@@ -15,6 +15,7 @@ from bus_schema.zenoh.session import Delivery, Inbox
 
 LARGEST_BACKLOG = 10_000
 _LOOK_S = 0.05
+Note = Callable[[Delivery, CommandArrival], None]
 _NO_ATTACHMENT = Attachment(sequence=0, source_time_ns=0, gid=b"")
 
 
@@ -24,15 +25,17 @@ class Arrivals:
     Args:
         inbox: where they come in; waited for by nobody else.
         clock: the plant's clock, which stamps them.
-        note_sender: called with each command's sender.
+        note: called with each command as it came, and as it is taken in.
 
     Attributes:
         received: how many came.
         overflow: how many of them were left out, because too many waited to be taken.
     """
 
-    def __init__(self, inbox: Inbox, clock: Clock, note_sender: Callable[[bytes], None]) -> None:
-        self._inbox, self._clock, self._note_sender = inbox, clock, note_sender
+    def __init__(
+        self, inbox: Inbox, clock: Clock, note: Callable[[Delivery, CommandArrival], None]
+    ) -> None:
+        self._inbox, self._clock, self._note = inbox, clock, note
         self._kept: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._first: list[CommandArrival] = []
         self._closed = threading.Event()
@@ -77,7 +80,7 @@ class Arrivals:
             self.overflow += 1  # a flood: what comes after is no use, and memory is bounded
             return
         arrival = arrival_of(delivery.payload, delivery.attachment, self._clock.now_ns())
-        self._note_sender(arrival.sender)
+        self._note(delivery, arrival)
         self._kept.put(arrival)
 
 
@@ -88,9 +91,11 @@ class AwaitedArrivals(Arrivals):
     would hold up all else that comes over the network.
     """
 
-    def __init__(self, inbox: Inbox, clock: Clock, note_sender: Callable[[bytes], None]) -> None:
+    def __init__(
+        self, inbox: Inbox, clock: Clock, note: Callable[[Delivery, CommandArrival], None]
+    ) -> None:
         self._is_taking = threading.Lock()
-        super().__init__(inbox, clock, note_sender)
+        super().__init__(inbox, clock, note)
 
     def is_empty(self) -> bool:
         with self._is_taking:

@@ -2,7 +2,8 @@
 
 A recorder that subscribes to what loops send at every tick is a second peer to each `put`, and a
 thread that is woken up each time, beside loops that wait for one another. So in virtual time loops
-put all they send into bundles too, and tell so by a token. While nobody else speaks, a recorder
+put all they send into bundles too, and tell so by a token. Commands are told of by the plant, which
+has received what acts, whatever becomes of the controller. While nobody else speaks, a recorder
 takes bundles alone. Whoever subscribes to topics gets each message at once, as ever.
 """
 
@@ -13,14 +14,18 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 
-from bus_schema.messages.topics import Role, topics_of
+from bus_schema.messages.topics import JOINT_COMMANDS, Role, topics_of
 from bus_schema.zenoh.access import bundle_key_expression, bundling_key_expression
 from bus_schema.zenoh.ros_graph import GID_BYTES, Attachment
 from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
 _LARGEST_BYTES = 1 << 16
-_HEAD = struct.Struct("<BBI")  # bytes of topic, attachment and payload, which follow
-_LOOPS = {Role.PLANT, Role.CONTROLLER}
+_HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
+_BUNDLED = {
+    Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
+    Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
+}
+"""What the bundles of each loop hold; nobody says more in another's name."""
 
 
 class Bundler:
@@ -98,9 +103,9 @@ class BundleMailbox:
         self._bundling: dict[str, str] = {}  # role by session
         self._keys = {
             bundle_key_expression(domain, role): {
-                topic.name.encode(): topic.key_expression(domain) for topic in topics_of(role)
+                topic.name.encode(): topic.key_expression(domain) for topic in of_role
             }
-            for role in _LOOPS
+            for role, of_role in _BUNDLED.items()
         }
         self._unbundled: deque[tuple[str, Delivery]] = deque()
         self._bundled: set[bytes] = set()  # ids of publishers whose messages come in bundles
@@ -154,7 +159,10 @@ class BundleMailbox:
 
     def _listen(self) -> None:
         """Listen to all that is sent, unless all of it comes in bundles."""
-        if set(self._bundling.values()) != _LOOPS or not self._speakers() <= self._bundling.keys():
+        if (
+            set(self._bundling.values()) != set(_BUNDLED)
+            or not self._speakers() <= self._bundling.keys()
+        ):
             if self._direct is None:
                 key = f"{self._domain}/**"
                 self._direct = self._session.mailbox(key, self._capacity, lossless=True)

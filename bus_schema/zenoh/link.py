@@ -63,7 +63,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
             self.advertise(topics.CLOCK)
         inbox = self.inbox(topics.JOINT_COMMANDS, LARGEST_BACKLOG, lossless=True)
         arrivals = AwaitedArrivals if lockstep else Arrivals
-        self._arrivals = arrivals(inbox, clock, self._senders.note)
+        self._arrivals = arrivals(inbox, clock, self._note_command)
         self.announce()
 
     def await_controller(
@@ -96,6 +96,12 @@ class ZenohPlantLink(ZenohNode, PlantLink):
             time.sleep(POLL_S)
         self.require_same_scenario(Role.CONTROLLER)
         self._commander_was_seen = self.has_publisher(topics.JOINT_COMMANDS)
+
+    def _note_command(self, delivery: Delivery, arrival: CommandArrival) -> None:
+        """Remember its sender; what our own controller sent is recorded though it be killed."""
+        self._senders.note(arrival.sender)
+        if self._bundler is not None and self._senders.is_our_controller(arrival.sender):
+            self._bundler.add(topics.JOINT_COMMANDS.name, delivery.attachment, delivery.payload)
 
     def _may_have_unannounced_controller(self) -> bool:
         """A recorder subscribes to states too: beside one, a stranger has to be connected."""

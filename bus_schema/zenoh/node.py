@@ -155,7 +155,7 @@ class ZenohNode:
             self._flow.send(len(payload) + len(beside), sequence if topic.paces else 0)
         if topic.urgent:
             publisher.put(payload, attachment + beside)
-        if self._bundler is not None:
+        if self._bundler is not None and topic is not topics.JOINT_COMMANDS:
             self._bundler.add(topic.name, attachment, payload)
         if topic.urgent:
             return sequence
@@ -241,6 +241,8 @@ class ZenohNode:
 
     def close(self) -> None:
         """Leave the bus. What is still on its way to a slow peer is lost."""
+        if self._bundler is not None:
+            self._bundler.send()
         self._session.close()
 
     def _others(self, kind: EntityKind) -> list[Entity]:

@@ -95,6 +95,8 @@ def exchange(
     for tick in ticks:
         plant.send_state(state(tick), status())
         controller.publish(topics.JOINT_COMMANDS, state(tick))
+        assert plant.await_command(HANG_S)
+        plant.take_commands()
         plant.publish(topics.PLANT_TRUTH, b"truth %d" % tick)
         controller.publish(topics.CONTROL_STATUS, b"control %d" % tick)
     for link, role in ((plant, Role.PLANT), (controller, Role.CONTROLLER)):
@@ -228,3 +230,19 @@ def test_large_messages_do_not_wait_for_others() -> None:
     bundler.add("plant_truth", FOREIGN.encode(), bytes(70_000))
     await_true(lambda: bool(taken))
     session.close()
+
+
+def test_commands_are_recorded_though_their_controller_sends_no_bundle_any_more() -> None:
+    link = fresh_link()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        ear.await_true(lambda: hears_bundles_alone(plant))
+        await_true(lambda: plant.has_publisher(topics.JOINT_COMMANDS))
+        controller.publish(topics.JOINT_COMMANDS, state(1))
+        assert plant.await_command(HANG_S)
+        plant.publish(topics.RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
+        ear.await_heard(topics.JOINT_COMMANDS, 1)
