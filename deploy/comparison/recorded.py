@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +30,7 @@ Rows = NDArray[np.intp]
 
 KIND = "diff"
 _COMPARED = ("position", "velocity", "torque")
+_GAINS = "controller.gains."
 _FILES = ("robot.urdf", "reference.file", "distribution_file")
 
 
@@ -58,7 +59,8 @@ class RecordedRuns:
         comparison: the runs, each by its label in place of a law.
         partings: of each run from the first; None where all ticks are the same bits.
         differing: values of the scenarios by run, as JSON, for each key that is not the same in
-            all; None where a scenario lacks it. Without what belongs to a host.
+            all; None where a scenario lacks it. Without what belongs to a host, and without gains
+            of laws that none of the runs has.
     """
 
     paths: Sequence[Path]
@@ -104,7 +106,13 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     runs = [run for run, _ in read]
     _require_same_joints(paths, runs)
     partings = [_parting(runs[0].data, run.data) for run in runs]
-    return RecordedRuns(places, Comparison(runs), partings, _differing([each for _, each in read]))
+    laws = {run.data.setup.scenario.controller.law for run in runs}
+    differing = {
+        key: values
+        for key, values in _differing([each for _, each in read]).items()
+        if _is_in_force(key, laws)
+    }
+    return RecordedRuns(places, Comparison(runs), partings, differing)
 
 
 def read_again(path: Path) -> RecordedRuns:
@@ -176,6 +184,11 @@ def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:
     )
     _, here, there = np.intersect1d(ours_ns, theirs_ns, return_indices=True)
     return here, there
+
+
+def _is_in_force(key: str, laws: Collection[str]) -> bool:
+    """Whether a value is of any use: gains are, of the laws that ran."""
+    return not key.startswith(_GAINS) or key.removeprefix(_GAINS).partition(".")[0] in laws
 
 
 def _differing(values: Sequence[dict[str, str]]) -> dict[str, list[str | None]]:

@@ -55,7 +55,7 @@ def shelved(folder: Path) -> list[Shelved]:
         ScenarioError: there is no such folder.
     """
     if not folder.is_dir():
-        raise ScenarioError(f"{folder}: must be a folder of results")
+        raise ScenarioError(f"{folder}: no such folder; must be one of results")
     found = [_looked_at(path) for path in _result_folders(folder)]
     return sorted(found, key=lambda each: (_seconds(each.started), each.path))
 

@@ -53,13 +53,17 @@ def _quantity(summary: Mapping[str, Any]) -> str:
     """What is varied, with its unit, and how finely."""
     if "axes" in summary:
         return "; ".join(
-            f"{', '.join(axis['keys'])} = {', '.join(map(str, axis['values']))}"
+            f"{', '.join(axis['keys'])} = {', '.join(map(_value_text, axis['values']))}"
             for axis in summary["axes"]
         )
     text = f"{summary['title']} ({summary['unit'] or 'no unit'})"
     if "values" in summary:
         return f"{text} at {', '.join(f'{value:g}' for value in summary['values'])}"
     return f"{text} up to {summary['limit']:g}, found to within {summary['resolution']:g}"
+
+
+def _value_text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _starts(summary: Mapping[str, Any]) -> str:

@@ -19,7 +19,7 @@ _COLOURS = {
     Mode.FAULT: style.ALARM,
 }
 _MARKS = {EventKind.FAULT: ("x", style.ALARM), EventKind.LIMIT: ("triangle-down", style.INK)}
-_HEIGHT_PX = 210
+_HEIGHT_PX, _BELOW_PX = 240, 105
 _LEAST_SHARE = 0.004
 
 
@@ -56,7 +56,10 @@ def timeline(run: RunData) -> go.Figure | None:
             )  # fmt: skip
     style.apply(figure, _HEIGHT_PX, legend=True)
     figure.update_layout(
-        barmode="overlay", bargap=0.35, legend={"y": -0.35, "traceorder": "reversed"}
+        barmode="overlay",
+        bargap=0.35,
+        margin={"b": _BELOW_PX},  # the legend takes two rows where a page is narrow
+        legend={"yref": "container", "y": 0, "yanchor": "bottom", "traceorder": "reversed"},
     )
     figure.update_xaxes(title_text="time (s)", range=[0.0, max(end_s, 1e-9) * 1.01])
     figure.update_yaxes(categoryorder="array", categoryarray=[str(role) for role in _ROLES])

@@ -164,7 +164,7 @@ def test_prune_removes_all_that_a_run_and_its_export_left(funnel_hil, recorded, 
     ("words", "told"),
     [
         (["prune", "."], "must be given --older-than, --incomplete, or both"),
-        (["list", "nowhere"], "nowhere: must be a folder of results"),
+        (["list", "nowhere"], "nowhere: no such folder; must be one of results"),
         (["tag", "nowhere", "a"], "nowhere: holds no results"),
     ],
 )

@@ -61,6 +61,13 @@ def test_runs_of_different_rates_are_compared_at_the_instants_that_both_have(fol
     assert parting.largest_rad < 0.01
 
 
+def test_gains_of_laws_that_no_run_has_are_no_difference(folder, tmp_path):
+    idle, used = "controller.gains.pid.proportional=[9, 9, 9]", "controller.gains.ftsmc.eta=0.1"
+    other = record(tmp_path / "other", idle, used, "controller.law=ftsmc")
+    compared = recorded_runs([folder / "first", other])
+    assert list(compared.differing) == ["controller.law", "controller.gains.ftsmc.eta"]
+
+
 def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     compared = recorded_runs([folder / "first", folder / "again"])
     assert compared.labels == ["first", "again"]
