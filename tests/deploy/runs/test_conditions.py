@@ -91,7 +91,7 @@ def test_rows_of_a_sweep_have_their_link_and_its_conditions(tmp_path, funnel_hil
     assert all(row["uplink_delay_p99_9_ms"] is not None for row in rows)
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
     conditions = metadata_of(out / "sweep.parquet")
-    assert "link.uplink.delay_ms = 2.0, 4.0" in conditions["quantity"]
+    assert "link.uplink.delay_ms = 2, 4" in conditions["quantity"]
     assert conditions["set"] == "duration_s=0.1, metrics.from_s=0"
     page = (out / "report.html").read_text()
     assert "link.downlink.loss = 0.5" in page  # a legend, or the title of a map, names its key
