@@ -56,7 +56,8 @@ class CanMedium:
         self._random = random.Random(seed)
         self._log = log
         self._frames: list[CanFrame] = []
-        self._together: list[tuple[int, int]] = []
+        self._ready_ns: list[int] = []
+        self._together: list[int] = []
         self._counts: Counter[int] = Counter()
         self._busy_ns = 0
         self._window, self._window_busy_ns, self._peak_busy_ns = 0, 0, 0
@@ -76,7 +77,8 @@ class CanMedium:
         """
         if frames:
             self._frames += frames
-            self._together.append((now_ns, len(frames)))
+            self._ready_ns.append(now_ns)
+            self._together.append(len(frames))
             if len(self._frames) >= _MOST_WAITING:
                 self.settle()
 
@@ -89,12 +91,12 @@ class CanMedium:
         """Work out when what was sent so far was on the bus, count it and write it down."""
         if not self._frames:
             return
-        frames, (ready_ns, sizes) = self._frames, np.array(self._together, dtype=np.int64).T
-        self._frames, self._together = [], []
-        table, group = frame_table(frames), np.repeat(np.arange(sizes.size), sizes)
-        bits = count_bits(table)
+        table, ready_ns = frame_table(self._frames), np.array(self._ready_ns, dtype=np.int64)
+        sizes = np.array(self._together)
+        self._frames, self._ready_ns, self._together = [], [], []
+        bits, group = count_bits(table), np.repeat(np.arange(sizes.size), sizes)
         order = np.lexsort((bits.arbitration, group))
-        table, durations_ns = table[order], self._durations_ns(bits)[order]
+        table, durations_ns = table.take(order), self._durations_ns(bits)[order]
         if self._error_probability:
             durations_ns = np.array([self._with_errors_ns(each) for each in durations_ns.tolist()])
         ends_ns = self._ends_ns(ready_ns[group], durations_ns)
