@@ -13,6 +13,10 @@ from deploy.runs.run_data import RunData
 
 _SHOWN_EVENTS = 200
 _UNITS = ("_s", "_ms")
+_REJECTED = (
+    "Sent is what was put on its way. Commands that were rejected as they arrived are not among"
+    " them; those overtaken, or through after the arm had stopped, are."
+)
 _PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
 _TRANSPORT = {
     "sent": "Sent",
@@ -100,7 +104,8 @@ def transport_table(summary: dict[str, Any]) -> Table:
     if not any(channel["rejected"] for channel in channels):
         rows.append(["Rejected", *(0 if channel["sent"] else None for channel in channels)])
     columns = (Column("Messages", is_text=True), Column("Uplink (states)"))
-    return Table("Transport", [*columns, Column("Downlink (commands)")], rows)
+    note = _REJECTED if any(channel["rejected"] for channel in channels) else ""
+    return Table("Transport", [*columns, Column("Downlink (commands)")], rows, note)
 
 
 def event_table(run: RunData) -> Table:

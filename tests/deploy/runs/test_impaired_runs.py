@@ -8,6 +8,7 @@ import pytest
 from bus_schema.messages import topics
 from deploy.reports import run_report
 from deploy.reports.conclude import conclude
+from deploy.reports.run_tables import transport_table
 from deploy.runs.judging.bounds import bound_usage
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.new_folder import new_folder
@@ -86,6 +87,14 @@ def test_run_over_a_harsh_link_goes_to_its_end(harsh):
     assert len(harsh.tables[topics.JOINT_COMMANDS.name]) == uplink["delivered"]
     assert downlink["rejected"]["stale"] >= uplink["duplicated"]
     assert downlink["sent"] == uplink["delivered"] - downlink["rejected"]["stale"]
+
+
+def test_report_tells_that_commands_rejected_as_they_came_are_not_among_those_sent(plain, harsh):
+    table = transport_table(summarise(harsh))
+    rows = {title: values for title, *values in table.rows}
+    assert rows["Sent"][1] + rows["Rejected: stale"][1] == rows["Delivered"][0]
+    assert "rejected as they arrived are not among them" in table.note
+    assert transport_table(summarise(plain)).note == ""
 
 
 def test_older_command_never_replaces_a_newer_one(harsh):
