@@ -80,6 +80,10 @@ class CanKind(LinkKind[DrivenArm]):
                 raise ConfigurationError("link.can.faults.drives", text, error.allowed) from error
         protocol.check(can)
 
+    def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:
+        can = run.link.can
+        return PROTOCOLS.build(can.protocol).oddities(can, run.robot, most_nm)
+
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         if link.can.interface == "virtual" and not one_process:
             raise ConfigurationError(

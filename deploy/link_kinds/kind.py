@@ -74,6 +74,15 @@ class LinkKind(ABC, Generic[Arm]):
             ConfigurationError: it does not.
         """
 
+    def oddities(self, run: LinkRun, most_nm: Vector) -> list[str]:  # noqa: ARG002 (most have none)
+        """A sentence for each thing that is taken, but that may not be what was meant.
+
+        Args:
+            run: the run.
+            most_nm: the largest torques that the controller may give, N m, shape (joints,).
+        """
+        return []
+
     def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
         """Check that this machine has what the link needs, before anything starts.
 

@@ -33,7 +33,8 @@ def oddities(setup: Setup) -> list[str]:
                 f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
                 " limits.velocity_rad_s"
             )
-    return said
+    most_nm = scenario.limits.of_plant(robot).torque_nm
+    return said + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
 
 
 def _unlimited(names: Sequence[str], limits: Vector) -> str:

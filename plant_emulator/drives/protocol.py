@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+from bus_schema.arrays import Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanBus
 from bus_schema.can.master import CanMaster
@@ -89,6 +90,21 @@ class DriveProtocol(ABC):
         Raises:
             ConfigurationError: a frame cannot say them.
         """
+
+    def oddities(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
+        robot: RobotDescription,  # noqa: ARG002
+        most_nm: Vector,  # noqa: ARG002
+    ) -> list[str]:
+        """A sentence for each thing that is taken, but that may not be what was meant.
+
+        Args:
+            can: section ``link.can`` of the scenario.
+            robot: the robot.
+            most_nm: the largest torques that drives may be told to give, N m, shape (joints,).
+        """
+        return []
 
     def own_settings(self, can: CanConfiguration, joints: int) -> tuple[object, ...]:  # noqa: ARG002
         """What drives of this protocol alone are set to, one for each joint.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanBus
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains
@@ -58,6 +59,23 @@ class MitProtocol(DriveProtocol):
             MitSettings(ranges, mit.reply_identifier, mit.reply_bytes)
             for ranges in ranges_of(can, joints)
         )
+
+    def oddities(
+        self, can: CanConfiguration, robot: RobotDescription, most_nm: Vector
+    ) -> list[str]:
+        rows = zip(robot.joint_names, ranges_of(can, robot.joints), most_nm.tolist(), strict=True)
+        cut_off = [
+            f"{name} ({most:g} N m, cut off at {ranges.torque_nm:g})"
+            for name, ranges, most in rows
+            if most > ranges.torque_nm
+        ]
+        if not cut_off:
+            return []
+        return [
+            f"frames of {self.title} drives cannot say all torques of {', '.join(cut_off)}: set"
+            " link.can.mit.torque_nm to the range that the drives are set to, or limits.torque_nm"
+            " to what there is"
+        ]
 
     def check_gains(self, can: CanConfiguration, gains: DriveGains) -> None:
         joints = gains.stiffness_nm_rad.size

@@ -13,6 +13,7 @@ from bus_schema.runtime.modes import Mode
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
+from deploy.scenario.oddities import oddities
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.drives.mit.wire import MitRanges, Special, command_of, reply_of, special
@@ -124,3 +125,15 @@ def test_bus_off_ends_in_the_drives_own_timeout() -> None:
 def test_scenarios_that_do_not_fit_are_refused(overrides: list[str], told: str) -> None:
     with pytest.raises(ScenarioError, match=told):
         load_setup("paper_arm_mit", overrides)
+
+
+def test_torques_that_frames_cannot_say_are_told_before_the_run() -> None:
+    mit = [*VIRTUAL, "link.can.protocol=mit"]
+    (told,) = oddities(load_setup("paper_arm_can", mit))
+    assert "base_yaw (400 N m, cut off at 18)" in told
+    assert "shoulder (700 N m, cut off at 18)" in told
+    for remedy in ("link.can.mit.torque_nm=[400, 700, 300]", "limits.torque_nm=18"):
+        assert oddities(load_setup("paper_arm_can", [*mit, remedy])) == []
+    (told,) = oddities(load_setup("paper_arm_mit", [*VIRTUAL, "link.can.mit.torque_nm=400"]))
+    assert "cannot say all torques of shoulder (700 N m, cut off at 400): set" in told
+    assert oddities(load_setup("paper_arm_mit", VIRTUAL)) == []
