@@ -16,7 +16,9 @@ from running import (
     started,
 )
 
-from bus_schema.messages.run_event import EventKind
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.zenoh.session import Delivery
 from tests.warm_process import WarmProcess
 
 LONG = settings(clock="lockstep", duration_s=90, link__connect_timeout_s=60)
@@ -37,14 +39,22 @@ def another_controller(plant_endpoint: str) -> Iterator[WarmProcess]:
         process.wait()
 
 
+def tells_of_successor(delivery: Delivery) -> bool:
+    event = RunEvent.decode(delivery.payload)
+    return event.kind == EventKind.COMMANDER and event.detail.endswith(" left")
+
+
 def test_second_controller_is_not_heard_before_the_first_has_left(tmp_path: Path) -> None:
     with started("run", "paper_arm", *LONG, out=tmp_path / "run") as run:
         endpoint = run.plant_endpoint()
+        said: list[Delivery] = []
         with Watcher(endpoint) as watcher:
+            watcher.session.subscribe(topics.RUN_EVENTS.key_expression(0), said.append)
             watcher.await_time(0.1, run)  # the run's own controller is in command
             with another_controller(endpoint) as successor:
                 run.send(signal.SIGINT, "controller")
                 await_true(lambda: "controller" not in processes_of(run.folder), "it has left")
+                await_true(lambda: any(map(tells_of_successor, said)), "the other one is heard")
                 watcher.await_time(watcher.last_stamp_ns * 1e-9 + 0.5, run)  # the run goes on
                 run.send(signal.SIGINT)
                 ended = run.end()
