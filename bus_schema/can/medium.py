@@ -83,7 +83,7 @@ class CanMedium:
                 self.settle()
 
     def catch_up(self) -> None:
-        """Settle, if it pays by now: this is a good time to do so."""
+        """Settle, if it pays by now: nobody waits at the moment."""
         if len(self._frames) >= _WORTHWHILE:
             self.settle()
 

@@ -256,6 +256,7 @@ class CanPlantLink(PlantLink):
         if self._is_commanded(commanded):
             self._is_sampled = False
             self._publish_command()
+            self._drives.medium.catch_up()  # now that until the next tick nobody waits
 
     def _is_commanded(self, joint: int | None) -> bool:
         """Whether all drives have a torque, or will have one, now that one was sent to a joint."""

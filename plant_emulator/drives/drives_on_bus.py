@@ -97,7 +97,6 @@ class DrivesOnBus:
         self.bank.advance(self._began_ns + now_ns)
         self._send_answers()
         self.medium.carry(self.answers, now_ns)
-        self.medium.catch_up()
 
     def lose_bus(self, now_ns: int) -> None:
         """The drives' side goes bus-off."""

@@ -152,6 +152,7 @@ class _OurCycle:
         self._master.command(self._torque)
         instants.append(clock())
         self._serve(now_ns)
+        self._drives.medium.catch_up()
         instants.append(clock())
         measured, sampled, answered, commanded, taken = np.diff(instants).tolist()
         return sampled + commanded, measured + answered + taken
