@@ -6,7 +6,6 @@ import io
 import json
 import os
 import signal
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ from bus_schema.messages.header import stamp_of
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy import cli
+from deploy.processes.network.free_ports import free_ports
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 from tests.warm_process import (
@@ -220,9 +220,7 @@ def await_true(condition: Callable[[], bool], meaning: str) -> None:
 
 def free_endpoint() -> str:
     """A TCP endpoint that nobody uses."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_ports(1)[0]}"
 
 
 def _process(*words: str, out: Path | None, with_report: bool) -> WarmProcess:

@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import socket
+
+_PORTS = range(20_000, 32_768)
+"""Below those that systems give to connections that go out: one of these may be taken again before
+whoever it was chosen for listens."""
+_ATTEMPTS = 1000
 
 
 def free_ports(number: int) -> list[int]:
-    """TCP ports of this machine that nobody uses."""
+    """TCP ports of this machine that nobody uses.
+
+    Raises:
+        OSError: they are not to be found.
+    """
+    chance = random.SystemRandom()  # a fork continues its parent's common generator
+    chosen: list[int] = []
     with contextlib.ExitStack() as stack:
-        listeners = [stack.enter_context(socket.socket()) for _ in range(number)]
-        for listener in listeners:
-            listener.bind(("127.0.0.1", 0))
-        return [listener.getsockname()[1] for listener in listeners]
+        for _ in range(_ATTEMPTS):
+            if len(chosen) == number:
+                return chosen
+            listener, port = stack.enter_context(socket.socket()), chance.choice(_PORTS)
+            with contextlib.suppress(OSError):
+                listener.bind(("127.0.0.1", port))
+                chosen.append(port)
+    raise OSError(f"no {number} free TCP ports found from {_PORTS.start} to {_PORTS.stop - 1}")

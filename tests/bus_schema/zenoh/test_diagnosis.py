@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh import diagnosis as silence
 from bus_schema.zenoh.diagnosis import SilenceWatch, explain_silence
 from bus_schema.zenoh.link import ZenohPlantLink
+from deploy.processes.network.free_ports import free_ports
 from deploy.processes.network.keys import create_authority, issue
 
 
@@ -50,13 +50,13 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
 
 def test_nobody_there(folders: tuple[Path, Path, Path]) -> None:
     for folder in (None, folders[0]):
-        said = explain_silence(make_link(free_port(), folder), Role.CONTROLLER, Role.PLANT)
+        said = explain_silence(make_link(free_ports(1)[0], folder), Role.CONTROLLER, Role.PLANT)
         assert "no plant yet after 2 s" in said
         assert "nobody can be reached there (Connection refused)" in said
 
 
 def test_plaintext_where_tls_is_spoken(folders: tuple[Path, Path, Path]) -> None:
-    port = free_port()
+    port = free_ports(1)[0]
     with plant_at(make_link(port, folders[0])):
         said = explain_silence(make_link(port), Role.CONTROLLER, Role.PLANT)
     assert "link.security (off here)" in said
@@ -66,7 +66,7 @@ def test_tls_where_plaintext_is_spoken(
     folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(silence, "_PROBE_S", 0.2)
-    port = free_port()
+    port = free_ports(1)[0]
     with plant_at(make_link(port)):
         said = explain_silence(make_link(port, folders[0]), Role.CONTROLLER, Role.PLANT)
     assert "does not speak TLS" in said
@@ -84,7 +84,7 @@ def test_tls_where_plaintext_is_spoken(
 def test_certificate_of_the_other_side_is_not_accepted(
     folders: tuple[Path, Path, Path], theirs: int, ours: int, finding: str
 ) -> None:
-    port = free_port()
+    port = free_ports(1)[0]
     with plant_at(make_link(port, folders[theirs])):
         said = explain_silence(make_link(port, folders[ours]), Role.CONTROLLER, Role.PLANT)
     assert "certificate is not accepted" in said
@@ -96,14 +96,14 @@ def test_other_side_does_not_accept_ours(folders: tuple[Path, Path, Path], tmp_p
     for name in ("controller.crt", "controller.key"):
         (tmp_path / name).write_bytes((folders[1] / name).read_bytes())
     keys.authority.write_bytes((folders[0] / "authority.crt").read_bytes())
-    port = free_port()
+    port = free_ports(1)[0]
     with plant_at(make_link(port, folders[0])):
         said = explain_silence(make_link(port, tmp_path), Role.CONTROLLER, Role.PLANT)
     assert "it refuses our certificate for the role controller" in said
 
 
 def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
-    port = free_port()
+    port = free_ports(1)[0]
     with plant_at(make_link(port, folders[0])):
         link = LinkConfiguration(
             security=SecurityConfiguration(enabled=True, folder=str(folders[0])),
@@ -114,7 +114,7 @@ def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
 
 
 def test_nothing_wrong_to_be_found(folders: tuple[Path, Path, Path]) -> None:
-    port = free_port()
+    port = free_ports(1)[0]
     with plant_at(make_link(port, folders[0])):
         said = explain_silence(make_link(port, folders[0]), Role.CONTROLLER, Role.PLANT)
     assert "is it still starting?" in said
@@ -134,17 +134,11 @@ def test_listener_is_told_what_keeps_visitors_away(
 def test_warning_comes_once(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    watch = SilenceWatch(make_link(free_port()), Role.PLANT, Role.CONTROLLER)
+    watch = SilenceWatch(make_link(free_ports(1)[0]), Role.PLANT, Role.CONTROLLER)
     watch.look()
     assert caplog.records == []  # two seconds have not passed
     monkeypatch.setattr(silence, "SILENCE_S", 0.0)
-    watch = SilenceWatch(make_link(free_port()), Role.PLANT, Role.CONTROLLER)
+    watch = SilenceWatch(make_link(free_ports(1)[0]), Role.PLANT, Role.CONTROLLER)
     for _ in range(3):
         watch.look()
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
-
-
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])

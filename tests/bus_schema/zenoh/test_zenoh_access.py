@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,6 +29,7 @@ from bus_schema.zenoh.link import ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.ros_graph import node_name, node_token
 from bus_schema.zenoh.session import ZenohSession
+from deploy.processes.network.free_ports import free_ports
 from deploy.processes.network.keys import create_authority, issue
 from tests.bus_schema.zenoh.zenoh_pair import await_true
 
@@ -55,8 +55,8 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> KeyFolder:
 def secured_plant(keys: KeyFolder) -> Iterator[tuple[LinkConfiguration, ZenohPlantLink]]:
     link = LinkConfiguration(
         security=SecurityConfiguration(enabled=True, folder=str(keys.path)),
-        plant_endpoint=f"tcp/127.0.0.1:{free_port()}",
-        controller_endpoint=f"tcp/127.0.0.1:{free_port()}",
+        plant_endpoint=f"tcp/127.0.0.1:{free_ports(1)[0]}",
+        controller_endpoint=f"tcp/127.0.0.1:{free_ports(1)[0]}",
         reply_timeout_s=HANG_S,
     )
     plant = ZenohPlantLink(link, MonotonicClock(), lockstep=True)
@@ -165,7 +165,7 @@ def test_the_controllers_certificate_opens_the_door(keys: KeyFolder) -> None:
 
 def test_false_plant_is_not_heard(keys: KeyFolder) -> None:
     """Who listens at the plant's endpoint with another's certificate is no plant for that."""
-    port = free_port()
+    port = free_ports(1)[0]
     false_plant = ZenohSession(
         [f"tls/127.0.0.1:{port}"], [], low_latency=True, security=tls(keys, Role.CONTROLLER)
     )
@@ -205,7 +205,7 @@ def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everythin
 def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
     keys: KeyFolder,
 ) -> None:
-    router = f"tls/127.0.0.1:{free_port()}"
+    router = f"tls/127.0.0.1:{free_ports(1)[0]}"
     link = LinkConfiguration(
         security=SecurityConfiguration(enabled=True, folder=str(keys.path)),
         router_endpoint=router,
@@ -272,9 +272,3 @@ def test_rules_follow_the_table_of_topics() -> None:
             assert (recorded_key_expression(7) in rule["key_exprs"]) == (
                 speaks or "liveliness" in rule["messages"][0]
             )
-
-
-def free_port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, layout
 from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+from deploy.processes.network.free_ports import free_ports
 
 HANG_S = 60.0
 JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -78,6 +78,4 @@ def await_true(condition: Callable[[], bool]) -> None:
 
 
 def free_endpoint() -> str:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_ports(1)[0]}"

@@ -28,6 +28,13 @@ def test_defaults_give_way_to_free_ports() -> None:
     assert all(endpoint.startswith("tcp/127.0.0.1:") for endpoint in chosen)
 
 
+def test_free_ports_are_none_that_linux_gives_to_connections_that_go_out() -> None:
+    """From 32768 on one that was free may be taken before whoever it was chosen for listens."""
+    ports = free_ports(50)
+    assert len({*ports}) == 50
+    assert max(ports) < 32_768
+
+
 def test_defaults_keep_their_protocol() -> None:
     assert all(each.startswith("tls/") for each in endpoints("link.security.enabled=true"))
 
