@@ -21,7 +21,7 @@ from bus_schema.messages.run_event import COMMANDS_RECEIVED
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock
 from bus_schema.zenoh.arrivals import LARGEST_BACKLOG, Arrivals, AwaitedArrivals
-from bus_schema.zenoh.node import POLL_S, ZenohNode
+from bus_schema.zenoh.node import LOOK_S, POLL_S, ZenohNode
 from bus_schema.zenoh.ros_graph import beside
 from bus_schema.zenoh.session import Delivery
 
@@ -93,7 +93,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
                 return
             if now_s > give_up_s:
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
-            time.sleep(POLL_S)
+            time.sleep(LOOK_S)
         self.require_same_scenario(Role.CONTROLLER)
         self._commander_was_seen = self.has_publisher(topics.JOINT_COMMANDS)
 

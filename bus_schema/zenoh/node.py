@@ -36,6 +36,8 @@ from bus_schema.zenoh.senders import Senders
 from bus_schema.zenoh.session import Delivery, Inbox, Mailbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
+LOOK_S = 0.005
+"""Between two looks for a peer before a run: short, as each is waited for in every run."""
 _BATCH = 32
 _PATIENCE_S = 0.1
 """In virtual time a subscriber that reads slowly gets everything, and one that is frozen holds the
@@ -231,7 +233,7 @@ class ZenohNode:
             silence.look()
             if time.monotonic() > give_up_s:
                 raise PeerSilentError(Role.RECORDER, timeout_s, "sign of life")
-            time.sleep(POLL_S)
+            time.sleep(LOOK_S)
 
     def await_recorded(self) -> None:
         give_up_s = time.monotonic() + self._link.reply_timeout_s
