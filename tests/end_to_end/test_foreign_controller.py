@@ -57,7 +57,7 @@ def test_in_lockstep_it_gives_the_same_bits_again_under_delay_too(tmp_path: Path
 
 
 def test_a_process_in_real_time(tmp_path: Path) -> None:
-    values = {**SHORT, "plant__command_timeout_ms": 1000}
+    values = {**SHORT, "plant__command_timeout_ms": 20_000}
     ended = run(tmp_path / "run", **values, controller__process=CLIENT)
     assert ended.code == 0, ended.output
     assert ended.summary["clock"] == "realtime"

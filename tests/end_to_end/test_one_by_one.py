@@ -10,7 +10,7 @@ from running import await_true, free_endpoint, settings, started
 
 from tests.warm_process import WarmProcess
 
-SHORT = settings(clock="realtime", duration_s=0.3, plant__command_timeout_ms=200)
+SHORT = settings(clock="realtime", duration_s=0.3, plant__command_timeout_ms=20_000)
 
 _LONGER_THAN_GRACE_S = 2.0
 """Than a plant gives a foreign client that subscribes to states before it commands."""
@@ -79,9 +79,10 @@ def test_what_is_up_to_each_host_may_differ(endpoints: list[str]) -> None:
 
 def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(endpoints: list[str]) -> None:
     """It takes longer to load than a plant waits for a foreign client to become known."""
-    plant = WarmProcess("plant", "paper_arm", *SHORT, *endpoints)
+    patient = settings(clock="realtime", duration_s=1.5, plant__command_timeout_ms=1000)
+    plant = WarmProcess("plant", "paper_arm", *patient, *endpoints)
     controller = WarmProcess(
-        "controller", "paper_arm", *SHORT, *endpoints, main="tests.end_to_end.slow:main"
+        "controller", "paper_arm", *patient, *endpoints, main="tests.end_to_end.slow:main"
     )
     outputs = outputs_of([plant, controller])
     assert "no valid command" not in outputs[0], outputs
