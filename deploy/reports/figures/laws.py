@@ -33,7 +33,7 @@ def joint_bars(comparison: Comparison, quantity: JointQuantity) -> go.Figure | N
     add_law_legend(figure)
     figure.update_layout(barmode="group", bargap=0.25, bargroupgap=0.08)
     figure.update_yaxes(title_text=quantity.column.title)
-    style.log_axis(figure, ticks=6)
+    style.log_axis(figure, ticks=4)
     return figure
 
 

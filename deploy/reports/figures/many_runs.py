@@ -114,7 +114,7 @@ def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.
     figure.update_xaxes(title_text=style.plain(x_title))
     figure.update_yaxes(title_text=quantity.axis)
     if quantity.is_log:
-        style.log_axis(figure, ticks=6)
+        style.log_axis(figure, ticks=4)
     else:
         figure.update_yaxes(rangemode="tozero")
     return figure
