@@ -5,12 +5,15 @@ from __future__ import annotations
 import atexit
 import gc
 import os
+import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
 import pytest
+
+from deploy.stop_signals import STOPS
 
 # On a new machine any test may be the first to need a kernel: what it reads stays the same.
 os.environ["FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"] = "1"
@@ -27,6 +30,17 @@ atexit.register(gc.freeze)
 def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture
+def heeded_signals() -> Iterator[None]:
+    """Requests to stop do what they do by default, SIGHUP under nohup too; then as before."""
+    before = {number: signal.getsignal(number) for number in STOPS}
+    for number in STOPS:
+        signal.signal(number, signal.default_int_handler)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture

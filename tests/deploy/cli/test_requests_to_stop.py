@@ -17,14 +17,7 @@ from deploy.stop_signals import STOPS
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = ["--set", "duration_s=0.02"]
-
-
-@pytest.fixture(autouse=True)
-def handlers_of_before():
-    before = {number: signal.getsignal(number) for number in STOPS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
+pytestmark = pytest.mark.usefixtures("heeded_signals")
 
 
 def funnel_hil(*words, **streams):

@@ -134,7 +134,7 @@ def test_a_request_to_stop_that_python_swallows_is_heard_in_the_end(tmp_path):
     assert ended.value.exit_code == 130
 
 
-@pytest.mark.usefixtures("no_collection_hooks")
+@pytest.mark.usefixtures("no_collection_hooks", "heeded_signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path, number):
     over = threading.Event()
