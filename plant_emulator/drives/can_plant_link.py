@@ -198,12 +198,13 @@ class CanPlantLink(PlantLink):
         bank.measure(fields["position"], 0.0 * fields["velocity"], 0.0 * fields["effort"])
         now_ns, give_up_s = self._clock.now_ns(), time.monotonic() + _FAREWELL_S
         self._drives.end_run(now_ns)
-        while not self.controller_has_left() and time.monotonic() < give_up_s:
-            frame = self._next_frame(_POLL_S)
+        while time.monotonic() < give_up_s:
+            has_left = self.controller_has_left()  # what it has sent is there by now
+            frame = self._next_frame(0.0 if has_left else _POLL_S)
             if frame is not None:
                 now_ns += self._run.grid.period_ns if self._codec.is_sampling(frame) else 0
                 self._drives.handle(frame, now_ns)
-            elif bank.braked.all() and not self._controller_was_seen:
+            elif has_left or (bank.braked.all() and not self._controller_was_seen):
                 break  # a foreign master does not announce that it is done
             self._drives.advance(now_ns)
 
