@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.messages import topics
+from controller.laws.custom import is_custom
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.folder import KIND as OF_LAWS
 from deploy.processes.recorder import DATA_ATTACHMENTS
@@ -107,10 +108,11 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     _require_same_joints(paths, runs)
     partings = [_parting(runs[0].data, run.data) for run in runs]
     laws = {run.data.setup.scenario.controller.law for run in runs}
+    sections = {"custom" if is_custom(law) else law for law in laws}
     differing = {
         key: values
         for key, values in _differing([each for _, each in read]).items()
-        if _is_in_force(key, laws)
+        if _is_in_force(key, sections)
     }
     return RecordedRuns(places, Comparison(runs), partings, differing)
 
@@ -186,9 +188,9 @@ def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:
     return here, there
 
 
-def _is_in_force(key: str, laws: Collection[str]) -> bool:
-    """Whether a value is of any use: gains are, of the laws that ran."""
-    return not key.startswith(_GAINS) or key.removeprefix(_GAINS).partition(".")[0] in laws
+def _is_in_force(key: str, sections: Collection[str]) -> bool:
+    """Whether a value is of any use: gains are, in the sections of the laws that ran."""
+    return not key.startswith(_GAINS) or key.removeprefix(_GAINS).partition(".")[0] in sections
 
 
 def _differing(values: Sequence[dict[str, str]]) -> dict[str, list[str | None]]:
