@@ -22,6 +22,11 @@ from bus_schema.arrays import Matrix
 logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
 """Environment variable by which the processes that one starts know that it has said so."""
+COMPILES = (
+    "compiling the numerical kernels, which takes up to half a minute: once on a machine,"
+    " and again after a change of version"
+)
+"""What it says."""
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -59,18 +64,15 @@ class _CompiledBefore(FunctionCache):
         with self._guard_against_spurious_io_errors():
             found = cast("Any", self)._load_overload(signature, target)
         if found is None:
-            _say_that_it_compiles()
+            say_that_it_compiles(logger.warning)
         return found
 
 
-def _say_that_it_compiles() -> None:
-    """Tell why nothing seems to happen; once, whatever other processes this one starts."""
+def say_that_it_compiles(say: Callable[[str], None]) -> None:
+    """Tell by `say` why nothing seems to happen; once, whatever other processes this one starts."""
     if HAS_SAID not in os.environ:
         os.environ[HAS_SAID] = "1"
-        logger.warning(
-            "compiling the numerical kernels, which takes up to half a minute: once on a machine,"
-            " and again after a change of version"
-        )
+        say(COMPILES)
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:

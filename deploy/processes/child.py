@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from bus_schema.errors import silent_peer
+from bus_schema.runtime.compiled import COMPILES
 from bus_schema.runtime.signal_names import signal_name
 from deploy.exit_codes import BAD_INPUT, INTERRUPTED
 from deploy.processes.command_process import start
@@ -180,6 +181,8 @@ class Child(ChildProcess):
 
     def _read_errors(self, pipe: IO[str]) -> None:
         for line in pipe:
-            if line.strip():
+            if line.rstrip() == COMPILES:
+                self._inbox.put(StatusMessage(self.role, "compiles", {}))
+            elif line.strip():
                 self._errors.append(line.rstrip())
                 del self._errors[:-_LAST_LINES]

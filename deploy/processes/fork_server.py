@@ -26,9 +26,12 @@ import numpy as np  # noqa: E402 (takes its time, in which the command may end)
 from bus_schema.runtime.compiled import HAS_SAID  # noqa: E402
 from bus_schema.runtime.finite import all_finite  # noqa: E402
 
-os.environ[HAS_SAID] = "1"  # `run` itself says that it compiles
+has_said = HAS_SAID in os.environ
+os.environ[HAS_SAID] = "1"  # of this kernel `run` itself says that it compiles it
 with contextlib.suppress(Exception):  # whoever needs it will say what is wrong
     all_finite(np.zeros(1))  # numba loads most of itself with the first compiled function
+if not has_said:
+    del os.environ[HAS_SAID]  # of others the processes tell `run`, which says it once
 
 import_module(f"{PROGRAM}.processes")
 gc.freeze()  # no child looks through all this again, nor copies the memory that it is in

@@ -24,8 +24,8 @@ class StatusMessage(NamedTuple):
 
     Attributes:
         role: the process: a `Role`, or the name of one that is not on the bus.
-        kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action`` or
-            ``result``.
+        kind: ``note``, ``lacks``, ``fault``, ``realtime``, ``progress``, ``process_action``,
+            ``result``, or ``compiles`` where it has numerical kernels to compile.
         values: what belongs to the kind.
     """
 

@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from bus_schema.runtime.compiled import say_that_it_compiles
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.processes.lacking import lacking
 from deploy.processes.live.viewer import VIEWER
@@ -44,6 +45,8 @@ def status_handler(
             progress.say(f"{message.role}: {message.values['text']}")
         elif message.kind == "note" and message.role == VIEWER:
             progress.say(message.values["text"])
+        elif message.kind == "compiles":
+            say_that_it_compiles(progress.say)
         elif message.kind == "realtime":
             settings.extend(message.values["settings"])
 
