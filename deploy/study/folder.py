@@ -33,6 +33,7 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import effective_scenario, write_scenario
 from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
+from deploy.scenario.yaml_text import values_of
 from deploy.study.growth import hindrances
 from deploy.study.margins.margin import Margin
 from deploy.study.robustness import Robustness
@@ -213,12 +214,14 @@ def _folder_name(study: Study) -> str:
 
 
 def _identity(study: Study) -> dict[str, Any]:
-    """What a study is, for ``study.yaml``: equal ones ask for equal rows."""
-    return {
+    """What a study is, as ``study.yaml`` gives it back: equal ones ask for equal rows."""
+    told = {
         "kind": study.kind,
         "definition": study.definition.model_dump(by_alias=True),
         "scenario_digests": {base.scenario.name: _digest(base) for base in study.bases},
     }
+    given_back: dict[str, Any] = values_of(to_yaml(told))  # a tuple is a list there
+    return given_back
 
 
 def _manifest(study: Study) -> dict[str, Any]:

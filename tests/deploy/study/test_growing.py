@@ -105,6 +105,7 @@ def test_a_share_of_plants_grows_by_plants_values_and_laws(tmp_path):
             "plants": 2, "set": NOISE, **values,
             "uncertainty": {
                 "plant.payload_kg": {"distribution": "uniform", "from": 0, "to": 1},
+                "plant.encoder.resolution_rad": {"distribution": "choice", "values": [0.0, 1e-6]},
             },
         }  # fmt: skip
         return margin_study(given, tmp_path / "m.yaml")

@@ -41,6 +41,15 @@ def test_a_folder_holds_one_study(tmp_path, monkeypatch):
     assert find_folder(one, None) is None
 
 
+def test_a_study_of_plants_is_found_again_whatever_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    draws = {"distribution": "choice", "values": [0.0, 1e-6]}
+    more = {"plants": 2, "uncertainty": {"plant.encoder.resolution_rad": draws}}
+    begun = create_folder(make_sweep(tmp_path, {TIED: [0]}, **more), None)
+    assert find_folder(make_sweep(tmp_path, {TIED: [0]}, **more), None) == begun
+    assert find_folder(make_sweep(tmp_path, {TIED: [0, 1]}, **more), begun) == begun
+
+
 def test_two_commands_do_not_write_to_one_folder(tmp_path):
     sweep = make_sweep(tmp_path, {TIED: [0]})
     first, second = (folder_of(sweep, tmp_path / "out") for _ in range(2))
