@@ -132,7 +132,10 @@ def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bo
             link.activate()
             with _reporting_progress(reporter, lambda: _controller_progress(loop)):
                 failure = _spin(link, stop)
-        return _end(loop, link, failure, reporter)
+        _end(loop, link, failure, reporter)
+        if failure is not None:
+            return _exit_code(failure)
+        return INTERRUPTED if stop.is_set else FINISHED
     except BusError as error:
         reporter.report("fault", text=str(error))
         return _exit_code(error)
@@ -161,8 +164,8 @@ def _spin(link: ControllerLink, stop: StopRequest) -> Exception | None:
 
 def _end(
     loop: ControlLoop, link: ControllerLink, failure: Exception | None, reporter: StatusReporter
-) -> int:
-    """Leave the bus in order; the exit code."""
+) -> None:
+    """Leave the bus in order, and report what stopped the controller, if anything did."""
     if failure is not None:
         reason = reason_of(failure)
         # What the bus does may follow from others; what the controller does is a cause.
@@ -171,7 +174,6 @@ def _end(
         loop.stop(reason)
     reporter.report("result", **loop.end())
     link.await_recorded()
-    return FINISHED if failure is None else _exit_code(failure)
 
 
 def run_recorder(setup: Setup, path: Path, reporter: StatusReporter, stop: StopRequest) -> int:

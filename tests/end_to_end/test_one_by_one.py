@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from pathlib import Path
 
@@ -111,6 +112,35 @@ def test_a_controller_started_seconds_later_is_waited_for(endpoints: list[str]) 
         outputs = outputs_of([plant, controller])
         assert [plant.returncode, controller.returncode] == [expected] * 2, outputs
         assert all(("controller.law" in output) == bool(differs) for output in outputs), outputs
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_controller_that_waits_is_stopped_with_130(
+    endpoints: list[str], number: signal.Signals
+) -> None:
+    controller = WarmProcess("controller", "paper_arm", *SHORT, *endpoints)
+    try:
+        await_true(lambda: "looking for the plant" in controller.said(), "it waits")
+        controller.send_signal(number)
+        assert controller.wait() == 130, controller.said()
+    finally:
+        controller.kill()
+
+
+def test_a_controller_in_the_middle_of_a_run_is_stopped_with_130(endpoints: list[str]) -> None:
+    """Its plant, which goes on without it, makes a safe stop: that is a fault there."""
+    long = settings(clock="lockstep", duration_s=90)
+    plant = WarmProcess("plant", "paper_arm", *long, *endpoints)
+    controller = WarmProcess("controller", "paper_arm", *long, *endpoints)
+    try:
+        await_true(lambda: "bound" in controller.said(), "it controls")
+        controller.send_signal(signal.SIGTERM)
+        outputs = outputs_of([controller, plant])
+    finally:
+        controller.kill()
+        plant.kill()
+    assert [controller.returncode, plant.returncode] == [130, 1], outputs
+    assert "plant: the controller has left the bus" in outputs[1]
 
 
 def test_what_they_say_is_for_people(endpoints: list[str]) -> None:
