@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import plotly.graph_objects as go
@@ -70,6 +70,9 @@ class Motion:
         return {"traces": traces, "points_of_each": points, **arrays}
 
 
+Content: TypeAlias = go.Figure | Sequence[Picture] | Motion | Table
+
+
 @dataclass(frozen=True)
 class Panel(Generic[T]):
     """A figure of a report.
@@ -83,14 +86,14 @@ class Panel(Generic[T]):
         is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
         is_over_time: whether its horizontal axis is the time of a run, on which the page shows the
             instant that is looked at.
-        is_drawn_beside: whether it is drawn by another thread, which pays where most of it is done
-            outside of Python.
+        is_drawn_beside: whether `draw` prepares, and gives a function that another thread calls
+            for the rest, which pays where most of it is done outside of Python.
     """
 
     section: str
     id: str
     title: str
-    draw: Callable[[T], go.Figure | Sequence[Picture] | Motion | Table | None]
+    draw: Callable[[T], Content | Callable[[], Content] | None]
     caption: str
     is_clickable: bool = False
     is_over_time: bool = False
@@ -132,11 +135,14 @@ def _drawn(
     panels: Sequence[Panel[T]], subject: T, executor: Executor
 ) -> dict[str, list[tuple[Panel[T], Any]]]:
     """Panels with what they show, by section; without those that have nothing to show."""
-    beside = {p.id: executor.submit(p.draw, subject) for p in panels if p.is_drawn_beside}
+    begun = {panel.id: panel.draw(subject) for panel in panels if panel.is_drawn_beside}
+    beside = {name: executor.submit(rest) for name, rest in begun.items() if callable(rest)}
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
-        is_beside = panel.id in beside
-        content = beside[panel.id].result() if is_beside else without_template(panel.draw, subject)
+        if panel.id in begun:
+            content = beside[panel.id].result() if panel.id in beside else None
+        else:
+            content = without_template(panel.draw, subject)
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
     return sections

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import threading
 from contextlib import closing
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from PIL import Image
 from bus_schema.messages.run_event import EventKind, RunEvent
 from deploy.reports import plotly_library, run_report
 from deploy.reports.figures import style
+from deploy.reports.figures.arm import pictures as pictures_of_the_arm
 from deploy.reports.figures.arm.pictures import arm_pictures
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.errors import error_in_funnel
@@ -228,12 +230,29 @@ def test_decimation_keeps_gaps():
 
 
 def test_the_pictures_of_a_report_show_start_middle_and_end(run):
-    pictures = arm_pictures(run)
+    pictures = arm_pictures(run)()
     assert [picture.time_s for picture in pictures] == pytest.approx([0.0, 0.75, 1.5])
     for picture in pictures:
         image = Image.open(io.BytesIO(picture.png))
         assert (image.format, image.size) == ("PNG", (480, 420))
         assert 500 < (np.asarray(image) < 255).any(axis=2).sum() < 480 * 420 / 2
+
+
+def test_what_is_printed_while_another_thread_renders_the_arm_is_not_lost(
+    run, page_of, only, monkeypatch
+):
+    """Bullet prints while it loads an arm, which is kept from everybody's output."""
+    loaded_by = []
+
+    class Camera(ArmCamera):
+        def __init__(self, robot):
+            loaded_by.append(threading.current_thread())
+            super().__init__(robot)
+
+    only("arm")
+    monkeypatch.setattr(pictures_of_the_arm, "ArmCamera", Camera)
+    assert 'id="arm"' in page_of(run, summarise(run))  # written anew
+    assert loaded_by == [threading.main_thread()]
 
 
 def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monkeypatch):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
 from deploy.reports.page import Picture
@@ -22,22 +24,28 @@ _OVERSAMPLING = 1.5
 _RENDERED_PX = round(_OVERSAMPLING * _WIDTH_PX), round(_OVERSAMPLING * _HEIGHT_PX)
 
 
-def arm_pictures(run: RunData) -> list[Picture] | None:
-    """The arm at the start, in the middle and at the end of a run, seen by the same camera.
+def arm_pictures(run: RunData) -> Callable[[], list[Picture]] | None:
+    """What renders the arm at the start, in the middle and at the end of a run by one camera.
 
-    None if nothing was recorded.
+    Any thread may call it; the arm is loaded here, where nothing else prints meanwhile: what is
+    printed while Bullet loads is lost. None if nothing was recorded.
     """
     times_s = run.times_s(topics.PLANT_TRUTH)
     if not len(times_s):
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    with closing(ArmCamera(run.setup.robot)) as camera:
+    return partial(_rendered, ArmCamera(run.setup.robot), times_s[ticks], positions)
+
+
+def _rendered(camera: ArmCamera, times_s: Vector, positions: Matrix) -> list[Picture]:
+    """The arm at each time, and the end of the camera."""
+    with closing(camera):
         extent = camera.extent(positions)
         rendered = (camera.render(position, *_RENDERED_PX, extent) for position in positions)
         with ThreadPoolExecutor(max_workers=1) as executor:  # one is written, the next rendered
             files = list(executor.map(_png, rendered))
-    return [Picture(float(times_s[tick]), png) for tick, png in zip(ticks, files, strict=True)]
+    return [Picture(float(time_s), png) for time_s, png in zip(times_s, files, strict=True)]
 
 
 def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
