@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.runs.conditions import Conditions, conditions_of_runs
+from deploy.runs.conditions import Conditions, conditions_of_recording
 from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
@@ -51,5 +51,4 @@ def load_report() -> Callable[..., None]:
 
 def conditions_in(folder: RunFolder, run: RunData) -> Conditions:
     """Under what conditions a run came about, as its folder has them."""
-    conditions = conditions_of_runs([run.setup], read_manifest(folder.path))
-    return {**conditions, "law": run.controller}
+    return conditions_of_recording(run, read_manifest(folder.path))

@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
+from deploy.runs.run_data import RunData
 from deploy.scenario.setup import Setup
 
 Conditions = dict[str, str]
 """Sentences or numbers with their unit, by what they tell of."""
 
 _UNKNOWN = "not known"
+_GRANTED_IN_SILENCE = f"{_UNKNOWN}: the manifest does not say, as where loops were started by hand"
 _SHOWN_GRANTS = (SCHEDULER, AFFINITY)
 
 
@@ -35,6 +37,19 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         **host_of(manifest),
         **warnings_of(manifest),
     }
+
+
+def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Conditions:
+    """The conditions of a run that was recorded.
+
+    Args:
+        run: its data.
+        manifest: ``manifest.json`` of the folder; empty where there is none.
+    """
+    conditions = {**conditions_of_runs([run.setup], manifest), "law": run.controller}
+    if run.clock == "realtime" and not manifest.get("realtime"):
+        conditions["granted"] = _GRANTED_IN_SILENCE
+    return conditions
 
 
 def provenance_of(manifest: Mapping[str, Any]) -> Conditions:

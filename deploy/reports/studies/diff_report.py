@@ -21,7 +21,7 @@ from deploy.reports.studies.diff_tables import (
     timing_table,
     verdict_on_runs,
 )
-from deploy.runs.conditions import Conditions, conditions_of_runs
+from deploy.runs.conditions import Conditions, conditions_of_recording
 from deploy.runs.run_folder import ResultFolder
 
 PANELS: list[Panel[Comparison]] = [
@@ -117,7 +117,7 @@ def _write_report(compared: RecordedRuns, path: Path, conditions: Conditions) ->
 def conditions_of(compared: RecordedRuns) -> Conditions:
     """Under what conditions the runs came about: once where it is the same for all."""
     by_run = [
-        {**conditions_of_runs([run.data.setup], manifest), "law": run.data.controller}
+        conditions_of_recording(run.data, manifest)
         for run, manifest in zip(compared.runs, compared.manifests, strict=True)
     ]
     merged = {}

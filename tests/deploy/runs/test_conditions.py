@@ -5,10 +5,12 @@ from __future__ import annotations
 import html
 import json
 import re
+from dataclasses import replace
 
 from pyarrow import parquet
 
-from deploy.runs.conditions import host_of
+from deploy.runs.conditions import conditions_of_recording, host_of
+from deploy.runs.run_folder import load_run, read_manifest
 
 SHORT = ("--set", "duration_s=0.05", "--set", "metrics.from_s=0")
 
@@ -106,3 +108,20 @@ def test_what_a_machine_granted_is_told_by_process():
     refused = [{"name": "real-time scheduler", "granted": False, "detail": "not permitted"}]
     told = host_of({"realtime": {"plant": settings, "controller": refused}})["granted"]
     assert told == "plant SCHED_FIFO, priority 50, CPU 1; controller no real-time scheduler"
+
+
+def test_where_nobody_told_what_loops_in_real_time_were_granted_it_is_not_known(
+    tmp_path, funnel_hil
+):
+    """A recorder that was started by hand knows nothing of the loops but what they send."""
+    funnel_hil("simulate", "paper_arm", *SHORT, "--no-report", "--out", tmp_path)
+    simulated, manifest = load_run(tmp_path)[0], read_manifest(tmp_path)
+    in_real_time = replace(simulated, clock="realtime")
+    told = {"realtime": {"plant": [{"name": "CPU affinity", "granted": True, "detail": "CPU 1"}]}}
+    granted = [
+        conditions_of_recording(run, {**manifest, **more})["granted"]
+        for run, more in ((simulated, {}), (in_real_time, {}), (in_real_time, told))
+    ]
+    assert granted[0] == "nothing asked for, as no loop ran in real time"
+    assert granted[1].startswith("not known")
+    assert granted[2] == "plant CPU 1"
