@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +11,13 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from deploy.exit_codes import FAULT, FINISHED
+from deploy.reports.verdict import PARTIAL, damaged, missing_ticks_sentence
 from deploy.runs.export import Format, export_series
+from deploy.runs.judging.known_ticks import known_ticks
 from deploy.runs.judging.time_series import SERIES
 from deploy.runs.new_folder import remove_results
+from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 from deploy.runs.shelf import Shelved, shelved, tag
 from deploy.scenario.scenario import SHIPPED
@@ -46,7 +51,10 @@ def export(
         Path | None, typer.Option("--out", help="Folder for the files; RUN/export by default.")
     ] = None,
 ) -> None:
-    """Write a recorded run as tables over time: what is judged, and every topic."""
+    """Write a recorded run as tables over time: what is judged, and every topic.
+
+    Of a damaged recording it is what can be read; what is missing is told, and exit code 1.
+    """
     asked: dict[Format, bool] = {"csv": csv, "parquet": parquet}
     formats = [kind for kind, wanted in asked.items() if wanted]
     if not formats:
@@ -55,6 +63,16 @@ def export(
     own = run_dir if run_dir.is_dir() else run_dir.parent
     for file in export_series(data, out or own / "export", formats, names or SERIES):
         print(file)
+    for sentence in _missing(data):
+        print(sentence, file=sys.stderr)
+    raise typer.Exit(FAULT if data.damage else FINISHED)
+
+
+def _missing(run: RunData) -> list[str]:
+    """What the files of a run lack, a sentence each."""
+    found = [damaged(run.damage)] if run.damage else [] if run.complete else [PARTIAL]
+    known = known_ticks(run)
+    return [*found, missing_ticks_sentence(known)] if known.missing else found
 
 
 @app.command("list")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from deploy.reports.tables import margin_text, number
+from deploy.runs.judging.known_ticks import KnownTicks, known_ticks
 from deploy.runs.judging.stalls import STALL_MS
 from deploy.runs.run_data import RunData
 
@@ -36,14 +37,16 @@ def verdict_on_run(run: RunData, summary: dict[str, Any]) -> Verdict:
     """The verdict on a run."""
     bounds, faults = summary["bounds"], summary["faults"]
     is_judged = bounds["violation_fraction"] is not None
-    reasons = [_bounds_sentence(summary), *_shortcomings(run, summary)]
+    known = known_ticks(run)
+    reasons = [_bounds_sentence(run, bounds, known), *_shortcomings(run, summary, known)]
     kept = "kept" if bounds["kept"] else "not kept"
     if summary["completed"] and not faults and is_judged:
         return Verdict("good" if bounds["kept"] else "bad", f"Bounds {kept}", reasons)
     broken = "Recording damaged" if run.damage else "Run incomplete"
     headline = "Run faulted" if faults else broken
     if is_judged:
-        headline += f", bounds {kept}" + (" until then" if bounds["kept"] else "")
+        until = " where it can be read" if run.damage else " until then"
+        headline += f", bounds {kept}" + (until if bounds["kept"] or run.damage else "")
     return Verdict("broken", headline, reasons, faults)
 
 
@@ -52,13 +55,15 @@ def damaged(damage: Sequence[str]) -> str:
     return f"The recording is damaged: {'; '.join(damage)}."
 
 
-def _shortcomings(run: RunData, summary: dict[str, Any]) -> list[str]:
+def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> list[str]:
     """Everything but faults that makes this less than a whole run on an undisturbed machine."""
     found = []
     if run.damage:
         found.append(damaged(run.damage))
     elif not run.complete:
         found.append(PARTIAL)
+    if known.missing:
+        found.append(missing_ticks_sentence(known))
     if run.lacks_checksums:
         found.append(UNCHECKED)
     found.extend(f"{note}." for note in run.notes)
@@ -81,17 +86,29 @@ def _shortcomings(run: RunData, summary: dict[str, Any]) -> list[str]:
     return found
 
 
-def _bounds_sentence(summary: dict[str, Any]) -> str:
-    bounds, ticks = summary["bounds"], summary["ticks"]
+def missing_ticks_sentence(known: KnownTicks) -> str:
+    """What to say of ticks that are not in a recording."""
+    return (
+        f"The true motion is known at {known.known:,} of {known.ticks:,} ticks: missing are those"
+        f" at {known.gaps_text}."
+    )
+
+
+def _bounds_sentence(run: RunData, bounds: dict[str, Any], known: KnownTicks) -> str:
     if bounds["violation_fraction"] is None:
         return "No tick was recorded, so there is nothing to judge."
+    is_all = not known.missing and not run.damage
+    of_all = f" of {known.ticks:,}" if known.missing else ""
+    where = f"the {known.known:,}{of_all} ticks at which it is known"
     if bounds["kept"]:
         return (
-            f"The true error of every joint was inside its bounds at all {ticks:,} ticks; the"
-            f" smallest margin was {margin_text(bounds['margin_min'])}."
+            "The true error of every joint was inside its bounds at"
+            f" {f'all {known.ticks:,} ticks' if is_all else where}; the smallest margin was"
+            f" {margin_text(bounds['margin_min'])}."
         )
     return (
         f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
-        f" of the ticks, for the first time at {bounds['first_violation_s']:.3f} s, and at most"
+        f" of {'the ticks' if is_all else where}, for the first time at"
+        f" {bounds['first_violation_s']:.3f} s, and at most"
         f" {number(1.0 - bounds['margin_min'])} times its bound."
     )

@@ -15,6 +15,7 @@ from bus_schema.percentiles import PERCENTILES, percentiles
 from deploy.runs.judging.bounds import judge_bounds
 from deploy.runs.judging.chattering import chatter_shares
 from deploy.runs.judging.identified import identified
+from deploy.runs.judging.known_ticks import KnownTicks, known_ticks
 from deploy.runs.judging.longest_run import longest_run
 from deploy.runs.judging.settling_bound import settling_bound_s
 from deploy.runs.judging.stalls import longest_stall_ms
@@ -25,6 +26,7 @@ UNAUTHENTICATED = (
     " copies the commander's id"
 )
 _SHORTEST_S = 1e-6
+_MOST_GAPS = 20
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
@@ -37,10 +39,9 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
             before what followed from them.
     """
     setup = run.setup
-    truth = run.tables[topics.PLANT_TRUTH.name]
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
-    ticks = int(outcome.get("ticks", max(len(truth) - 1, 0)))
-    duration_s = ticks * setup.grid.period_ns * 1e-9
+    known = known_ticks(run)
+    duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
     return {
         "scenario": setup.scenario.name,
@@ -48,7 +49,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
         "clock": run.clock,
         "link": run.link,
         "duration_s": duration_s,
-        "ticks": ticks,
+        "ticks": known.ticks,
         "completed": bool(outcome.get("completed", False)) and run.complete and not more_faults,
         "faults": [*more_faults, *run.faults()],
         "unrecorded_faults": list(more_faults),  # to judge the recording again by
@@ -56,7 +57,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
         "bounds": judge_bounds(run),
         "tracking": _tracking(run),
         "torque": _torque(run),
-        "timing": _timing(run, ticks, outcome.get("stolen_ms")),
+        "timing": _timing(run, known, outcome.get("stolen_ms")),
         "transport": _transport(run),
         "limits": _limits(run),
         "identified": identified(run),
@@ -66,7 +67,12 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
             "lost_by_topic": None if run.lost is None else dict(run.lost),
             "complete": run.complete,
         },
-        "recording": {"damage": list(run.damage), "notes": run.notes},
+        "recording": {
+            "damage": list(run.damage),
+            "notes": run.notes,
+            "ticks_known": known.known,
+            "gaps_s": known.gaps_s[:_MOST_GAPS],
+        },
         "commander": _commander(run),
         "digest": run.digest,
     }
@@ -114,7 +120,7 @@ def _torque(run: RunData) -> dict[str, Any]:
     }
 
 
-def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]:
+def _timing(run: RunData, known: KnownTicks, stolen_ms: float | None) -> dict[str, Any]:
     truth = run.tables[topics.PLANT_TRUTH.name]
     missed = truth["deadline_met"] == 0
     misses = int(missed.sum())
@@ -122,7 +128,7 @@ def _timing(run: RunData, ticks: int, stolen_ms: float | None) -> dict[str, Any]
         **{name: percentiles(values_us) for name, values_us in times_us(run).items()},
         "deadline_misses": misses,
         "deadline_miss_longest_run": longest_run(missed),
-        "success_rate": 1.0 - misses / ticks if ticks else None,
+        "success_rate": 1.0 - misses / known.known if known.known else None,
         "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
         "longest_stall_ms": longest_stall_ms(run),
     }

@@ -7,13 +7,18 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
+from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import RUN_EVENTS, Role
+from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
+from deploy.cli.shelf import export
 from deploy.cli.study.experiments import replay, report
+from deploy.runs.judging.bounds import judge_bounds
+from deploy.runs.judging.known_ticks import known_ticks
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_folder import load_run
 from deploy.runs.simulate import Simulation, simulate
@@ -118,6 +123,70 @@ def test_a_damaged_recording_is_judged_and_named_as_damaged(folder):
     code, output, _ = left(replay, folder)
     assert code == 1
     assert "damaged" in output
+
+
+@pytest.fixture
+def lost_in_the_middle(folder):
+    """A run that leaves its bounds in the middle, where its recording is damaged."""
+    file = folder / "run.mcap"
+    push = "{joint: elbow, kind: pulse, torque_nm: 500, start_s: 0.22, duration_s: 0.01}"
+    short_run(
+        "duration_s=0.7", "robot.initial_offset_rad=0", f"plant.disturbance.terms=[{push}]"
+    ).write_log(file)
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    (chunk,) = (
+        each for each in chunks if each.message_start_time < 25 * 10**7 < each.message_end_time
+    )
+    changed = bytearray(file.read_bytes())
+    changed[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
+    assert judge_bounds(load_run(file)[0])["kept"] is False
+    file.write_bytes(changed)
+    return folder
+
+
+def test_what_is_missing_in_the_middle_is_not_claimed(lost_in_the_middle):
+    code, output, error = left(report, lost_in_the_middle)
+    assert code == 1, (output, error)
+    data, _ = load_run(lost_in_the_middle)
+    times_s = data.times_s(PLANT_TRUTH)
+    known, gap = len(times_s) - 1, int(np.argmax(np.diff(times_s)))
+    first_s, last_s = times_s[gap] + 0.001, times_s[gap + 1] - 0.001
+    assert 0.1 < first_s < 0.25 < last_s < 0.5
+    output = " ".join(output.split())
+    assert "recording damaged, bounds kept where it can be read" in output
+    assert f"inside its bounds at the {known} of 700 ticks at which it is known" in output
+    assert f"missing are those at {first_s:.3f} to {last_s:.3f} s" in output
+    assert "all 700 ticks" not in output
+    assert "until then" not in output
+    summary = json.loads((lost_in_the_middle / "summary.json").read_text())
+    assert (summary["ticks"], summary["recording"]["ticks_known"]) == (700, known)
+    assert summary["recording"]["gaps_s"] == [[pytest.approx(first_s), pytest.approx(last_s)]]
+    assert not summary["completed"]
+
+
+def test_an_export_of_a_damaged_recording_says_what_is_missing(lost_in_the_middle):
+    app = typer.Typer()
+    app.command()(export)
+    words = [str(lost_in_the_middle), "--csv", "--series", "tracking"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert "The recording is damaged" in result.stderr
+    known = known_ticks(load_run(lost_in_the_middle)[0]).known
+    assert f"known at {known} of 700 ticks" in result.stderr
+    assert result.stdout.split() == [str(lost_in_the_middle / "export" / "tracking.csv")]
+
+
+def test_what_is_known_counts_also_without_an_end(lost_in_the_middle):
+    """Where nobody told the end, the ticks are those up to the last that is known."""
+    data, _ = load_run(lost_in_the_middle)
+    whole = known_ticks(data)
+    assert whole.missing > 0
+    assert known_ticks(replace(data, events=[])) == whole
+    truth = data.tables[PLANT_TRUTH.name]
+    cut = replace(data, tables={**data.tables, PLANT_TRUTH.name: truth[:-10]})
+    assert known_ticks(cut).gaps_s[-1] == pytest.approx((0.691, 0.7))
+    assert summarise(replace(cut, events=[]))["ticks"] == 690
 
 
 def with_events(*events):

@@ -1,0 +1,68 @@
+"""At which of its ticks the true motion of a run is known: messages may be missing anywhere."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from deploy.runs.run_data import RunData, stamps_s
+
+_SHOWN_GAPS = 3
+
+
+class KnownTicks(NamedTuple):
+    """How much of a run is known.
+
+    Attributes:
+        known: ticks at which the true motion was recorded.
+        ticks: of the run, as far as is known.
+        gaps_s: first and last tick of each gap between them, on the run's clock.
+    """
+
+    known: int
+    ticks: int
+    gaps_s: list[tuple[float, float]]
+
+    @property
+    def missing(self) -> int:
+        return self.ticks - self.known
+
+    @property
+    def gaps_text(self) -> str:
+        """Where the gaps are, such as "2.443 to 2.649 s"; the first few of many."""
+        shown = [
+            f"{first:.3f} s" if first == last else f"{first:.3f} to {last:.3f} s"
+            for first, last in self.gaps_s[:_SHOWN_GAPS]
+        ]
+        more = len(self.gaps_s) - len(shown)
+        return ", ".join(shown) + (f" and in {more:,} more places" if more else "")
+
+
+def tick_numbers(run: RunData) -> NDArray[np.int64]:
+    """The tick of each message of the true motion, by its stamp; 0 is where the arm stood before.
+
+    Shape (messages,).
+    """
+    times_s = stamps_s(run.tables[topics.PLANT_TRUTH.name])
+    return np.rint(times_s * 1e9 / run.setup.grid.period_ns).astype(np.int64)
+
+
+def known_ticks(run: RunData) -> KnownTicks:
+    """What is known of a run, up to the end that the plant told; else to the last tick known."""
+    numbers = np.unique(tick_numbers(run))
+    told = run.last_values(Role.PLANT, EventKind.ENDED)
+    ticks = int(told.get("ticks", numbers.max(initial=0)))
+    numbers = numbers[(numbers >= 1) & (numbers <= ticks)]
+    around = np.concatenate(([0], numbers, [ticks + 1]))
+    period_s = run.setup.grid.period_ns * 1e-9
+    before = np.flatnonzero(np.diff(around) > 1)
+    gaps_s = [
+        (float((around[each] + 1) * period_s), float((around[each + 1] - 1) * period_s))
+        for each in before
+    ]
+    return KnownTicks(len(numbers), ticks, gaps_s)
