@@ -15,6 +15,7 @@ from controller.laws.custom import is_custom
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.folder import KIND as OF_LAWS
 from deploy.processes.recorder import DATA_ATTACHMENTS
+from deploy.runs.judging.known_ticks import tick_numbers
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData, stamps_s
 from deploy.runs.run_folder import (
@@ -40,15 +41,17 @@ class Parting(NamedTuple):
 
     Attributes:
         tick: of the first run, the first at which position, velocity or torque of a joint are not
-            the same bits, of those instants at which both have a tick.
+            the same bits, of those instants at which both have a tick; else where one of them ends.
         time_s: of that tick.
         largest_rad: how far apart a joint's positions are at most, over these instants; None where
             they have none.
+        is_end: nothing differs before that tick: one of them ends there.
     """
 
     tick: int
     time_s: float
     largest_rad: float | None
+    is_end: bool
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ class RecordedRuns:
     Attributes:
         paths: folders or MCAP files of the runs.
         comparison: the runs, each by its label in place of a law.
-        partings: of each run from the first; None where all ticks are the same bits.
+        partings: of each run from the first; None where all ticks are the same bits that both
+            recordings have.
         differing: values of the scenarios by run, as JSON, for each key that is not the same in
             all; None where a scenario lacks it. Without what belongs to a host, and without gains
             of laws that none of the runs has.
@@ -106,7 +110,7 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     read = [_read(label, path) for label, path in zip(_labels(places), paths, strict=True)]
     runs = [run for run, _ in read]
     _require_same_joints(paths, runs)
-    partings = [_parting(runs[0].data, run.data) for run in runs]
+    partings = [_parting(runs[0], run) for run in runs]
     laws = {run.data.setup.scenario.controller.law for run in runs}
     sections = {"custom" if is_custom(law) else law for law in laws}
     differing = {
@@ -162,20 +166,23 @@ def _require_same_joints(paths: Sequence[Path], runs: Sequence[LawRun]) -> None:
             )
 
 
-def _parting(first: RunData, other: RunData) -> Parting | None:
-    ours, theirs = (run.tables[topics.PLANT_TRUTH.name] for run in (first, other))
-    here, there = ticks_in_common(first, other)
+def _parting(first: LawRun, other: LawRun) -> Parting | None:
+    ours, theirs = (run.data.tables[topics.PLANT_TRUTH.name] for run in (first, other))
+    here, there = ticks_in_common(first.data, other.data)
     differs = np.zeros(len(here), dtype=bool)
     for field in _COMPARED:
         pair = ours[field][here], theirs[field][there]
         differs |= ~np.equal(*pair).reshape(len(here), -1).all(axis=1)
-    if not differs.any() and len(ours) == len(theirs) == len(here):
+    grids = [run.data.setup.grid.period_ns for run in (first, other)]
+    has_same_ticks = grids[0] == grids[1] and first.summary["ticks"] == other.summary["ticks"]
+    if len(here) and has_same_ticks and not differs.any():
         return None
-    after = int(here[-1]) + 1 if len(here) else 0  # where one of them ends, or has more ticks
-    tick = int(here[np.argmax(differs)]) if differs.any() else after
+    numbers = tick_numbers(first.data)[here]
+    after = int(numbers[-1]) + 1 if len(here) else 0  # where one of them ends, or has more ticks
+    tick = int(numbers[np.argmax(differs)]) if differs.any() else after
     apart = np.abs(ours["position"][here] - theirs["position"][there])
     largest = float(apart.max()) if len(here) else None
-    return Parting(tick, tick * first.setup.grid.period_ns * 1e-9, largest)
+    return Parting(tick, tick * grids[0] * 1e-9, largest, is_end=not differs.any())
 
 
 def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:

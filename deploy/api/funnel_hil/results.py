@@ -157,7 +157,8 @@ class Diff:
         runs: by label, the shortest ends of their paths that tell them apart.
         differing: values of the scenarios by run, as JSON, for each key that is not the same.
         first_different_ticks: by label of each run but the first: the first tick at which position,
-            velocity or torque are not the same bits; None where they are throughout.
+            velocity or torque are not the same bits; None where they are throughout,
+            as far as both recordings have them.
     """
 
     def __init__(self, compared: RecordedRuns) -> None:

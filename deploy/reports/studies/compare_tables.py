@@ -66,7 +66,8 @@ def bounds_sentence(run: LawRun) -> str:
     """What became of a law's bounds, or of the law."""
     bounds, faults = run.summary["bounds"], run.summary["faults"]
     if not run.is_whole:
-        return "; ".join(faults[:_SHOWN_FAULTS]) or "did not come to its end"
+        why = "its recording is damaged" if run.data.damage else "did not come to its end"
+        return "; ".join(faults[:_SHOWN_FAULTS]) or why
     if bounds["kept"]:
         return f"kept its bounds, smallest margin {margin_text(bounds['margin_min'])}"
     return (

@@ -22,9 +22,10 @@ from deploy.reports.tables import (
     percent,
     scaled,
 )
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import Verdict, missing_ticks_sentence
 from deploy.runs.conditions import conditions_of_runs
 from deploy.runs.judging.bounds import bound_usage
+from deploy.runs.judging.known_ticks import known_ticks
 
 _MRAD = 1e3
 _LONGEST_VALUE = 60
@@ -36,17 +37,21 @@ def verdict_on_runs(compared: RecordedRuns) -> Verdict:
     runs, keys = compared.runs, len(compared.differing)
     faulted = [run for run in runs if not run.is_whole]
     reasons = [f"{run.law}: {bounds_sentence(run)}" for run in runs]
+    gaps = {run.law: known for run in runs if (known := known_ticks(run.data)).missing}
+    every = "every tick that is known of both" if gaps else "every tick"
     reasons += [
-        f"{label}: {_parting_text(parting, compared.labels[0])}"
+        f"{label}: {_parting_text(parting, compared.labels[0], every)}"
         for label, parting in zip(compared.labels[1:], compared.partings[1:], strict=True)
     ]
+    reasons += [f"{label}: {missing_ticks_sentence(known)}" for label, known in gaps.items()]
     differ = "value differs" if keys == 1 else "values differ"
     reasons.append(f"{keys or 'No'} {differ} between the scenarios.")
     kept = sum(run.kept_bounds for run in runs)
-    same = "the same at every tick" if not any(compared.partings) else "not the same"
-    headline = f"{kept} of {len(runs)} runs kept their bounds; they are {same}"
+    headline = f"{kept} of {len(runs)} runs kept their bounds; they are {_same(compared, every)}"
     if faulted:
-        return Verdict("broken", f"{headline}, {len(faulted)} did not finish", reasons)
+        return Verdict(
+            "broken", f"{headline}, {len(faulted)} did not finish or cannot be read whole", reasons
+        )
     if kept == len(runs):
         return Verdict("good", headline, reasons)
     return Verdict("mixed" if kept else "bad", headline, reasons)
@@ -180,9 +185,21 @@ def _worst_usage_percent(run: LawRun) -> list[float | None]:
     return [100.0 * float(worst) for worst in usage.max(axis=0)]
 
 
-def _parting_text(parting: Parting | None, first: str) -> str:
+def _same(compared: RecordedRuns, every: str) -> str:
+    partings = [parting for parting in compared.partings if parting is not None]
+    if not partings:
+        return f"the same at {every}"
+    has_same_begin = all(each.is_end and each.largest_rad is not None for each in partings)
+    return "the same until one ends" if has_same_begin else "not the same"
+
+
+def _parting_text(parting: Parting | None, first: str, every: str) -> str:
     if parting is None:
-        return f"the same as {first} at every tick, to the bit"
+        return f"the same as {first} at {every}, to the bit"
+    if parting.largest_rad is None:
+        return f"has no tick at the time of one of {first}"
+    if parting.is_end:
+        return f"the same as {first} at {every} before {parting.tick}, where one ends, to the bit"
     apart = number(parting.largest_rad, _MRAD, " mrad")
     return (
         f"leaves {first} at tick {parting.tick} ({number(parting.time_s)} s); positions are at most"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from mcap.reader import make_reader
 
 import funnel_hil as interface
 from deploy.comparison.recorded import recorded_runs
@@ -19,6 +21,7 @@ from deploy.reports.studies.diff_tables import (
     timing_table,
     verdict_on_runs,
 )
+from deploy.runs.judging.known_ticks import known_ticks
 from deploy.runs.run_folder import RunFolder, read_summary
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -46,6 +49,7 @@ def folder(tmp_path_factory):
     )
     record(path / "other_law", "controller.law=smc", "duration_s=0.2")
     record(path / "iiwa", name="iiwa")
+    record(path / "long", "duration_s=0.7")
     return path
 
 
@@ -102,6 +106,58 @@ def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     assert rows["Digest, beside the first"] == ["–", "same"]
     assert rows["First tick that differs"] == ["–", "never"]
     assert "the same at every tick" in verdict_on_runs(compared).headline
+
+
+def damage_at(file: Path, time_ns: int) -> None:
+    """Change a byte of the chunk with the messages of an instant."""
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (chunk,) = [
+        each
+        for each in summary.chunk_indexes
+        if each.message_start_time < time_ns < each.message_end_time
+    ]
+    changed = bytearray(file.read_bytes())
+    changed[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
+    file.write_bytes(changed)
+
+
+@pytest.mark.parametrize("order", [("first", "gap"), ("gap", "first")])
+def test_ticks_that_are_missing_are_no_parting(folder, tmp_path, funnel_hil, order):
+    for name in order:
+        shutil.copytree(folder / "long", tmp_path / name)
+    damage_at(tmp_path / "gap" / "run.mcap", 250_000_000)
+    compared = recorded_runs([tmp_path / name for name in order])
+    assert compared.partings == [None, None]
+    code, said = funnel_hil("diff", *compared.paths, "--out", tmp_path / "diff", "--no-report")
+    assert code == 0, said
+    said = " ".join(said.split())
+    assert "leaves" not in said
+    assert "they are the same at every tick that is known of both" in said
+    assert "gap: its recording is damaged" in said
+    known = known_ticks(compared.runs[order.index("gap")].data)
+    assert f"gap: The true motion is known at {known.known} of 700 ticks: missing are" in said
+
+
+def test_a_parting_behind_missing_ticks_is_at_its_tick(folder, tmp_path):
+    push = "faults=[{kind: torque_offset, joint: elbow, torque_nm: 5, at_s: 0.5, for_s: 0.1}]"
+    pushed = record(tmp_path / "pushed", push, "duration_s=0.7")
+    shutil.copytree(folder / "long", tmp_path / "gap")
+    damage_at(tmp_path / "gap" / "run.mcap", 250_000_000)
+    (_, parting) = recorded_runs([tmp_path / "gap", pushed]).partings
+    assert parting.tick in (500, 501)
+
+
+def test_a_run_that_ends_before_another_is_the_same_until_then(folder, tmp_path):
+    short = record(tmp_path / "short", "duration_s=0.2")
+    compared = recorded_runs([folder / "first", short])
+    assert compared.partings[1].tick == 201
+    verdict = verdict_on_runs(compared)
+    assert verdict.headline.endswith("they are the same until one ends")
+    assert "short: the same as first at every tick before 201, where one ends, to the bit" in (
+        verdict.reasons
+    )
 
 
 def test_runs_part_at_the_tick_at_which_something_else_happens(folder):
