@@ -9,7 +9,13 @@ _SHOWN_KEYS = 12
 
 
 class BusError(Exception):
-    """Root of all errors of this package."""
+    """Root of all errors of this package.
+
+    Attributes:
+        is_cause: what else fails in a run follows from this.
+    """
+
+    is_cause = False
 
 
 class InvalidMessageError(BusError, ValueError):

@@ -161,7 +161,7 @@ class CanControllerLink(ControllerLink):
             causes = [each for each in (self._master.strangers(), late) if each]
             if not causes:
                 raise
-            raise DriveError("; ".join([str(error), *causes])) from error
+            raise type(error)("; ".join([str(error), *causes])) from error
         finally:
             yield from self._bring_to_rest(tick, is_stop_requested)
 

@@ -17,10 +17,17 @@ from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 
 _MOST_LATE = 100
+_NEARLY = 0.8
 
 
 class DriveError(BusError):
     """A drive is not what it should be, or no longer does what it must; the message says which."""
+
+
+class SilentDriveError(DriveError):
+    """A drive gives no states while others do; without its states, none of them gets a torque."""
+
+    is_cause = True
 
 
 class CanMaster(ABC):
@@ -50,6 +57,7 @@ class CanMaster(ABC):
         self._samplings, self._answers = 0, [0] * len(node_ids)
         self._skipped = np.zeros((2, len(node_ids)))
         self._now_ns = 0
+        self._last_answer_ns = [0] * len(node_ids)
         self._next_heartbeat_ns = 0
 
     @abstractmethod
@@ -96,6 +104,7 @@ class CanMaster(ABC):
             velocity: where velocities are written, rad/s, shape (joints,).
 
         Raises:
+            SilentDriveError: one fell silent, while others give states.
             DriveError: a drive reports a fault, stopped following, or fell silent.
         """
         give_up_s = time.monotonic() + timeout_s
@@ -106,10 +115,27 @@ class CanMaster(ABC):
             joint = self._take_in(frame, position, velocity)
             if joint is not None:
                 self._awaited.discard(joint)
-        faults, self._faults = self._faults + self._missed_heartbeats(), []
+        faults, self._faults = [*self._missed_heartbeats(), *self._faults], []
         if faults and not self._is_stopping:
+            if silent := self._without_states():
+                raise SilentDriveError("; ".join(dict.fromkeys([*silent, *faults])))
             raise DriveError("; ".join(dict.fromkeys(faults)))
         return not self._awaited
+
+    def _without_states(self) -> list[str]:
+        """One sentence for each drive that has given no state for long, if others have.
+
+        Long is nearly the shortest time after which somebody acts on it.
+        """
+        long_ms = _NEARLY * min(self._can.command_timeout_ms, self._can.heartbeat_timeout_ms)
+        ages_ms = [1e-6 * (self._now_ns - last_ns) for last_ns in self._last_answer_ns]
+        if min(ages_ms) > long_ms:  # the bus, or all that is on it
+            return []
+        return [
+            f"drive {node_id}: no state for {age_ms:.0f} ms"
+            for node_id, age_ms in zip(self._node_ids, ages_ms, strict=True)
+            if age_ms > long_ms
+        ]
 
     def missing(self) -> str:
         """Addresses of the drives that have not answered yet, in words."""
@@ -184,6 +210,7 @@ class CanMaster(ABC):
             self._handle(frame)
         else:
             self._answers[joint] += 1
+            self._last_answer_ns[joint] = self._now_ns
         return joint
 
     def _is_heartbeat_due(self) -> bool:

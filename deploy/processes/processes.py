@@ -168,8 +168,9 @@ def _end(
     """Leave the bus in order, and report what stopped the controller, if anything did."""
     if failure is not None:
         reason = reason_of(failure)
-        # What the bus does may follow from others; what the controller does is a cause.
-        is_cause = isinstance(failure, ControllerError)
+        # What the controller does is a cause; what the bus does may follow from others.
+        bus_is_cause = isinstance(failure, BusError) and failure.is_cause
+        is_cause = bus_is_cause or isinstance(failure, ControllerError)
         reporter.report("fault", text=reason, is_cause=is_cause)
         loop.stop(reason)
     reporter.report("result", **loop.end())

@@ -85,6 +85,23 @@ def test_interrupted_run_blames_no_drive(tmp_path: Path, clock: str) -> None:
     assert ended.summary["completed"] is False
 
 
+def test_one_silent_drive_in_real_time_is_the_first_that_is_named(tmp_path: Path) -> None:
+    """The others get no torques without its states, and say so; the plant blames them all."""
+    timeouts = settings(
+        plant__command_timeout_ms=30_000.0,
+        link__can__command_timeout_ms=3000,
+        link__can__heartbeat_timeout_ms=4000,
+    )
+    silent = settings(link__can__faults__drives=["silent:2@200ms"])
+    in_real_time = settings(duration_s=90, clock="realtime", controller__law="smc")
+    words = ["run", "paper_arm_can", *on_free_port(), *in_real_time, *timeouts, *silent]
+    ended = funnel_hil_here(*words, out=tmp_path / "run")
+    assert ended.code == 1, ended.output
+    first, *others = ended.summary["faults"]
+    assert first.startswith("the controller failed: SilentDriveError: drive 2: no state for"), first
+    assert any("node 1: no RPDO within its event time" in fault for fault in others), others
+
+
 def test_recording_in_real_time_is_not_replayed(tmp_path: Path) -> None:
     """Which states the master missed, on a busy machine, is not in it."""
     in_real_time = settings(duration_s=0.5, clock="realtime", controller__law="smc")

@@ -12,7 +12,7 @@ from bus_schema.can.cansimple_master import CanSimpleMaster
 from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402_master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame
-from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.can.master import CanMaster, DriveError, SilentDriveError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import load_robot
@@ -172,3 +172,38 @@ def test_drives_that_never_come_into_the_cycle_are_named() -> None:
     master.sample(5_001_000_000)
     with pytest.raises(DriveError, match="drive 3: no heartbeat for 5000 ms"):
         master.read(0.0, position, velocity)
+
+
+FAULT_OF_1 = CanFrame(0x281, b"\x1f\x02\x0a\x00\x00")  # fault reaction active
+
+
+def test_one_silent_drive_is_named_before_what_followed_from_its_silence() -> None:
+    """The others got no torque for want of its state, and stopped for that."""
+    bus = FrameBus()
+    master = cia402(bus)
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    for now_ms, nodes in ((10, NODES), (40, (1, 3))):
+        master.sample(now_ms * 1_000_000)
+        bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in nodes]
+        assert master.read(0.0, position, velocity) == (nodes == NODES)
+    master.sample(62_000_000)
+    bus._frames.append(FAULT_OF_1)
+    with pytest.raises(SilentDriveError, match=r"^drive 2: no state for 52 ms; drive 1: fault"):
+        master.read(0.0, position, velocity)
+
+
+@pytest.mark.parametrize("nodes", [(), (1, 2, 3)])
+def test_where_all_drives_or_none_give_states_no_silence_of_one_is_the_cause(
+    nodes: Sequence[int],
+) -> None:
+    bus = FrameBus()
+    master = cia402(bus)
+    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
+    master.sample(62_000_000)
+    bus._frames += [*(CanFrame(0x180 + node, bytes(8)) for node in nodes), FAULT_OF_1]
+    if nodes:
+        assert master.read(0.0, position, velocity)
+        master.sample(64_000_000)
+    with pytest.raises(DriveError, match=r"^drive 1: fault reaction active$") as ended:
+        master.read(0.0, position, velocity)
+    assert not ended.value.is_cause
