@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,13 +44,19 @@ def naming(source: Path | Origin) -> Iterator[None]:
         raise ScenarioError(f"{origin.file}: {error}") from error
 
 
-def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
+def find_yaml(
+    name_or_path: str,
+    shipped: Path,
+    beside: Path = Path(),
+    fits: Callable[[Path], bool] | None = None,
+) -> Path:
     """A YAML file by its path, or one of those that are shipped in a folder by its name.
 
     Args:
         name_or_path: what the user says.
         shipped: the folder; its name is what the files are called in messages.
         beside: folder from which a path may also start.
+        fits: which of the shipped ones a message offers; all by default.
 
     Raises:
         ScenarioError: there is none.
@@ -61,7 +67,7 @@ def find_yaml(name_or_path: str, shipped: Path, beside: Path = Path()) -> Path:
     by_name = shipped / f"{name_or_path}.yaml"
     if is_file(by_name):
         return by_name
-    names = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
+    names = ", ".join(sorted(file.stem for file in filter(fits, shipped.glob("*.yaml"))))
     is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
     what = "is no regular file" if is_there else "no such file"
     raise ScenarioError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from deploy.runs.run_rows import Row
@@ -51,6 +51,36 @@ def seeds_of(rows: Sequence[Row]) -> list[int]:
 def badness(row: Row) -> tuple[bool, float]:
     """What the worst of several runs has most of: failure, then ticks outside its bounds."""
     return row["error"] is not None, row["violation_fraction"] or 0.0
+
+
+def without_effect(
+    rows: Sequence[Row], varied: Iterable[tuple[str, ...]], columns: Iterable[str]
+) -> list[str]:
+    """What a study varied without changing a result of any run that came to one.
+
+    Args:
+        rows: of the runs.
+        varied: columns that took each value together.
+        columns: all that say what a run was, but for point and seed.
+    """
+    inputs = {"point", "seed", *columns}
+    sound = [row for row in rows if row["error"] is None]
+    results = [
+        {key: row[key] for key in row.keys() - inputs if row[key] is not None} for row in sound
+    ]
+    idle = []
+    for keys in varied:
+        others = sorted(inputs - {"point", *keys})
+        alike: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+        for row, result in zip(sound, results, strict=True):
+            told = (row[key] for key in others)
+            same = tuple(tuple(each) if isinstance(each, list) else each for each in told)
+            alike.setdefault(same, []).append(result)
+        if len(alike) < len(sound) and all(
+            result == found[0] for found in alike.values() for result in found
+        ):
+            idle.append(", ".join(keys))
+    return idle
 
 
 def worst(values: Sequence[float | None] | None) -> float | None:

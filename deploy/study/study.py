@@ -25,7 +25,7 @@ from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import find_yaml, override
+from deploy.scenario.yaml_files import find_yaml, override, read_yaml
 from deploy.study.statistics import commonest_error, seeds_of
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
@@ -90,6 +90,11 @@ def scenario_name(name_or_path: str, folder: Path) -> str:
     """
     found = find_yaml(name_or_path, SHIPPED_SCENARIOS, folder)
     return found.stem if found.parent == SHIPPED_SCENARIOS else str(found)
+
+
+def is_sweep(file: Path) -> bool:
+    """Whether a study's file is one for `sweep`; the others are for `margin`."""
+    return "grid" in read_yaml(file)
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,8 @@ from deploy.study.plants import (
     refused,
     with_ranges,
 )
-from deploy.study.statistics import badness, held, spread_of_runs
-from deploy.study.study import SHIPPED, Run, Study, require_different, scenario_name
+from deploy.study.statistics import badness, held, spread_of_runs, without_effect
+from deploy.study.study import SHIPPED, Run, Study, is_sweep, require_different, scenario_name
 
 _MOST_VALUES = 10_000
 _MOST_RUNS = 100_000
@@ -155,13 +155,15 @@ class Sweep(Study):
             by_point.setdefault(_grid_point(row["point"]), []).append(row)
         base = self.bases[0]
         runs = itertools.islice(self.points(), 0, None, len(self.plants))
+        completed, varied = len(rows) == self.expected, [*self.axes, (SEED,)]
         return {
             "scenario": base.scenario.name,
-            "completed": len(rows) == self.expected,
+            "completed": completed,
             "runs_expected": self.expected,
             "joint_names": list(base.robot.joint_names),
             "plants": self.definition.plants,
             "plant_seed": self.definition.plant_seed,
+            "without_effect": without_effect(rows, varied, self.columns) if completed else [],
             "axes": [
                 {"keys": list(keys), "values": [_as_cell(v, self.columns[keys[0]]) for v in values]}
                 for keys, values in self.axes.items()
@@ -221,7 +223,7 @@ def load_sweep(
     Raises:
         ScenarioError: anything about it is wrong.
     """
-    path = find_yaml(name_or_path, SHIPPED)
+    path = find_yaml(name_or_path, SHIPPED, fits=is_sweep)
     values = {**read_yaml(path), **more}
     own = values.get("set") or {}
     if fixed and isinstance(own, dict):  # or the schema refuses it

@@ -44,7 +44,7 @@ from deploy.stop_signals import on_stop
 from deploy.study.conduct import carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
-from deploy.study.study import SHIPPED, Study
+from deploy.study.study import SHIPPED, Study, is_sweep
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
@@ -93,7 +93,7 @@ def margin(**words: Any) -> None:
     options = MarginOptions(**words)
     path, values = Path("margin"), dict[str, Any]()
     if options.study is not None:
-        path = find_yaml(options.study, SHIPPED)
+        path = find_yaml(options.study, SHIPPED, fits=lambda file: not is_sweep(file))
         values = read_yaml(path)
     values = definition_with(options, values)
     _conduct(
@@ -208,6 +208,9 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     else:
         table = point_table(summary)
         print_table(console, replace(table, rows=table.rows[:_SHOWN_POINTS]))
+        for keys in summary.get("without_effect", ()):
+            said = f"warning: {keys}: none of its values changed any result of a run"
+            console.print(said, markup=False, soft_wrap=True)
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")

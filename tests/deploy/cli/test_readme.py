@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import funnel_hil
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.definition import Scenario
@@ -75,6 +76,19 @@ def test_the_sweep_of_the_readme_can_be_run(tmp_path):
     (tmp_path / "sweep.yaml").write_text(block("yml", "grid:"))
     # 11 delays, 3 model scales, 5 seeds.
     assert load_sweep(str(tmp_path / "sweep.yaml")).expected == 11 * 3 * 5
+
+
+def test_everything_the_sweep_of_the_readme_varies_has_an_effect(tmp_path):
+    sweep = yaml.safe_load(block("yml", "grid:"))
+    (delays, scales), changes = sweep["grid"], {**sweep["set"], "duration_s": 0.2}
+    grid = {delays: [0, 1], scales: sweep["grid"][scales][:2]}
+    changes["metrics.from_s"] = 0
+    swept = funnel_hil.sweep(sweep["scenario"], grid, changes, seeds=2)
+    assert len({row["digest"] for row in swept.rows}) == 2 * 2 * 2
+    assert swept.summary["without_effect"] == []
+    changes = {"duration_s": 0.2, "metrics.from_s": 0, "controller.law": "fixed_time_neural"}
+    swept = funnel_hil.sweep(sweep["scenario"], grid, changes, seeds=2)
+    assert swept.summary["without_effect"] == [scales, "seed"]
 
 
 def test_the_study_of_uncertain_plants_of_the_readme_can_be_run(tmp_path):

@@ -120,7 +120,9 @@ def test_margins_without_a_word_on_compensation_have_no_column_of_it(
     assert (">Compensation</th>" in page_of(margin)) is shown_there
 
 
-def test_a_long_sweep_is_cut_in_the_terminal_only(sweep, page_of):
+def test_a_long_sweep_is_cut_in_the_terminal_only_which_warns(sweep, page_of):
     sweep["points"] = [{**sweep["points"][0], "point": f"{index:05d}"} for index in range(43)]
     assert "3 more points are in the report" in shown(sweep)
+    assert "warning" not in shown(sweep)
+    assert "warning: a.key, b.key: none" in shown({**sweep, "without_effect": ["a.key, b.key"]})
     assert page_of(sweep).count('href="scenarios/') == 43

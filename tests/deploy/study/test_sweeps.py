@@ -161,5 +161,14 @@ def test_every_sweep_has_a_report_that_names_reruns(tmp_path, grid):
     assert page.count('<figure class="card" id="field-worst_rms_rad-') == 2 * (len(grid) == 3)
 
 
+def test_only_studies_that_a_command_can_take_are_offered(funnel_hil):
+    told = {words: funnel_hil(*words, "nowhere") for words in (("sweep",), ("margin", "--study"))}
+    assert {code for code, _ in told.values()} == {2}
+    offered = [said.partition("the shipped studies ")[2].split() for _, said in told.values()]
+    assert offered[0] == ["delay_sweep"]
+    assert "delay_margin," in offered[1]
+    assert "delay_sweep," not in offered[1]
+
+
 def test_the_shipped_sweep_can_be_run():
     assert load_sweep("delay_sweep").expected == 11 * 5 * 2
