@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import plotly.graph_objects as go
@@ -35,11 +36,13 @@ class Run:
     Attributes:
         data: all that was recorded, as the program has it.
         summary: what ``summary.json`` says; keys and units are in the README.
+        path: its folder or MCAP file; None where it was not written, or is part of something else.
     """
 
-    def __init__(self, data: RunData, summary: dict[str, Any]) -> None:
+    def __init__(self, data: RunData, summary: dict[str, Any], path: Path | None = None) -> None:
         self.data = data
         self.summary = summary
+        self.path = path
 
     def __repr__(self) -> str:
         verdict = "kept" if self.kept else "not kept"

@@ -54,7 +54,7 @@ def simulate(
         with RunFolder.begin(given.setup, Path(out), overwrite=overwrite) as folder:
             simulation = simulate_setup(given.setup, can_log=folder.can_log)
             data = simulation.data(simulation.write_log(folder.log))
-            return Run(data, conclude(folder, data))
+            return Run(data, conclude(folder, data), folder.path)
 
 
 def compare(
@@ -106,21 +106,22 @@ def load_run(path: str | Path) -> Run:
         InputError: there is no recording of funnel-hil.
     """
     run = judged_again(str(path), Path(path))
-    return Run(run.data, run.summary)
+    return Run(run.data, run.summary, Path(path))
 
 
-def diff(*runs: str | Path, out: str | Path | None = None, overwrite: bool = False) -> Diff:
+def diff(*runs: Run | str | Path, out: str | Path | None = None, overwrite: bool = False) -> Diff:
     """Set recorded runs side by side, the first as what the others are held against.
 
     Args:
-        runs: two or more folders or MCAP files; they may differ in everything but their joints.
+        runs: two or more folders or MCAP files, or runs that were written or loaded; they may
+            differ in everything but their joints.
         out: folder for summary and report; nothing is written without.
         overwrite: replace the results that `out` holds.
 
     Raises:
         InputError: one of them cannot be read, or they cannot be compared.
     """
-    compared = recorded_runs([Path(run) for run in runs])
+    compared = recorded_runs([_recording(run) for run in runs])
     if out is not None:
         folder = ResultFolder(new_folder(KIND, Path(out), overwrite=overwrite))
         folder.lock()
@@ -128,6 +129,17 @@ def diff(*runs: str | Path, out: str | Path | None = None, overwrite: bool = Fal
             write_json(folder.manifest, provenance())
             conclude_diff(compared, folder)
     return Diff(compared)
+
+
+def _recording(run: Run | str | Path) -> Path:
+    """Where a run was recorded."""
+    place = run.path if isinstance(run, Run) else run
+    if not isinstance(place, str | Path):
+        raise InputError(
+            f"diff: {run!r}: must be a folder, an MCAP file, or a run of simulate(..., out=FOLDER)"
+            " or load_run"
+        )
+    return Path(place)
 
 
 def _judged(scenario: Scenario) -> LawRun:

@@ -115,6 +115,18 @@ def test_comparison_and_its_folder(tmp_path):
     assert digest(funnel_hil.load_run(tmp_path / "both" / "pid")) == digest(compared["pid"])
 
 
+def test_runs_that_were_written_or_loaded_are_compared(run, tmp_path):
+    for delay_ms in (1, 2):
+        path, changes = tmp_path / str(delay_ms), {**SHORT, "link.uplink.delay_ms": delay_ms}
+        written = funnel_hil.simulate("paper_arm", changes, out=path)
+    compared = funnel_hil.diff(funnel_hil.load_run(tmp_path / "1"), written)
+    assert list(compared.runs) == ["1", "2"]
+    assert digest(compared["2"]) == digest(written)
+    assert compared.differing == {"link.uplink.delay_ms": ["1.0", "2.0"]}
+    with pytest.raises(funnel_hil.InputError, match="must be a folder, an MCAP file, or a run"):
+        funnel_hil.diff(written, run)
+
+
 def test_sweep_is_that_of_single_runs_and_goes_on_in_its_folder(tmp_path):
     key = "controller.model_scale"  # by which gains are derived anew at every point
     grid, told = {key: [0.8, 1.0]}, []
@@ -170,6 +182,7 @@ def test_series_are_columns_and_data_frames(run):
         (lambda: funnel_hil.sweep(grid={"seed": [1]}), "must be given under seeds"),
         (lambda: funnel_hil.margin(quantity="haste"), "quantity = 'haste'"),
         (lambda: funnel_hil.load_run("nowhere"), "nowhere: holds no run.mcap"),
+        (lambda: funnel_hil.diff(3, 4), "diff: 3: must be a folder, an MCAP file, or a run"),
     ],
 )  # fmt: skip
 def test_bad_input_is_told_with_key_and_value(ask, told):
