@@ -212,7 +212,7 @@ class PlantLoop:
                     continue  # it was sent before the controller left
                 self._controller_is_lost = True
                 if self._arm.mode in COMMANDABLE and self._link.fault() is None:
-                    self._fail("the controller has left the bus")
+                    self._fail(self._link.controller_loss())
                 return
             elif time.monotonic() > give_up_s:
                 self._controller_is_lost = True

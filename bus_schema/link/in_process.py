@@ -32,6 +32,7 @@ class InProcessBus:
         numbers: of the commands to come, from 1.
         on_state: the controller; None before it came and after it left or failed.
         failure: the exception that ended the controller's service of states, if any.
+        controller_loss: what was done to the controller, a sentence; empty for nothing.
         has_left: by role, set once that side has left.
     """
 
@@ -43,6 +44,7 @@ class InProcessBus:
         self.numbers = count(1)
         self.on_state: StateHandler | None = None
         self.failure: Exception | None = None
+        self.controller_loss = ""
         self.has_left = {role: threading.Event() for role in Role}
 
     def connect(self, on_state: StateHandler) -> None:
@@ -132,6 +134,9 @@ class InProcessPlantLink(InProcessNode, PlantLink):
     def controller_has_left(self) -> bool:
         # A controller that has not answered by now never will: states are answered at once.
         return not self._bus.commands
+
+    def controller_loss(self) -> str:
+        return self._bus.controller_loss or super().controller_loss()
 
     def sender_has_left(self, sender: bytes) -> bool:  # noqa: ARG002 (the interface)
         return self._bus.on_state is None

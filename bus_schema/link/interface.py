@@ -102,6 +102,10 @@ class PlantLink(Link, Protocol):
     def controller_has_left(self) -> bool:
         """Whether the controller was on the bus and is there no longer."""
 
+    def controller_loss(self) -> str:
+        """What has become of a controller that is there no longer, in a sentence."""
+        return "the controller has left the bus"
+
     def sender_has_left(self, sender: bytes) -> bool:
         """Whether the session that sends commands as `sender` was on the bus and is gone."""
 

@@ -107,6 +107,8 @@ def simulate(
     def silence(action: ProcessAction) -> None:
         """Silence the controller for good: the plant gives up on it at the first missed reply."""
         if action.verb not in ("resume", "start"):
+            how = "frozen" if action.verb == "freeze" else "killed"
+            bus.controller_loss = f"the controller was {how}"
             controller_link.close()
 
     actions = process_actions(setup.scenario.faults, silence)

@@ -114,6 +114,9 @@ class FaultyLink:
     def controller_has_left(self) -> bool:
         return self._link.controller_has_left()
 
+    def controller_loss(self) -> str:
+        return self._link.controller_loss()
+
     def sender_has_left(self, sender: bytes) -> bool:
         return self._link.sender_has_left(sender)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bus_schema.link.interface import CommandArrival
+from bus_schema.link.interface import CommandArrival, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.clock import VirtualClock
@@ -155,6 +155,7 @@ class LeavingController(Station):
     """Its one answer arrives, and it leaves, just when the plant has waited in vain."""
 
     waits = 0
+    controller_loss = PlantLink.controller_loss
 
     def take_commands(self):
         return super().take_commands() if self.waits > 1 else []

@@ -232,6 +232,12 @@ def test_same_bits_in_every_run_and_in_replay(tmp_path, name):
     assert repeated.recorded > FAULT_TICK - 1
 
 
+@pytest.mark.parametrize("how", ["frozen", "killed"])
+def test_simulation_says_what_was_done_to_the_controller(how):
+    faults = summarise(measured(f"faults/controller_{how}").run)["faults"]
+    assert faults[0] == f"plant at 1.000 s: the controller was {how}"
+
+
 @pytest.mark.parametrize("target", ["plant", "recorder"])
 def test_simulation_refuses_faults_of_processes_it_has_not(target):
     fault = f"faults=[{{kind: process_killed, target: {target}, at_s: 1}}]"
