@@ -15,6 +15,7 @@ from bus_schema.zenoh.session import Delivery, Inbox
 
 LARGEST_BACKLOG = 10_000
 _LOOK_S = 0.05
+_CLOSING_LOOK_S = 0.01
 Note = Callable[[Delivery, CommandArrival], None]
 _NO_ATTACHMENT = Attachment(sequence=0, source_time_ns=0, gid=b"")
 
@@ -67,12 +68,15 @@ class Arrivals:
         self._closed.set()
         self._inbox.knock()
         self._thread.join()
+        self._inbox.close()
 
     def _receive(self) -> None:
-        while not self._closed.is_set():
+        while True:  # whoever knocks at a full inbox waits until there is room
             delivery = self._inbox.wait()
             if delivery is not None:
                 self._admit(delivery)
+            elif self._closed.is_set():
+                return
 
     def _admit(self, delivery: Delivery) -> None:
         self.received += 1
@@ -96,6 +100,14 @@ class AwaitedArrivals(Arrivals):
     ) -> None:
         self._is_taking = threading.Lock()
         super().__init__(inbox, clock, note)
+
+    def close(self) -> None:
+        self._closed.set()
+        while self._thread.is_alive():  # it may be knocking at a full inbox
+            with self._is_taking:
+                self._admit_all()
+            self._thread.join(_CLOSING_LOOK_S)
+        self._inbox.close()
 
     def is_empty(self) -> bool:
         with self._is_taking:

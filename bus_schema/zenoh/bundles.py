@@ -2,9 +2,9 @@
 
 A recorder that subscribes to what loops send at every tick is a second peer to each `put`, and a
 thread that is woken up each time, beside loops that wait for one another. So in virtual time loops
-put all they send into bundles too, and tell so by a token. Commands are told of by the plant, which
-has received what acts, whatever becomes of the controller. While nobody else speaks, a recorder
-takes bundles alone. Whoever subscribes to topics gets each message at once, as ever.
+put all they send into bundles too, and tell so by a token. Commands are told of by the plant, as it
+takes them in, whoever sent them and whatever becomes of him. While nobody else has announced that
+he speaks, a recorder takes bundles alone. Whoever subscribes to topics gets each message at once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from bus_schema.zenoh.ros_graph import GID_BYTES, Attachment
 from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
 _LARGEST_BYTES = 1 << 16
+_MOST_HEARD = 1000  # of publishers; whoever makes up an id for each message fills no memory
 _HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
 _BUNDLED = {
     Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
@@ -45,12 +46,18 @@ class Bundler:
         self._size = 0
 
     def add(self, topic: str, attachment: bytes, payload: bytes) -> None:
-        """Add a message; a bundle that is large enough is sent."""
+        """Add a message; a bundle that is large enough is sent.
+
+        One that is too large for the transport takes no others along.
+        """
         name = topic.encode()
+        head = _HEAD.pack(len(name), len(attachment), len(payload))
+        size = len(head) + len(name) + len(attachment) + len(payload)
         with self._lock:
-            head = _HEAD.pack(len(name), len(attachment), len(payload))
+            if self._size + size > _LARGEST_BYTES:
+                self._send()
             self._parts += (head, name, attachment, payload)
-            self._size += len(payload)
+            self._size += size
             if self._size >= _LARGEST_BYTES:
                 self._send()
 
@@ -108,6 +115,7 @@ class BundleMailbox:
             for role, of_role in _BUNDLED.items()
         }
         self._unbundled: deque[tuple[str, Delivery]] = deque()
+        self._commands = JOINT_COMMANDS.key_expression(domain)
         self._bundled: set[bytes] = set()  # ids of publishers whose messages come in bundles
         self._heard: dict[tuple[str, bytes], int] = {}  # numbers that came before that was known
         self._bundles = session.mailbox(bundle_key_expression(domain), capacity, lossless=True)
@@ -138,7 +146,8 @@ class BundleMailbox:
 
     def _is_new(self, key: str, attachment: bytes) -> bool:
         """Whether a message in a bundle has not come by itself before."""
-        self._bundled.add(attachment[-GID_BYTES:])
+        if key != self._commands:
+            self._bundled.add(attachment[-GID_BYTES:])
         if not self._heard:  # as ever but at the beginning
             return True
         sent = Attachment.decode(attachment)
@@ -150,10 +159,12 @@ class BundleMailbox:
 
     def _will_be_bundled(self, key: str, delivery: Delivery) -> bool:
         """Whether a message that has come by itself comes in a bundle too, if it has not yet."""
+        if key == self._commands and Role.PLANT in self._bundling.values():
+            return True
         sent = Attachment.decode(delivery.attachment)
         if sent is None or not sent.sequence:
             return False
-        if sent.gid not in self._bundled:
+        if sent.gid not in self._bundled and len(self._heard) < _MOST_HEARD:
             self._heard[key, sent.gid] = sent.sequence
         return sent.gid in self._bundled
 

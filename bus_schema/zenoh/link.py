@@ -98,10 +98,10 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         self._commander_was_seen = self.has_publisher(topics.JOINT_COMMANDS)
 
     def _note_command(self, delivery: Delivery, arrival: CommandArrival) -> None:
-        """Remember its sender; what our own controller sent is recorded though it be killed."""
+        """Remember its sender, and tell recorders, whoever that is and whatever becomes of it."""
         self._senders.note(arrival.sender)
-        if self._bundler is not None and self._senders.is_our_controller(arrival.sender):
-            self._bundler.add(topics.JOINT_COMMANDS.name, delivery.attachment, delivery.payload)
+        if self._bundler is not None:
+            self._bundler.add(topics.JOINT_COMMANDS.name, delivery.attachment, arrival.payload)
 
     def _may_have_unannounced_controller(self) -> bool:
         """A recorder subscribes to states too: beside one, a stranger has to be connected."""

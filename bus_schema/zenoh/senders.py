@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from bus_schema.messages import topics
-from bus_schema.messages.topics import Role
-from bus_schema.zenoh.ros_graph import Entity, EntityKind, endpoint_gid, node_name
+from bus_schema.zenoh.ros_graph import Entity, EntityKind, endpoint_gid
 
 _REMEMBERED = 1000
 
@@ -24,7 +23,6 @@ class Senders:
         self._commanders: set[str] = set()  # tokens
         self._departed: deque[bytes] = deque(maxlen=_REMEMBERED)
         self._companions: dict[bytes, set[str]] = {}
-        self._own: set[bytes] = set()
 
     def come(self, token: str, entity: Entity) -> None:
         """A token was announced."""
@@ -32,8 +30,6 @@ class Senders:
             self._publishers[token] = endpoint_gid(token)
             if entity.topic == topics.JOINT_COMMANDS.name:
                 self._commanders.add(token)
-                if entity.node == node_name(Role.CONTROLLER):
-                    self._own.add(self._publishers[token])
 
     def leave(self, token: str) -> None:
         """A token is gone."""
@@ -50,10 +46,6 @@ class Senders:
         is_new = not sender or sender not in self._companions
         if is_new and self._commanders and len(self._companions) < _REMEMBERED:
             self._companions[sender] = set(self._commanders)
-
-    def is_our_controller(self, sender: bytes) -> bool:
-        """Whether a sender of commands has announced itself as a controller of ours."""
-        return sender in self._own
 
     def has_left(self, sender: bytes) -> bool:
         """Whether a sender was announced, and is gone."""

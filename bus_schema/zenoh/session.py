@@ -107,6 +107,11 @@ class Inbox:
                 return delivery
         return None
 
+    def close(self) -> None:
+        """Subscribe no longer: of a full inbox that nobody reads, no session could be closed."""
+        with contextlib.suppress(zenoh.ZError):
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+
     def knock(self) -> None:
         """End the wait under way, or else the next one."""
         with contextlib.suppress(zenoh.ZError):

@@ -142,6 +142,20 @@ def test_each_message_comes_once_whenever_the_recorder_turns_to_bundles() -> Non
             assert_heard(ear, *sent)
 
 
+def test_what_was_heard_by_itself_is_not_taken_from_a_bundle_again() -> None:
+    link = fresh_link()
+    with plant_on(link) as plant, ear_on(link, plant) as ear:
+        for tick in range(3):
+            plant.send_state(state(tick), status())
+        ear.await_heard(topics.JOINT_STATES, 3)
+        ear.await_heard(topics.PLANT_STATUS, 3)
+        plant.send_state(state(3), status())
+        plant.publish(topics.RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
+        ear.await_heard(topics.RUN_EVENTS, 1)
+        assert [number for number, _ in ear.heard["joint_states"]] == [1, 2, 3, 4]
+        assert [number for number, _ in ear.heard["plant_status"]] == [1, 2, 3, 4]
+
+
 def test_recorder_hears_whoever_else_announces_that_it_speaks() -> None:
     link = fresh_link()
     with (
@@ -229,6 +243,56 @@ def test_large_messages_do_not_wait_for_others() -> None:
     bundler = Bundler(session, 0, Role.PLANT)
     bundler.add("plant_truth", FOREIGN.encode(), bytes(70_000))
     await_true(lambda: bool(taken))
+    session.close()
+
+
+@pytest.mark.parametrize("is_announced", [False, True], ids=["without a token", "with a token"])
+def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced: bool) -> None:
+    """Each once, the very first too, whether the recorder turns to topics for it or not."""
+    link = fresh_link()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        ear.await_true(lambda: hears_bundles_alone(plant))
+        stranger, kept = client_of(link.plant_endpoint), []
+        if is_announced:
+            token = endpoint_token(
+                0, str(stranger.zid()), "stranger", 1, EntityKind.PUBLISHER, topics.JOINT_COMMANDS
+            )
+            kept.append(stranger.liveliness().declare_token(token))
+        for number in range(1, 6):
+            attachment = Attachment(number, 0, FOREIGN.gid).encode()
+            key = topics.JOINT_COMMANDS.key_expression(0)
+            stranger.put(key, b"strike %d" % number, attachment=attachment)
+            stranger.put(key, b"by nobody")
+        if is_announced:
+            ear.await_true(lambda: not hears_bundles_alone(plant))
+        taken: list[bytes] = []
+
+        def are_taken() -> bool:
+            taken.extend(arrival.payload for arrival in plant.take_commands())
+            return len(taken) == 10
+
+        ear.await_true(are_taken)
+        plant.publish(topics.RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
+        ear.await_heard(topics.RUN_EVENTS, 1)
+        assert [payload for _, payload in ear.heard["joint_commands"]] == taken
+        stranger.close()  # type: ignore[no-untyped-call]
+
+
+def test_message_too_large_for_the_transport_takes_no_others_along() -> None:
+    session = ZenohSession([], [], low_latency=False)
+    taken: list[bytes] = []
+    session.subscribe(bundle_key_expression(0), lambda delivery: taken.append(delivery.payload))
+    bundler = Bundler(session, 0, Role.PLANT)
+    for payload in (b"before", bytes(2_000_000), b"after"):
+        bundler.add("plant_truth", FOREIGN.encode(), payload)
+    bundler.send()
+    await_true(lambda: len(taken) == 3)
+    assert [len(bundle) > 1_000_000 for bundle in taken] == [False, True, False]
     session.close()
 
 

@@ -21,6 +21,7 @@ from bus_schema.messages.topics import (
     Role,
     layout,
 )
+from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh import arrivals
 from bus_schema.zenoh import link as zenoh_link
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
@@ -122,6 +123,32 @@ def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> N
             await_true(lambda: controller.sees(Role.PLANT))
         await_true(lambda: not controller.sees(Role.PLANT))
         controller.spin()
+
+
+@pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
+def test_plant_leaves_in_the_midst_of_a_flood(
+    monkeypatch: pytest.MonkeyPatch, lockstep: bool
+) -> None:
+    """A full inbox makes whoever puts something into it wait, the plant itself too."""
+    monkeypatch.setattr(zenoh_link, "LARGEST_BACKLOG", 5)
+    link, is_over = fresh_link(), threading.Event()
+
+    def flood(client: ZenohSession) -> None:
+        publisher = client.publisher(JOINT_COMMANDS.key_expression(0))
+        while not is_over.is_set():
+            publisher.put(b"junk", b"")
+
+    plant = ZenohPlantLink(link, MonotonicClock(), lockstep=lockstep)
+    with tokenless_client(link) as client:
+        flooding = threading.Thread(target=flood, args=[client], daemon=True)
+        flooding.start()
+        await_true(lambda: not plant._arrivals.is_empty())
+        closing = threading.Thread(target=plant.close, daemon=True)
+        closing.start()
+        closing.join(HANG_S)
+        is_over.set()
+        flooding.join(HANG_S)
+        assert not closing.is_alive()
 
 
 @pytest.mark.parametrize(("side", "held_up"), [(plant_on, "wait"), (controller_on, "knock")])
