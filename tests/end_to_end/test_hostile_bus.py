@@ -24,7 +24,7 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.plant_loop import PlantLoop
 
 JOINTS = ("base_yaw", "shoulder", "elbow")
-DURATION_S, SHOTS_FROM_S = 12.0, 0.2
+DURATION_S, SHOTS_FROM_S = 24.0, 0.2
 ROUNDS = 5
 HUGE_NM = 1e5
 

@@ -15,7 +15,7 @@ from bus_schema.zenoh.access import secure_settings
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes.network.keys import create_authority, issue
 
-DURATION_S = 1.5
+DURATION_S = 20.0  # so that strangers are there long before its end
 WORDS = ["paper_arm", *settings(clock="lockstep", duration_s=DURATION_S)]
 
 
