@@ -33,9 +33,7 @@ class Arrivals:
         overflow: how many of them were left out, because too many waited to be taken.
     """
 
-    def __init__(
-        self, inbox: Inbox, clock: Clock, note: Callable[[Delivery, CommandArrival], None]
-    ) -> None:
+    def __init__(self, inbox: Inbox, clock: Clock, note: Note) -> None:
         self._inbox, self._clock, self._note = inbox, clock, note
         self._kept: queue.SimpleQueue[CommandArrival] = queue.SimpleQueue()
         self._first: list[CommandArrival] = []
@@ -95,9 +93,7 @@ class AwaitedArrivals(Arrivals):
     would hold up all else that comes over the network.
     """
 
-    def __init__(
-        self, inbox: Inbox, clock: Clock, note: Callable[[Delivery, CommandArrival], None]
-    ) -> None:
+    def __init__(self, inbox: Inbox, clock: Clock, note: Note) -> None:
         self._is_taking = threading.Lock()
         super().__init__(inbox, clock, note)
 

@@ -151,8 +151,10 @@ class BundleMailbox:
         if not self._heard:  # as ever but at the beginning
             return True
         sent = Attachment.decode(attachment)
-        heard = 0 if sent is None else self._heard.get((key, sent.gid), 0)
-        if sent is None or sent.sequence < heard:
+        if sent is None or not sent.sequence:  # of a stranger; not known from others of his
+            return True
+        heard = self._heard.get((key, sent.gid), 0)
+        if sent.sequence < heard:
             return False
         self._heard.pop((key, sent.gid), None)
         return sent.sequence > heard
