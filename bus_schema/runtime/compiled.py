@@ -23,8 +23,8 @@ logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
 """Environment variable by which the processes that one starts know that it has said so."""
 COMPILES = (
-    "compiling the numerical kernels, which takes up to half a minute: once on a machine,"
-    " and again after a change of version"
+    "compiling the numerical kernels of this kind of run, which takes up to half a minute: each"
+    " kind needs it once on a machine, and again after a change of version"
 )
 """What it says."""
 P = ParamSpec("P")

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from deploy.cli.commands import COMMANDS, LazyCommand
 from deploy.cli.terminal.closed_output import outlive_readers
+from deploy.cli.terminal.log_lines import LogLines
 from deploy.exit_codes import BAD_INPUT, FAULT, INTERRUPTED
 from deploy.input_error import InputError
 from deploy.stop_signals import Stopped, stop_at_once
@@ -56,7 +57,7 @@ def main() -> None:
     outlive_readers()
     gc.set_threshold(_NEW_OBJECTS)
     atexit.register(gc.freeze)  # at the end the system takes all memory back without a search
-    logging.basicConfig(level=logging.ERROR, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.ERROR, format="%(message)s", handlers=[LogLines()])
     logging.getLogger("bus_schema").setLevel(logging.WARNING)
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
     try:

@@ -7,14 +7,17 @@ import logging
 import os
 import queue
 import signal
+import tempfile
 from collections import deque
 from collections.abc import Iterable
+from contextlib import ExitStack
 
 import dask
 from distributed import Client, Future, LocalCluster, Worker, rpc
 from distributed.scheduler import KilledWorker
 from distributed.security import Security
 
+from bus_schema.runtime import compiled
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study.shipped_laws import execute_with, packed
@@ -25,6 +28,8 @@ _WORKERS_S = 5.0
 _FIRST_TASK_S = 30.0
 _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
 """Dask's own profiler and its watch over its event loop interrupt a run hundreds of times."""
+_COMPILES = "funnel-hil compiles"
+"""Topic of the events by which workers tell it."""
 
 
 class ClusterLostError(Exception):
@@ -57,30 +62,24 @@ class DaskWorkers:
         self._in_flight = 0
         self._suspects: deque[Run] = deque()
         self._alone: Run | None = None
-        self._cluster: LocalCluster | None = None
+        self._open = ExitStack()
         if scheduler is not None:
-            self._client = _connect(scheduler)
+            self._client = self._open.enter_context(_connect(scheduler))
             return
-        with dask.config.set(_UNWATCHED):
-            self._cluster = LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)),
-                threads_per_worker=1,
-                processes=True,
-                memory_limit=0,
-                dashboard_address=None,
-                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
-                silence_logs=logging.CRITICAL,
-                preload=[__name__],  # see `dask_setup`; and no first run waits for imports
+        with self._open:
+            scratch = tempfile.TemporaryDirectory(
+                prefix="funnel-hil-", dir=dask.config.get("temporary-directory", None)
             )
-        self._client = Client(self._cluster)
+            cluster = _own_cluster(workers, self._open.enter_context(scratch))
+            self._client = self._open.enter_context(Client(self._open.enter_context(cluster)))
+            self._client.subscribe_topic(_COMPILES, _say_that_they_compile)
+            self._open = self._open.pop_all()
 
     def __enter__(self) -> DaskWorkers:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._client.close()
-        if self._cluster is not None:
-            self._cluster.close()
+        self._open.close()
 
     @property
     def count(self) -> int:
@@ -124,11 +123,43 @@ class DaskWorkers:
         return run, failed(run, reason)
 
 
-def dask_setup(_worker: Worker) -> None:
+def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
+    """Worker processes on this machine, and a folder for Dask's files, which it leaves behind."""
+    with dask.config.set(_UNWATCHED | {"temporary-directory": scratch}):
+        return LocalCluster(
+            n_workers=workers or len(os.sched_getaffinity(0)),
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=0,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free
+            silence_logs=logging.CRITICAL,
+            preload=[__name__],  # see `dask_setup`; and no first run waits for imports
+        )
+
+
+class _Told(logging.Handler):
+    """Has the command say what a worker logs: their terminal may have half a line written."""
+
+    def __init__(self, worker: Worker) -> None:
+        super().__init__()
+        self._worker = worker
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._worker.log_event(_COMPILES, record.getMessage())
+
+
+def _say_that_they_compile(_event: object) -> None:
+    compiled.say_that_it_compiles(compiled.logger.warning)
+
+
+def dask_setup(worker: Worker) -> None:
     """Called by Dask in every worker process of our own: Ctrl-C is for the command that began.
 
     What goes wrong in a run stands in its row, cause first; here nobody would know whose it is.
     """
+    compiled.logger.addHandler(_Told(worker))
+    compiled.logger.propagate = False
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
     for number in (signal.SIGINT, signal.SIGHUP):  # which a terminal sends to all processes
         signal.signal(number, signal.SIG_IGN)

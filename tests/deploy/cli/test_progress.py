@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 import threading
 import time
@@ -10,6 +11,7 @@ from rich.console import Console
 
 from deploy.cli.study.studies import RunCounter
 from deploy.cli.terminal import progress as progress_module
+from deploy.cli.terminal.log_lines import LogLines
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
 from deploy.processes.status import StatusMessage
@@ -124,3 +126,13 @@ def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypa
         for now_s[0], time_s in ((100.0, 0.0), (102.0, 2.0)):
             handle(StatusMessage("plant", "progress", {"time_s": time_s}))
     assert lines(console)[-1] == "2 of 8 s, 1 s/s, 6 s left"
+
+
+def test_what_is_logged_beside_a_live_line_has_a_line_of_its_own(monkeypatch):
+    logger = logging.getLogger("beside")
+    monkeypatch.setattr(logger, "handlers", [LogLines()])
+    terminal = Console(file=io.StringIO(), force_terminal=True, width=200)
+    with CommandProgress(terminal, "arm", 8, "s"):
+        logger.warning("something is odd")
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", terminal.file.getvalue())
+    assert "something is odd" in re.split(r"[\r\n]+", plain)

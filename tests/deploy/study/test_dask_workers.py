@@ -7,12 +7,14 @@ import os
 import signal
 import socket
 import sys
+import tempfile
 import time
 
 import pytest
 import yaml
 from pyarrow import parquet
 
+from bus_schema.runtime import compiled
 from deploy.study.conduct import carry_out
 from deploy.study.dask_workers import DaskWorkers
 from deploy.study.folder import StudyFolder
@@ -186,6 +188,26 @@ def test_workers_of_our_own_leave_interrupts_to_the_command(tmp_path, monkeypatc
     with DaskWorkers(1) as team:
         ignoring = team._client.run(lambda: signal.getsignal(signal.SIGINT) == signal.SIG_IGN)
     assert list(ignoring.values()) == [True]
+
+
+def test_workers_of_our_own_leave_no_files(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with DaskWorkers(1):
+        assert list(tmp_path.iterdir())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_workers_compile_is_said_once_and_by_the_command(monkeypatch, caplog, capfd):
+    monkeypatch.delenv(compiled.HAS_SAID)
+    with DaskWorkers(2) as team:
+        team._client.run(compile_something)
+        wait_for(lambda: caplog.messages)
+    assert caplog.messages == [compiled.COMPILES]
+    assert compiled.COMPILES not in capfd.readouterr().err
+
+
+def compile_something():
+    compiled.say_that_it_compiles(compiled.logger.warning)
 
 
 def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):
