@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deploy.exit_codes import FAULT, FINISHED
+from deploy.reports.narrow import fitted, width_of
 from deploy.reports.verdict import PARTIAL, damaged, missing_ticks_sentence
 from deploy.runs.export import Format, export_series
 from deploy.runs.judging.known_ticks import known_ticks
@@ -28,6 +29,9 @@ app = typer.Typer(help="Folders of results: list, tag, prune.", no_args_is_help=
 Folder = Annotated[Path, typer.Argument(help="Folder with folders of results.")]
 _MIB = 1 << 20
 _WIDEST = 100_000
+_HEADINGS = ["Folder", "Begun", "Kind", "What", "Result", "Tags", "MiB"]
+_FOLDER, _WHAT, _TAGS = (_HEADINGS.index(each) for each in ("Folder", "What", "Tags"))
+_GAP = 2
 
 
 def scenarios() -> None:
@@ -140,24 +144,36 @@ def _is_older(each: Shelved, days: float) -> bool:
 
 
 def _show(found: list[Shelved], console: Console) -> None:
-    table = _table(None, "Folder", "Begun", "Kind", "What", "Result", "Tags", "MiB")
-    for each in found:
-        begun = "" if each.started is None else f"{each.started:%Y-%m-%d %H:%M}"
-        bounds = {True: "bounds kept", False: "bounds not kept", None: "complete"}
-        unsound = "faulted" if each.faulted else "incomplete"
-        result = bounds[each.bounds_kept] if each.completed else unsound
-        table.add_row(
-            str(each.path), begun, each.kind, each.what, result, ", ".join(each.tags),
-            f"{each.size_bytes / _MIB:.1f}",
-        )  # fmt: skip
-    if not console.is_terminal:  # another program reads it: a row is a line, however long
-        whole = console.options.update(width=_WIDEST)
-        console.width = console.measure(table, options=whole).maximum
+    """A line for each, however narrow the terminal is; another program gets all of it."""
+    rows = [_HEADINGS, *map(_cells, found)]
+    if not console.is_terminal:
+        console.width = _WIDEST
+    elif not any(each.tags for each in found):
+        rows = [row[:_TAGS] + row[_TAGS + 1 :] for row in rows]
+    room = console.width - _GAP * (len(rows[0]) - 1)
+    if width_of(rows) > room:  # all are in the folder that was asked for
+        rows[1:] = [[each.path.name, *row[1:]] for each, row in zip(found, rows[1:], strict=True)]
+    headings, *cells = fitted(rows, room, may_shrink=(_FOLDER, _WHAT))
+    table = _table(None, *headings)
+    for row in cells:
+        table.add_row(*row)
     console.print(table)
 
 
+def _cells(each: Shelved) -> list[str]:
+    """The texts below `_HEADINGS`."""
+    begun = "" if each.started is None else f"{each.started:%Y-%m-%d %H:%M}"
+    bounds = {True: "bounds kept", False: "bounds not kept", None: "complete"}
+    unsound = "faulted" if each.faulted else "incomplete"
+    result = bounds[each.bounds_kept] if each.completed else unsound
+    size = f"{each.size_bytes / _MIB:.1f}"
+    return [str(each.path), begun, each.kind, each.what, result, ", ".join(each.tags), size]
+
+
 def _table(title: str | None, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, padding=(0, _GAP, 0, 0)
+    )
     for column in columns:
         table.add_column(column, overflow="fold")
     return table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from importlib.metadata import version
@@ -9,8 +10,10 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 from pyarrow import csv, parquet
+from rich.console import Console
 
 from bus_schema.recording.atomic_files import write_json
+from deploy.cli import shelf as cli_shelf
 from deploy.runs.run_folder import load_run
 from deploy.scenario.scenario import SHIPPED
 from deploy.study.study import SHIPPED as STUDIES
@@ -99,6 +102,24 @@ def test_list_and_tags(funnel_hil, shelf):
     assert any("incomplete" in row and "broken" in row for row in rows)
     only = funnel_hil("runs", "list", shelf, "--tag", "paper")[1].splitlines()[1:]
     assert len(only) == 1
+
+
+def test_each_result_is_on_one_line_of_a_terminal(funnel_hil, shelf, monkeypatch):
+    (shelf / "new").rename(shelf / "new-paper_arm-20261123-075015")
+
+    def listed(width):
+        file = io.StringIO()
+        terminal = Console(file=file, force_terminal=True, color_system=None, width=width)
+        monkeypatch.setattr(cli_shelf, "Console", lambda: terminal)
+        assert funnel_hil("runs", "list", shelf)[0] == 0
+        return file.getvalue().splitlines()[1:]
+
+    narrow, wide = listed(80), listed(300)
+    assert max(map(len, narrow)) <= 80
+    assert [line.split()[0][:3] for line in narrow] == ["old", "bro", "new"]
+    assert narrow[2].split()[0].endswith("-075015")
+    assert narrow[2].rstrip().endswith("bounds kept  0.0")
+    assert wide[2].startswith(str(shelf / "new-paper_arm-20261123-075015"))
 
 
 def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shelf):

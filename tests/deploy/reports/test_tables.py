@@ -53,6 +53,19 @@ def test_a_wide_table_stays_within_a_terminal(width):
     assert "…" not in text
 
 
+def test_names_stay_on_a_line_of_a_narrow_terminal_and_are_whole_in_a_wide_one():
+    law = "my_own_package.my_control_laws:MyGreatController"
+    table = Table(
+        "Margins", [Column("Law", is_text=True), *(Column(f"Column {at}") for at in range(6))],
+        [[law, *range(1000, 1006)], ["pid", *range(6)]],
+    )  # fmt: skip
+    narrow = printed(table, 80, force_terminal=True, color_system=None)
+    (line,) = [line for line in narrow.splitlines() if "1,000" in line]
+    assert line.split()[0] == "my_own_packa…tController"
+    assert max(map(len, narrow.splitlines())) <= 80
+    assert law in printed(table, 200, force_terminal=True, color_system=None)
+
+
 def test_a_document_has_every_column():
     assert as_markdown(TABLE).splitlines() == [
         "| Law | Smallest margin (%) | Found in reports only |",
