@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 
 _SHOWN_KEYS = 12
+_LONGEST = 120
 
 
 class BusError(Exception):
@@ -69,3 +71,15 @@ class ScenarioMismatchError(BusError):
 
 class RobotDescriptionError(BusError, ValueError):
     """A URDF file cannot be used; the message names the file and what is wrong."""
+
+
+def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
+    """``; did you mean …?`` for what is none of the names but nearly one; else nothing.
+
+    Args:
+        unknown: what was given.
+        names: what is allowed.
+        alike: 0 for any name, 1 for the same.
+    """
+    found = get_close_matches(unknown[:_LONGEST], list(names), n=1, cutoff=alike)
+    return f"; did you mean {found[0]}?" if found else ""

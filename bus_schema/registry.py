@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Generic, TypeVar, cast
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import did_you_mean
 
 T = TypeVar("T")
 
@@ -41,7 +42,7 @@ class Registry(Generic[T]):
         if name not in self.places:
             *others, last = (repr(each) for each in self.names)
             allowed = f"must be {', '.join(others)} or {last}"
-            raise ConfigurationError(self._key, name, allowed)
+            raise ConfigurationError(self._key, name, allowed + did_you_mean(name, self.names))
 
     def build(self, name: str) -> T:
         """An instance of the class that a name stands for.

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bus_schema.errors import RobotDescriptionError
+from bus_schema.errors import RobotDescriptionError, did_you_mean
 from bus_schema.urdf_checks import MOVING_TYPES, finite_number, shortened
 
 
@@ -103,7 +103,8 @@ def _check_wanted(wanted: Sequence[str], possible: list[str]) -> None:
     for name in wanted:
         if name not in possible:
             allowed = f"robot.joints must be some of {shortened(', '.join(possible)) or 'none'}"
-            raise RobotDescriptionError(f"{allowed}; not {shortened(name)!r}")
+            hint = did_you_mean(name, possible)
+            raise RobotDescriptionError(f"{allowed}; not {shortened(name)!r}{hint}")
 
 
 def _parent(joint: ET.Element) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from bus_schema.arrays import Vector
+from bus_schema.errors import did_you_mean
 from controller.control_law import ControlLaw, Dynamics
 from controller.laws.fixed_time_model_based import FixedTimeModelBased, FixedTimeModelBasedGains
 from controller.laws.fixed_time_neural import FixedTimeNeural, FixedTimeNeuralGains
@@ -46,5 +46,4 @@ LAWS = {
 
 def likely_law(unknown: str) -> str:
     """``; did you mean …?`` for a name that no law has but one nearly has; else nothing."""
-    found = get_close_matches(unknown, list(LAWS), n=1)
-    return f"; did you mean {found[0]}?" if found else ""
+    return did_you_mean(unknown, LAWS)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from bus_schema.errors import did_you_mean
 from bus_schema.recording.atomic_files import complete, naming_file, partial_path
 from deploy.runs.judging.time_series import SERIES, series
 from deploy.runs.run_data import RunData
@@ -34,7 +35,8 @@ def export_series(
 
     for name in names:
         if name not in SERIES:
-            raise ScenarioError(f"--series {name[:100]}: must be one of {', '.join(SERIES)}")
+            allowed = f"must be one of {', '.join(SERIES)}{did_you_mean(name, SERIES)}"
+            raise ScenarioError(f"--series {name[:100]}: {allowed}")
     folder.mkdir(parents=True, exist_ok=True)
     write = {"csv": csv.write_csv, "parquet": parquet.write_table}
     files = []

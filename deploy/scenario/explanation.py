@@ -12,10 +12,13 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import Sections, shortened, shown
+from bus_schema.errors import did_you_mean
 
 _MOST_PROBLEMS = 20
 _SHOULD = re.compile(r"\w+ should ((?:be|have) .*)", re.DOTALL)
 """How pydantic says what is allowed."""
+_QUOTED = re.compile("'([^']+)'")
+"""And each of some texts."""
 _ITEMS: dict[Any, str] = {str: "strings", int: "whole numbers", float: "numbers"}
 _LONGEST_ALLOWED = 1000
 _LIKELY = 0.75
@@ -78,11 +81,23 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
     if problem["type"] in ("tuple_type", "list_type"):
         held = next(filter(None, (_held(_keys(s).get(str(place[-1]))) for s in sections)), "values")
         return f"{source}: {key} = {shown(problem['input'])}: must be a list of {held}"
+    if problem["type"] == "union_tag_invalid":
+        return f"{source}: {key}.{_unknown_kind(**problem['ctx'])}"
     said = problem["msg"].removeprefix("Value error, ")
     should = _SHOULD.fullmatch(said)
     allowed = f"be {said}" if should is None else should[1]
     allowed = shortened(allowed, _LONGEST_ALLOWED)
+    if problem["type"] == "literal_error":
+        allowed += did_you_mean(str(problem["input"]), _QUOTED.findall(problem["ctx"]["expected"]))
     return f"{source}: {key} = {shown(problem['input'])}: must {allowed}"
+
+
+def _unknown_kind(discriminator: str, tag: str, expected_tags: str) -> str:
+    """What is wrong with the value of a key by which pydantic tells kinds of sections apart."""
+    hint = did_you_mean(tag, _QUOTED.findall(expected_tags))
+    return (
+        f"{_QUOTED.findall(discriminator)[0]} = {shown(tag)}: must be one of {expected_tags}{hint}"
+    )
 
 
 def _did_you_mean(unknown: str, sections: Sequence[type], model: type[BaseModel]) -> str:

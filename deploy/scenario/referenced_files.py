@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 from bus_schema.configuration import ConfigurationError
-from bus_schema.errors import RobotDescriptionError
+from bus_schema.errors import RobotDescriptionError, did_you_mean
 from bus_schema.link.configuration import LinkConfiguration
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
@@ -41,10 +41,10 @@ def find_urdf(name: str, base: Path) -> Path:
     for candidate in candidates:
         if is_file(candidate):
             return candidate.resolve()
-    shipped = ", ".join(sorted(path.stem for path in ROBOTS.glob("*.urdf")))
+    shipped = sorted(path.stem for path in ROBOTS.glob("*.urdf"))
     raise RobotDescriptionError(
-        f"no such file; allowed are a path from {base}, a shipped robot ({shipped}), or"
-        f" {_PYBULLET_DATA}<path in the package pybullet_data>"
+        f"no such file; allowed are a path from {base}, a shipped robot ({', '.join(shipped)}), or"
+        f" {_PYBULLET_DATA}<path in the package pybullet_data>{did_you_mean(name, shipped)}"
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError, Number, StrictModel
+from bus_schema.errors import did_you_mean
 from deploy.scenario.yaml_files import override
 
 _NOT_DRAWN = ("seed", "uncertainty")
@@ -205,9 +206,11 @@ class _Drawing:
     def _own(self, key: str, text: str, part: str | None = None) -> float | Vector:
         """What the scenario has under a key."""
         where = f"uncertainty.{text}" + (f".{part}" if part else "")
-        value = None if key.split(".")[0] in _NOT_DRAWN else number_at(self._scenario, key)
+        value = number_at(self._scenario, key) if _may_be_drawn(key) else None
         if value is None:
-            raise ConfigurationError(where, key, "must be a key of the scenario that has a number")
+            drawn = (each for each in number_keys(self._scenario) if _may_be_drawn(each))
+            allowed = "must be a key of the scenario that has a number"
+            raise ConfigurationError(where, key, allowed + did_you_mean(key, drawn, 0.7))
         if np.ndim(value) and np.size(value) not in (1, self._joints):
             raise ConfigurationError(where, key, "must be a key with one number, or one per joint")
         return value
@@ -233,6 +236,24 @@ def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:
     if any(isinstance(entry, bool) or not isinstance(entry, int | float) for entry in entries):
         return None
     return np.array(found, dtype=np.float64) if isinstance(found, list) else float(entries[0])
+
+
+def number_keys(scenario: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """The dotted keys of all numbers of a scenario, also of those per joint.
+
+    Args:
+        scenario: the scenario's values, plain and nested.
+        prefix: what all keys begin with.
+    """
+    for name, value in scenario.items():
+        if isinstance(value, Mapping):
+            yield from number_keys(value, f"{prefix}{name}.")
+        elif number_at(scenario, name) is not None:
+            yield f"{prefix}{name}"
+
+
+def _may_be_drawn(key: str) -> bool:
+    return key.split(".")[0] not in _NOT_DRAWN
 
 
 def _signs(random: np.random.Generator, count: int) -> Vector:

@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import ConfigurationError, shortened, shown
+from bus_schema.errors import did_you_mean
 from deploy.input_error import InputError
 from deploy.scenario.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
@@ -67,11 +68,12 @@ def find_yaml(
     by_name = shipped / f"{name_or_path}.yaml"
     if is_file(by_name):
         return by_name
-    names = ", ".join(sorted(file.stem for file in filter(fits, shipped.glob("*.yaml"))))
+    names = sorted(file.stem for file in filter(fits, shipped.glob("*.yaml")))
     is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
     what = "is no regular file" if is_there else "no such file"
     raise ScenarioError(
-        f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name} {names}"
+        f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name}"
+        f" {', '.join(names)}{did_you_mean(name_or_path, names)}"
     )
 
 

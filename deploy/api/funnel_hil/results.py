@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import plotly.graph_objects as go
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.errors import did_you_mean
 from bus_schema.messages import topics
 from deploy.comparison.comparison import Comparison as LawComparison
 from deploy.comparison.recorded import RecordedRuns
@@ -245,7 +246,8 @@ def _draw(panels: Sequence[Panel[T]], name: str, what: T) -> go.Figure:
 
 def _known(name: str, names: Sequence[str], what: str) -> str:
     if name not in names:
-        raise InputError(f"{what} {name!r}: must be one of {', '.join(names)}")
+        allowed = f"must be one of {', '.join(names)}{did_you_mean(name, names)}"
+        raise InputError(f"{what} {name!r}: {allowed}")
     return name
 
 

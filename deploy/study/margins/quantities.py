@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import did_you_mean
 from bus_schema.link.configuration import LinkConfiguration
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import SEED, require_effect
-from deploy.scenario.uncertainty import number_at
+from deploy.scenario.uncertainty import number_at, number_keys
 from deploy.scenario.yaml_files import override, plain
 
 RAMP_FROM_S, RAMP_FOR_S = 1.0, 2.0
@@ -210,11 +212,19 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
     own = number_at(values, name)
     if own is None or np.ndim(own):
         allowed = f"must be {', '.join(_LINK)}, or the dotted key of one number of the scenario"
-        raise ConfigurationError("quantity", name, allowed)
+        hint = did_you_mean(name, [*_LINK, *_single(values)], alike=0.7)
+        raise ConfigurationError("quantity", name, allowed + hint)
     for key, given, wanted in (("direction", direction, "both"), ("running", running, False)):
         if given != wanted:
             raise ConfigurationError(key, given, f"must be left out for {name}: it is of no link")
     return KeyQuantity(name, float(own))
+
+
+def _single(values: dict[str, Any]) -> Iterator[str]:
+    """The dotted keys of all that is one number."""
+    for key in number_keys(values):
+        if isinstance(number_at(values, key), float):
+            yield key
 
 
 def _whole_steps(distance: float, size: float) -> int:

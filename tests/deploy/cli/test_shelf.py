@@ -80,6 +80,7 @@ def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
     [
         ([], "must be given --csv, --parquet, or both"),
         (["--csv", "--series", "trcking"], "--series trcking: must be one of tracking, joint_st"),
+        (["--csv", "--series", "trcking"], "control_status; did you mean tracking?"),
     ],
 )
 def test_export_refuses(funnel_hil, recorded, tmp_path, words, told):

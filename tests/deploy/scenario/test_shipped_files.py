@@ -41,7 +41,7 @@ def test_files_among_the_shipped_ones_are_found_by_their_names(shipped: Path) ->
     setup = load_setup("pendulum")
     assert setup.robot.path == shipped / "pendulum.urdf"
     assert simulate(setup).data().faults() == []
-    with pytest.raises(ScenarioError, match=r"one of the shipped scenarios pendulum$"):
+    with pytest.raises(ScenarioError, match=r"one of the shipped scenarios pendulum;"):
         load_setup("pendulums")
     with pytest.raises(RobotDescriptionError, match=r"shipped robot \(pendulum\)"):
         referenced_files.find_urdf("pendulums", shipped)

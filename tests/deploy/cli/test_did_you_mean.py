@@ -1,0 +1,39 @@
+"""Who misspells a choice is told what may have been meant."""
+
+from __future__ import annotations
+
+import pytest
+
+RANGE = "{distribution: uniform, from: 0, to: 1}"
+MISSPELT = [
+    (("margin", "--quantity", "dely"), "delay"),
+    (("margin", "--quantity", "link.uplink.delay"), "link.uplink.delay_ms"),
+    (("margin", "--quantity", "paylod_kg"), "plant.payload_kg"),
+    (("margin", "--direction", "uplnk"), "uplink"),
+    (("margin", "--study", "delay_margn"), "delay_margin"),
+    (("sweep", "delay_swep"), "delay_sweep"),
+    (("simulate", "papr_arm"), "paper_arm"),
+    (("simulate", "--set", "clock=lockstp"), "lockstep"),
+    (("simulate", "--set", "link.kind=zenho"), "zenoh"),
+    (("simulate", "--set", "link.can.protocol=cia40"), "cia402"),
+    (("simulate", "--set", "faults=[{kind: link_ct, at_s: 1}]"), "link_cut"),
+    (("simulate", "--set", "robot.urdf=papr_arm"), "paper_arm"),
+    (("simulate", "--set", "robot.joints=[elbw]"), "elbow"),
+    (("simulate", "--set", f"uncertainty={{plant.paylod_kg: {RANGE}}}"), "plant.payload_kg"),
+]
+
+
+@pytest.mark.parametrize(("words", "meant"), MISSPELT)
+def test_a_choice_that_is_misspelt(funnel_hil, nothing_starts, words, meant):
+    code, said = funnel_hil(*words)
+    assert code == 2
+    assert said.endswith(f"; did you mean {meant}?\n")
+
+
+def test_no_hint_where_nothing_is_alike(funnel_hil, nothing_starts):
+    code, said = funnel_hil("margin", "--quantity", "temperature")
+    assert code == 2
+    assert "did you mean" not in said
+    code, said = funnel_hil("margin", "--quantity", "robot.initial_offset_rad")  # one per joint
+    assert code == 2
+    assert "did you mean" not in said
