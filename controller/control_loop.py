@@ -24,7 +24,7 @@ from bus_schema.messages.rejections import Rejections
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.compiled import bind, copying
+from bus_schema.runtime.compiled import bind
 from bus_schema.runtime.finite import all_finite
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from controller.compensation.command_timeline import CommandFeedback
@@ -93,8 +93,9 @@ class ControlLoop:
             task.robot.joints, self._state.rows("position", "velocity"), self._status.tracking_rows
         )
         self._is_finite = bind(all_finite, self.tracking.motion)
-        self._guard = TorqueGuard(task.law_name, task.limits, self.tracking.motion)
-        self._take_torque = copying(self._guard.torque_nm, self._command.fields["effort"])
+        self._guard = TorqueGuard(
+            task.law_name, task.limits, self.tracking.motion, self._command.fields["effort"]
+        )
         self._start_ns = link.start_ns
         self._feedback: CommandFeedback | None = None
         self.stamp_ns = -1
@@ -136,7 +137,7 @@ class ControlLoop:
             LawError: it raised; the controller has stopped then.
         """
         started_ns = time.perf_counter_ns()
-        if self.mode is Mode.FAULT:
+        if self.mode not in COMMANDABLE:
             return
         try:
             if self._read(state, plant_status):
@@ -219,7 +220,7 @@ class ControlLoop:
         return start_ns
 
     def _update(self) -> None:
-        """Work out the torque for the situation, or for the one in which it will act."""
+        """Write the torque for the situation, or for the one in which it will act, as a command."""
         situation = self.tracking
         if self._compensation is not None:
             situation = self._compensation.predict(
@@ -230,7 +231,6 @@ class ControlLoop:
         except BaseException as error:  # a law of the user's own may raise anything
             raise self._of_the_law(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
-        self._take_torque()
 
     def _of_the_law(self, error: BaseException, tick: int | None) -> BaseException:
         """What to raise for an error within the law: a request to stop goes on as it is."""
@@ -261,7 +261,7 @@ class ControlLoop:
         payload = self._status.encode(self._state, self.cycles, sequence, started_ns)
         self._link.publish(topics.CONTROL_STATUS, payload)
         self.cycles += 1
-        if self.mode is Mode.READY:
+        if self.cycles == 1:
             self._change_mode(Trigger.COMMAND, "first torque sent")
         if self._guard.hits:
             self._count_limit_hits()

@@ -35,6 +35,7 @@ class TorqueGuard:
         law: name of the law, for error messages.
         limits: what the controller keeps within.
         motion: positions and velocities as rows, shape (2, joints), as they are at each `admit`.
+        torque_nm: where to write the torque to send, shape (joints,); it may lie in a message.
 
     Attributes:
         torque_nm: the newest torque to send, shape (joints,).
@@ -43,12 +44,14 @@ class TorqueGuard:
         counts: how often each limit was hit.
     """
 
-    def __init__(self, law: str, limits: JointLimits, motion: Matrix) -> None:
+    def __init__(
+        self, law: str, limits: JointLimits, motion: Matrix, torque_nm: Vector | None = None
+    ) -> None:
         self._law = law
         joints = limits.torque_nm.size
         self._shape = limits.torque_nm.shape
         self._wanted: Vector = np.zeros(joints)
-        self.torque_nm: Vector = np.zeros(joints)
+        self.torque_nm: Vector = np.zeros(joints) if torque_nm is None else torque_nm
         self._limit = bind(
             _limit_finite, self._wanted, motion, limits.packed(), self.torque_nm, free=["float64"]
         )

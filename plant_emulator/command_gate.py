@@ -116,7 +116,7 @@ class CommandGate:
         stamp_ns = self._layout.decode(arrival.payload, self._record)
         if not self._is_finite():
             raise InvalidMessageError("not_finite", "a torque is not finite")
-        target = self._target_given()
+        target = None if self._target is None else _given(self._target)
         if stamp_ns > newest_state_ns:
             raise InvalidMessageError("from_the_future", "it answers a state that was never sent")
         self._require_commander(arrival)
@@ -131,15 +131,6 @@ class CommandGate:
             self._numbers.is_new(arrival.sequence, arrival.payload)
         return Command(self._torque_nm.copy(), arrival.sequence, stamp_ns, target)
 
-    def _target_given(self) -> Matrix | None:
-        """The target for the drives; None if the sender gave none."""
-        target = self._target
-        if target is None or np.isnan(target).all():
-            return None
-        if not np.isfinite(target).all():
-            raise InvalidMessageError("not_finite", "a target for the drives is not finite")
-        return target.copy()
-
     def _require_commander(self, arrival: CommandArrival) -> None:
         """Refuse whoever is not the commander, and what the commander has sent before.
 
@@ -153,3 +144,12 @@ class CommandGate:
                 raise InvalidMessageError("replayed", "its number is no newer than the last one's")
         elif self.commander is not None and not self._has_left(self.commander):
             raise InvalidMessageError("other_commander", "another session is in command")
+
+
+def _given(target: Matrix) -> Matrix | None:
+    """A copy of a target for the drives; None if the sender gave none."""
+    if np.isnan(target).all():
+        return None
+    if not np.isfinite(target).all():
+        raise InvalidMessageError("not_finite", "a target for the drives is not finite")
+    return target.copy()

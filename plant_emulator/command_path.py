@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages.run_event import EventKind
-from bus_schema.runtime.modes import COMMANDABLE, Mode, mode_event
+from bus_schema.runtime.modes import COMMANDABLE, mode_event
 from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.playout import PlayoutBuffer
@@ -84,16 +84,16 @@ class CommandPath:
             if command.stamp_ns <= self._stamp_ns:
                 self._unused["overtaken"] += 1
                 continue
-            if self._arm.mode not in COMMANDABLE:
+            mode = self._arm.mode
+            if mode not in COMMANDABLE:
                 self._unused["after_stop"] += 1
                 continue
             self._watchdog.feed(effective_ns)
             self._telemetry.note_round_trip(effective_ns - command.stamp_ns)
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
-            is_first = self._arm.mode is Mode.READY
             self._arm.command(command.torque_nm, command.target, command.stamp_ns)
-            if is_first:
+            if self._arm.mode is not mode:
                 why = "first valid command, brakes released"
                 self._announce(EventKind.MODE, mode_event(self._arm.mode, why))
 

@@ -15,7 +15,8 @@ from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink,
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_STATUS, Role, Topic
 from bus_schema.runtime.clock import Clock
 
-_POLL_S = 0.05
+_POLL_S = 1.0
+"""How often a request to stop is looked for; each time, the thread of the plant has to wait."""
 
 
 class InProcessBus:
@@ -34,6 +35,7 @@ class InProcessBus:
         failure: the exception that ended the controller's service of states, if any.
         controller_loss: what was done to the controller, a sentence; empty for nothing.
         has_left: by role, set once that side has left.
+        is_over: set once the controller has no more states to answer.
     """
 
     def __init__(self, plant_clock: Clock) -> None:
@@ -46,6 +48,7 @@ class InProcessBus:
         self.failure: Exception | None = None
         self.controller_loss = ""
         self.has_left = {role: threading.Event() for role in Role}
+        self.is_over = threading.Event()
 
     def connect(self, on_state: StateHandler) -> None:
         """Have the controller answer states from now on."""
@@ -54,12 +57,15 @@ class InProcessBus:
     def fail(self, error: Exception) -> None:
         """The controller failed: it answers no more states."""
         self.on_state, self.failure = None, error
+        self.is_over.set()
 
     def leave(self, role: Role) -> None:
         """One side leaves; without its controller, states are not answered any longer."""
         if role is Role.CONTROLLER:
             self.on_state = None
         self.has_left[role].set()
+        if role is Role.PLANT:
+            self.is_over.set()
 
 
 class InProcessNode:
@@ -127,6 +133,8 @@ class InProcessPlantLink(InProcessNode, PlantLink):
 
     def take_commands(self) -> list[CommandArrival]:
         commands = self._bus.commands
+        if not commands:
+            return []
         taken = commands.copy()
         del commands[: len(taken)]  # one that comes meanwhile is not lost
         return taken
@@ -156,8 +164,7 @@ class InProcessControllerLink(InProcessNode, ControllerLink):
 
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
         """Wait until the plant has left; its own thread has the states answered."""
-        plant_has_left = self._bus.has_left[Role.PLANT]
-        while self._bus.failure is None and not plant_has_left.wait(_POLL_S):
+        while not self._bus.is_over.wait(_POLL_S):
             if is_stop_requested():
                 break
         if self._bus.failure is not None:

@@ -50,7 +50,9 @@ class Record:
             dots of nested types: ``record.scalars.timing_cycle = 3``. Another name is refused;
             a number out of range wraps around.
         fields: one writable view per numeric field, by dotted name; single values as shape (1,).
+        memory: the message's bytes, writable.
         stamp: bytes of the header's stamp; to copy them is half the work of writing `stamp_ns`.
+        sec: first part of the stamp, shape (1,), writable; nanosec: the other part.
         payload: gives the message as wire bytes.
     """
 
@@ -58,8 +60,8 @@ class Record:
         # The payload starts 4 bytes off an 8-byte boundary, so that the doubles behind the
         # 4-byte encapsulation header are aligned in memory.
         storage = np.zeros(ENCAPSULATION_BYTES + layout.size, dtype=np.uint8)
-        self._memory = storage.data[ENCAPSULATION_BYTES:]
-        self._memory[:] = layout.template
+        self.memory = storage.data[ENCAPSULATION_BYTES:]
+        self.memory[:] = layout.template
         payload: NDArray[np.void] = np.ndarray(
             (1,), layout.dtype, storage.data, ENCAPSULATION_BYTES
         )
@@ -67,20 +69,20 @@ class Record:
             name: payload[name][0] if payload[name].ndim == 2 else payload[name]
             for name in layout.dtype.names or ()
         }
-        self.scalars: Any = layout.scalars.from_buffer(self._memory)
-        self.payload = self._memory.tobytes  # no method around it: five frames less in each tick
-        self.stamp = self._memory[ENCAPSULATION_BYTES : ENCAPSULATION_BYTES + 8]
-        # Set in each tick; these views take a third of the time of the above.
-        self._sec, self._nanosec = self.stamp[:4].cast("i"), self.stamp[4:].cast("I")
+        self.scalars: Any = layout.scalars.from_buffer(self.memory)
+        self.payload = self.memory.tobytes  # no method around it: five frames less in each tick
+        self.stamp = self.memory[ENCAPSULATION_BYTES : ENCAPSULATION_BYTES + 8]
+        # Needed in each tick; these views take a third of the time of the above.
+        self.sec, self.nanosec = self.stamp[:4].cast("i"), self.stamp[4:].cast("I")
 
     @property
     def stamp_ns(self) -> int:
         """Stamp of the header, which all our messages begin with."""
-        return self._sec[0] * NANOSECONDS + self._nanosec[0]
+        return self.sec[0] * NANOSECONDS + self.nanosec[0]
 
     @stamp_ns.setter
     def stamp_ns(self, stamp_ns: int) -> None:
-        self._sec[0], self._nanosec[0] = divmod(stamp_ns, NANOSECONDS)
+        self.sec[0], self.nanosec[0] = divmod(stamp_ns, NANOSECONDS)
 
     def rows(self, *names: str) -> NDArray[np.float64]:
         """Arrays that follow one another as the rows of one writable view, shape (arrays, length).
@@ -100,10 +102,6 @@ class Record:
         return np.lib.stride_tricks.as_strided(
             views[0], (len(views), views[0].size), (strides.pop(), views[0].itemsize)
         )
-
-    def load(self, payload: bytes) -> None:
-        """Overwrite this record with a payload of the same layout."""
-        self._memory[:] = payload
 
 
 class MessageLayout:
@@ -147,12 +145,13 @@ class MessageLayout:
             len(payload) == self.size and self._fixed_parts.unpack(payload) == self._expected_parts
         )
         if is_ours:
-            into.load(payload)
+            into.memory[:] = payload
         else:
             self._decode_foreign(payload, into)
-        if into.scalars.header_stamp_nanosec >= NANOSECONDS:
+        nanosec = into.nanosec[0]
+        if nanosec >= NANOSECONDS:
             raise InvalidMessageError("malformed", "its stamp is no time")
-        return into.stamp_ns
+        return into.sec[0] * NANOSECONDS + nanosec
 
     def tabulate(self, payloads: Sequence[bytes]) -> NDArray[np.void]:
         """Messages as rows of one table, shape (messages,); what `decode` refuses is left out."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 
@@ -14,7 +15,7 @@ from bus_schema.drive_feedback import DriveGains, no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.clock import TickGrid
-from bus_schema.runtime.modes import Mode, Trigger, follow
+from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow
 from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.arm.bullet_server import require_loadable
 from plant_emulator.arm.drive_loop import add_drive_torques
@@ -132,14 +133,16 @@ class ArmPlant:
             target: for drives that close a loop of their own, see `DriveLoop`; None for none.
             stamp_ns: stamp of the state that the command answers.
         """
-        if self.mode is Mode.READY:
+        if self.mode not in COMMANDABLE:
+            return
+        if self._is_braked:
             self._set_brakes(engaged=False)
             self.mode = follow(self.mode, Trigger.COMMAND)
-        if self.mode is Mode.TRACKING:
-            self._commanded[:] = torque_nm
-            if target is not None:
-                self.torques.drive.target[:] = target
-            self.torques.drive.stamp_s[0] = stamp_ns * 1e-9 if target is not None else np.nan
+        self._commanded[:] = torque_nm
+        drive = self.torques.drive
+        if target is not None:
+            drive.target[:] = target
+        drive.stamp_s[0] = stamp_ns * 1e-9 if target is not None else math.nan
 
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
@@ -171,10 +174,10 @@ class ArmPlant:
             first: number of the first substep in the run.
             end: number of the first one that is not to come yet.
         """
-        is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
-        if self._faults is None and not is_damped:
+        if self._faults is None and self.mode in COMMANDABLE:
             self._go(first, end)
             return
+        is_damped = self.mode is Mode.STOPPING and self._safe_stop == "damping"
         for number in range(first, end):
             if is_damped:
                 np.multiply(self._stop_damping, self.velocity, out=self._commanded)

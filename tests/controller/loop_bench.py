@@ -66,7 +66,7 @@ class Bench:
     def answers(self):
         record, answers, self.targets = Record(self.command_layout), [], []
         for arrival in self.plant.take_commands():
-            record.load(arrival.payload)
+            record.memory[:] = arrival.payload
             if "position" in record.fields:
                 rows = record.fields["position"], record.fields["velocity"]
                 self.targets.append(np.array(rows))
@@ -81,7 +81,7 @@ class Bench:
     def last(self, topic):
         """The newest message on a topic."""
         record = Record(topics.layout(topic, NAMES))
-        record.load(next(payload for name, payload in reversed(self.heard) if name is topic))
+        record.memory[:] = next(payload for name, payload in reversed(self.heard) if name is topic)
         return record
 
 

@@ -89,7 +89,7 @@ def test_foreign_ros2_tools_decode_every_topic(tmp_path):
     for topic in TOPICS:
         if topic is not RUN_EVENTS:
             record = Record(layout(topic, JOINTS))
-            record.load(payload_of(topic, seed=4))
+            record.memory[:] = payload_of(topic, seed=4)
             for name, expected in record.fields.items():
                 value = decoded[f"/{topic.name}"]
                 for part in name.split("."):
