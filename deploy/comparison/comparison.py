@@ -52,11 +52,13 @@ class LawRun:
         law: its name.
         data: the run.
         summary: what `metrics.summarise` says of it.
+        path: its folder or MCAP file; None where it was not written.
     """
 
     law: str
     data: RunData
     summary: dict[str, Any]
+    path: Path | None = None
 
     @property
     def seed(self) -> int:

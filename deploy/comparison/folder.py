@@ -129,7 +129,7 @@ class ComparisonFolder(ResultFolder):
         law = setup.scenario.controller.name
         folder = RunFolder.begin(setup, self._law_path(law), overwrite=True)
         data = simulation.data(simulation.write_log(folder.log))
-        run = LawRun(law, data, summarise(data))
+        run = LawRun(law, data, summarise(data), folder.path)
         write_json(folder.summary, run.summary)
         if (record := fault_record(data)) is not None:
             write_json(folder.fault, record)
@@ -141,7 +141,7 @@ class ComparisonFolder(ResultFolder):
         folder = RunFolder.begin(lockstep_setup(setup), self._law_path(name), overwrite=True)
         data, summary = run_process(setup, folder.path, on_start)
         write_json(folder.summary, summary)
-        return LawRun(name, data, summary)
+        return LawRun(name, data, summary, folder.path)
 
     def conclude(self, comparison: Comparison) -> None:
         """Write rows and summary of all runs, with their conditions."""
@@ -182,7 +182,7 @@ def judged_again(name: str, path: Path) -> LawRun:
         RunFolderError: it cannot be read.
     """
     data, _ = load_run(path)
-    return LawRun(name, data, summarise(data, unrecorded_faults(path)))
+    return LawRun(name, data, summarise(data, unrecorded_faults(path)), path)
 
 
 def _summary(comparison: Comparison) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def _read(label: str, path: Path) -> tuple[LawRun, dict[str, str]]:
         for key, name in DATA_ATTACHMENTS.items()
         if name in contents.attachments
     }
-    run = LawRun(label, data, summarise(data, unrecorded_faults(path)))
+    run = LawRun(label, data, summarise(data, unrecorded_faults(path)), path)
     return run, values_in_common(data.setup, texts)
 
 

@@ -37,7 +37,7 @@ class Run:
     Attributes:
         data: all that was recorded, as the program has it.
         summary: what ``summary.json`` says; keys and units are in the README.
-        path: its folder or MCAP file; None where it was not written, or is part of something else.
+        path: its folder or MCAP file; None where it was not written.
     """
 
     def __init__(self, data: RunData, summary: dict[str, Any], path: Path | None = None) -> None:
@@ -130,7 +130,7 @@ class Comparison:
 
     def __init__(self, compared: LawComparison) -> None:
         self._compared = compared
-        self.runs = {run.law: Run(run.data, run.summary) for run in compared.runs}
+        self.runs = {run.law: Run(run.data, run.summary, run.path) for run in compared.runs}
 
     def __getitem__(self, law: str) -> Run:
         return self.runs[_known(law, list(self.runs), "law")]
@@ -167,7 +167,7 @@ class Diff:
 
     def __init__(self, compared: RecordedRuns) -> None:
         self._compared = compared.comparison
-        self.runs = {run.law: Run(run.data, run.summary) for run in compared.runs}
+        self.runs = {run.law: Run(run.data, run.summary, run.path) for run in compared.runs}
         self.differing = compared.differing
         ticks = [None if each is None else each.tick for each in compared.partings]
         self.first_different_ticks = dict(zip(compared.labels[1:], ticks[1:], strict=True))

@@ -113,6 +113,15 @@ def test_comparison_and_its_folder(tmp_path):
     assert (tmp_path / "both" / "report.html").is_file()
     assert isinstance(compared.figure("errors"), go.Figure)
     assert digest(funnel_hil.load_run(tmp_path / "both" / "pid")) == digest(compared["pid"])
+    assert [each.path for each in compared.runs.values()] == [None, None]
+    assert written["pid"].path == tmp_path / "both" / "pid"
+    assert [digest(funnel_hil.load_run(each.path)) for each in written.runs.values()] == [
+        digest(each) for each in compared.runs.values()
+    ]
+    beside = funnel_hil.diff(*written.runs.values())
+    assert [each.path for each in beside.runs.values()] == [
+        each.path for each in written.runs.values()
+    ]
 
 
 def test_runs_that_were_written_or_loaded_are_compared(run, tmp_path):
