@@ -28,7 +28,12 @@ from deploy.processes.program import require_program
 from deploy.reports.conclude import conclude, conditions_in
 from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.studies.compare_report import write_comparison_report
-from deploy.reports.studies.compare_tables import bounds_sentence, joint_table, verdict_table
+from deploy.reports.studies.compare_tables import (
+    bounds_sentence,
+    joint_table,
+    recording_sentences,
+    verdict_table,
+)
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import PARTIAL, damaged
@@ -153,7 +158,10 @@ def report(
         comparison_folder = ComparisonFolder(run_dir)
         comparison_folder.lock()
         with comparison_folder:
-            _conclude_comparison(comparison_folder.load(), comparison_folder, console)
+            comparison = comparison_folder.load()
+            _conclude_comparison(comparison, comparison_folder, console)
+        if any(run.data.damage for run in comparison.runs):
+            raise typer.Exit(FAULT)
     elif read_summary(run_dir).get("kind") == DIFF:
         from deploy.cli.study.diff import show_diff  # with all figures
 
@@ -256,3 +264,5 @@ def _show_comparison(console: Console, comparison: Comparison) -> None:
         return
     print_table(console, verdict_table(comparison))
     print_table(console, joint_table(comparison, RMS_ERROR))
+    for lack in recording_sentences(comparison.runs):
+        console.print(lack, markup=False, highlight=False)

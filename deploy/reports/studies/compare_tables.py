@@ -18,7 +18,8 @@ from deploy.reports.tables import (
     scaled,
     short_names,
 )
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import Verdict, damaged, missing_ticks_sentence
+from deploy.runs.judging.known_ticks import known_ticks
 
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
@@ -51,10 +52,11 @@ def verdict_on_laws(comparison: Comparison) -> Verdict:
     runs = comparison.runs
     kept, faulted = ([r for r in runs if r.kept_bounds], [r for r in runs if not r.is_whole])
     reasons = [f"{run.law}: {bounds_sentence(run)}" for run in runs]
-    reasons += _ranking(comparison)
+    reasons += [*recording_sentences(runs), *_ranking(comparison)]
     headline = f"{len(kept)} of {len(runs)} laws kept their bounds"
     if faulted:
-        return Verdict("broken", f"{headline}, {len(faulted)} did not finish", reasons)
+        unread = " or cannot be read whole" if any(run.data.damage for run in faulted) else ""
+        return Verdict("broken", f"{headline}, {len(faulted)} did not finish{unread}", reasons)
     if len(kept) == len(runs):
         return Verdict("good", f"All {len(runs)} laws kept their bounds", reasons)
     if not kept:
@@ -64,10 +66,29 @@ def verdict_on_laws(comparison: Comparison) -> Verdict:
 
 def bounds_sentence(run: LawRun) -> str:
     """What became of a law's bounds, or of the law."""
-    bounds, faults = run.summary["bounds"], run.summary["faults"]
-    if not run.is_whole:
-        why = "its recording is damaged" if run.data.damage else "did not come to its end"
-        return "; ".join(faults[:_SHOWN_FAULTS]) or why
+    faults = run.summary["faults"]
+    if faults:
+        return "; ".join(faults[:_SHOWN_FAULTS])
+    if run.data.damage:
+        return f"its recording is damaged; where it can be read, it {_bounds_text(run)}"
+    return _bounds_text(run) if run.is_whole else "did not come to its end"
+
+
+def recording_sentences(runs: Iterable[LawRun]) -> list[str]:
+    """What the recordings of runs lack, each with its law, as far as they lack anything."""
+    found = []
+    for run in runs:
+        if run.data.damage:
+            found.append(f"{run.law}: {damaged(run.data.damage)}")
+        if (known := known_ticks(run.data)).missing:
+            found.append(f"{run.law}: {missing_ticks_sentence(known)}")
+    return found
+
+
+def _bounds_text(run: LawRun) -> str:
+    bounds = run.summary["bounds"]
+    if bounds["violation_fraction"] is None:
+        return "has no tick"
     if bounds["kept"]:
         return f"kept its bounds, smallest margin {margin_text(bounds['margin_min'])}"
     return (
@@ -120,7 +141,8 @@ def joint_table(comparison: Comparison, quantity: quantities.JointQuantity) -> T
 def status_cell(run: LawRun) -> Cell:
     """Whether a run kept its bounds, as a cell."""
     if not run.is_whole:
-        return Cell("fault", "bad")
+        is_damaged = run.data.damage and not run.summary["faults"]
+        return Cell("damaged" if is_damaged else "fault", "bad")
     return Cell("kept", "good") if run.kept_bounds else Cell("lost", "bad")
 
 

@@ -10,7 +10,7 @@ from bus_schema.percentiles import PERCENTILES
 from deploy.comparison.comparison import LawRun
 from deploy.comparison.recorded import Parting, RecordedRuns
 from deploy.reports import quantities
-from deploy.reports.studies.compare_tables import bounds_sentence, status_cell
+from deploy.reports.studies.compare_tables import bounds_sentence, recording_sentences, status_cell
 from deploy.reports.tables import (
     ABSENT,
     Cell,
@@ -22,7 +22,7 @@ from deploy.reports.tables import (
     percent,
     scaled,
 )
-from deploy.reports.verdict import Verdict, missing_ticks_sentence
+from deploy.reports.verdict import Verdict
 from deploy.runs.conditions import conditions_of_runs
 from deploy.runs.judging.bounds import bound_usage
 from deploy.runs.judging.known_ticks import known_ticks
@@ -37,13 +37,13 @@ def verdict_on_runs(compared: RecordedRuns) -> Verdict:
     runs, keys = compared.runs, len(compared.differing)
     faulted = [run for run in runs if not run.is_whole]
     reasons = [f"{run.law}: {bounds_sentence(run)}" for run in runs]
-    gaps = {run.law: known for run in runs if (known := known_ticks(run.data)).missing}
-    every = "every tick that is known of both" if gaps else "every tick"
+    has_gaps = any(known_ticks(run.data).missing for run in runs)
+    every = "every tick that is known of both" if has_gaps else "every tick"
     reasons += [
         f"{label}: {_parting_text(parting, compared.labels[0], every)}"
         for label, parting in zip(compared.labels[1:], compared.partings[1:], strict=True)
     ]
-    reasons += [f"{label}: {missing_ticks_sentence(known)}" for label, known in gaps.items()]
+    reasons += recording_sentences(runs)
     differ = "value differs" if keys == 1 else "values differ"
     reasons.append(f"{keys or 'No'} {differ} between the scenarios.")
     kept = sum(run.kept_bounds for run in runs)

@@ -14,11 +14,13 @@ from controller.laws.sliding_mode import SlidingMode
 from deploy.cli.common import parse_laws
 from deploy.comparison.comparison import load_setups
 from deploy.reports.studies import compare_report
+from deploy.runs.judging.known_ticks import known_ticks
 from deploy.runs.run_folder import load_run
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import attempt, simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.damage import damage_at
 
 SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
 
@@ -106,6 +108,23 @@ def test_report_renders_a_comparison_again_from_its_recordings(compared, funnel_
     assert (folder / "manifest.json").read_bytes() == manifest
     assert (folder / "report.html").is_file()
     assert parquet.read_table(folder / "comparison.parquet").num_rows == 2
+
+
+def test_a_damaged_recording_is_told_with_what_it_lacks(compared, funnel_hil):
+    _, _, folder = compared
+    damage_at(folder / "pid" / "run.mcap", 100_000_000)
+    code, output = funnel_hil("report", folder)
+    data, _ = load_run(folder / "pid")
+    assert code == 1
+    assert data.damage
+    words = [line.split() for line in output.splitlines()]
+    assert ["pid", "damaged"] in [each[:2] for each in words]
+    said = " ".join(output.split())
+    assert f"pid: The recording is damaged: {'; '.join(data.damage)}." in said
+    assert f"pid: The true motion is known at {known_ticks(data).known} of 300 ticks" in said
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "1 did not finish or cannot be read whole" in page
+    assert "pid: its recording is damaged; where it can be read, it " in page
 
 
 def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from mcap.reader import make_reader
 
 import funnel_hil as interface
 from deploy.comparison.recorded import recorded_runs
@@ -25,6 +24,7 @@ from deploy.runs.judging.known_ticks import known_ticks
 from deploy.runs.run_folder import RunFolder, read_summary
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from tests.damage import damage_at
 
 SHORT = ("duration_s=0.3", "metrics.from_s=0")
 
@@ -106,21 +106,6 @@ def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     assert rows["Digest, beside the first"] == ["–", "same"]
     assert rows["First tick that differs"] == ["–", "never"]
     assert "the same at every tick" in verdict_on_runs(compared).headline
-
-
-def damage_at(file: Path, time_ns: int) -> None:
-    """Change a byte of the chunk with the messages of an instant."""
-    with file.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    (chunk,) = [
-        each
-        for each in summary.chunk_indexes
-        if each.message_start_time < time_ns < each.message_end_time
-    ]
-    changed = bytearray(file.read_bytes())
-    changed[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
-    file.write_bytes(changed)
 
 
 @pytest.mark.parametrize("order", [("first", "gap"), ("gap", "first")])
