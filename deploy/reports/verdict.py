@@ -63,7 +63,7 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
     elif not run.complete:
         found.append(PARTIAL)
     if known.missing:
-        found.append(missing_ticks_sentence(known))
+        found += [missing_ticks_sentence(known), *_sentences_on_gaps(summary)]
     if run.lacks_checksums:
         found.append(UNCHECKED)
     found.extend(f"{note}." for note in run.notes)
@@ -82,6 +82,21 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
         found.append(
             f"A loop was held up for {stall_ms:.0f} ms, most likely by the host: what came of it"
             " says little of the law."
+        )
+    return found
+
+
+def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
+    """What missing ticks mean for numbers that rest on neighbouring ones."""
+    tracking, left_out_s = summary["tracking"], summary["torque"]["left_out_s"]
+    pairs = zip(tracking["joint_names"], tracking["settling_is_latest"], strict=True)
+    names = ", ".join(name for name, is_latest in pairs if is_latest)
+    found = []
+    if names:
+        found.append(f"Settled while ticks are missing, at the time given at the latest: {names}.")
+    if left_out_s:
+        found.append(
+            f"Variation and spectrum of the torques leave out the {left_out_s:.3f} s over them."
         )
     return found
 

@@ -16,6 +16,7 @@ from deploy.reports.figures import style
 from deploy.reports.figures.decimation import decimate
 from deploy.reports.figures.laws import add_law, law_colour, with_law_legend
 from deploy.runs.judging.chattering import CHATTER_HZ, power_spectrum
+from deploy.runs.judging.known_ticks import rows_after_gaps
 from deploy.runs.run_data import RunData
 
 _TORQUE_POINTS = 1500
@@ -72,7 +73,9 @@ def torque_spectra(comparison: Comparison) -> go.Figure | None:
     names = runs[0].data.setup.robot.joint_names
     figure = with_law_legend(style.joint_rows(names, "N m"))
     for run in reversed(runs):
-        frequencies, power = power_spectrum(_efforts(run), run.data.setup.scenario.rate_hz)
+        after_gaps = rows_after_gaps(run.data, run.data.times_s(topics.JOINT_COMMANDS))
+        rate_hz = run.data.setup.scenario.rate_hz
+        frequencies, power = power_spectrum(_efforts(run), rate_hz, after_gaps)
         amplitudes = np.sqrt(2.0 * np.maximum(power[1:], _SPECTRUM_FLOOR))
         add_law(figure, comparison, run.law, frequencies[1:], amplitudes.T)
     figure.update_xaxes(type="log", dtick=1, title_text="")

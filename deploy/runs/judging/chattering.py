@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from bus_schema.arrays import Matrix, Vector
+from deploy.runs.judging.known_ticks import NO_ROWS, Rows
 
 CHATTER_HZ = 50.0
 """From here on up, torque is chatter; the motions asked of an arm are far slower."""
@@ -16,20 +17,27 @@ CHATTER_HZ = 50.0
 _SEGMENT_S = 1.0
 
 
-def power_spectrum(torques_nm: Matrix, rate_hz: float) -> tuple[Vector, Matrix]:
+def power_spectrum(
+    torques_nm: Matrix, rate_hz: float, after_gaps: Rows = NO_ROWS
+) -> tuple[Vector, Matrix]:
     """Power of each joint's torque by frequency, its mean removed.
 
     Args:
         torques_nm: evenly spaced in time, shape (samples, joints), at least 2 samples.
         rate_hz: samples per second.
+        after_gaps: samples before which some are missing, so that no segment goes over that.
 
     Returns:
         Frequencies in Hz, shape (frequencies,), and N² m² at each, shape (frequencies, joints).
     """
-    length = min(len(torques_nm), max(2, round(_SEGMENT_S * rate_hz)))
-    varying = torques_nm - torques_nm.mean(axis=0)
+    stretches = np.split(torques_nm - torques_nm.mean(axis=0), after_gaps)
+    length = min(max(map(len, stretches)), max(2, round(_SEGMENT_S * rate_hz)))
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
-    segments = sliding_window_view(varying, length, axis=0)[:: max(1, length // 2)]
+    segments = np.concatenate([
+        sliding_window_view(stretch, length, axis=0)[:: max(1, length // 2)]
+        for stretch in stretches
+        if len(stretch) >= length
+    ])  # fmt: skip
     power = (np.abs(np.fft.rfft(window * segments)) ** 2).mean(axis=0).T
     bins = np.arange(len(power))  # all but the first, and the last of an even length, stand for two
     sides = np.where((bins == 0) | (2 * bins == length), 1.0, 2.0)
@@ -38,16 +46,19 @@ def power_spectrum(torques_nm: Matrix, rate_hz: float) -> tuple[Vector, Matrix]:
     return frequencies, np.asarray(scale * power)
 
 
-def chatter_shares(torques_nm: Matrix, rate_hz: float) -> list[float] | None:
+def chatter_shares(
+    torques_nm: Matrix, rate_hz: float, after_gaps: Rows = NO_ROWS
+) -> list[float] | None:
     """Share of each joint's varying torque energy above `CHATTER_HZ`; 0 for a constant torque.
 
     Args:
         torques_nm: evenly spaced in time, shape (samples, joints).
         rate_hz: samples per second; at twice `CHATTER_HZ` or below there is nothing to tell: None.
+        after_gaps: as for `power_spectrum`.
     """
     if rate_hz <= 2.0 * CHATTER_HZ or len(torques_nm) < 2:
         return None
-    frequencies, power = power_spectrum(torques_nm, rate_hz)
+    frequencies, power = power_spectrum(torques_nm, rate_hz, after_gaps)
     total, fast = power.sum(axis=0), power[frequencies > CHATTER_HZ].sum(axis=0)
     shares: list[float] = np.divide(fast, total, out=np.zeros_like(fast), where=total > 0).tolist()
     return shares

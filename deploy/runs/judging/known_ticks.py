@@ -7,10 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from deploy.runs.run_data import RunData, stamps_s
+
+Rows = NDArray[np.intp]
+NO_ROWS: Rows = np.zeros(0, dtype=np.intp)
 
 _SHOWN_GAPS = 3
 
@@ -66,3 +70,16 @@ def known_ticks(run: RunData) -> KnownTicks:
         for each in before
     ]
     return KnownTicks(len(numbers), ticks, gaps_s)
+
+
+def rows_after_gaps(run: RunData, times_s: Vector) -> Rows:
+    """The rows that are no neighbours of those before them, as ticks in between are missing.
+
+    Args:
+        run: the run.
+        times_s: stamps of the rows, shape (rows,).
+    """
+    period_ns = run.setup.grid.period_ns
+    last_missing = [np.rint(last_s * 1e9 / period_ns) for _, last_s in known_ticks(run).gaps_s]
+    gaps_before = np.searchsorted(last_missing, np.rint(times_s * 1e9 / period_ns))
+    return np.flatnonzero(np.diff(gaps_before, prepend=0))

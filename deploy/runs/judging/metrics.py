@@ -15,7 +15,7 @@ from bus_schema.percentiles import PERCENTILES, percentiles
 from deploy.runs.judging.bounds import judge_bounds
 from deploy.runs.judging.chattering import chatter_shares
 from deploy.runs.judging.identified import identified
-from deploy.runs.judging.known_ticks import KnownTicks, known_ticks
+from deploy.runs.judging.known_ticks import KnownTicks, known_ticks, rows_after_gaps
 from deploy.runs.judging.longest_run import longest_run
 from deploy.runs.judging.settling_bound import settling_bound_s
 from deploy.runs.judging.stalls import longest_stall_ms
@@ -81,11 +81,14 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
 def _tracking(run: RunData) -> dict[str, Any]:
     errors, times_s = run.true_errors_rad, run.times_s(topics.PLANT_TRUTH)
     judged = errors[times_s >= run.setup.scenario.metrics.from_s]
+    settled = settling_times_s(errors, times_s, run.setup.funnel.final_rad)
+    after_gaps = set(times_s[rows_after_gaps(run, times_s)].tolist())
     return {
         "joint_names": list(run.setup.robot.joint_names),
         "rms_rad": np.sqrt((judged**2).mean(axis=0)).tolist() if len(judged) else None,
         "max_abs_rad": np.abs(judged).max(axis=0).tolist() if len(judged) else None,
-        "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
+        "settling_time_s": settled,
+        "settling_is_latest": [time_s in after_gaps for time_s in settled],
         "settling_bound_s": settling_bound_s(run.setup),
     }
 
@@ -104,19 +107,24 @@ def _torque(run: RunData) -> dict[str, Any]:
     commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
     effort = commands["effort"]
-    duration_s = np.ptp(stamps_s(commands)) if len(commands) else 0.0  # answers may be out of order
-    if not duration_s:
+    times_s = stamps_s(commands)
+    after_gaps = rows_after_gaps(run, times_s)
+    follows = ~np.isin(np.arange(1, len(times_s)), after_gaps)
+    left_out_s = float(np.abs(np.diff(times_s))[~follows].sum())
+    duration_s = np.ptp(times_s) - left_out_s if follows.any() else 0.0  # answers may be unordered
+    if not duration_s > 0.0:
         return dict.fromkeys(
             ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm",
-             "saturated_fraction")
+             "saturated_fraction", "left_out_s")
         )  # fmt: skip
-    variation = np.abs(np.diff(effort, axis=0)).sum(axis=0) / duration_s
+    variation = np.abs(np.diff(effort, axis=0))[follows].sum(axis=0) / duration_s
     return {
         "total_variation_nm_per_s": variation.tolist(),
-        "share_above_50_hz": chatter_shares(effort, run.setup.scenario.rate_hz),
+        "share_above_50_hz": chatter_shares(effort, run.setup.scenario.rate_hz, after_gaps),
         "rms_nm": np.sqrt((effort**2).mean(axis=0)).tolist(),
         "peak_nm": np.abs(effort).max(axis=0).tolist(),
         "saturated_fraction": float(truth["saturated"].mean()) if len(truth) else None,
+        "left_out_s": left_out_s,
     }
 
 
@@ -127,7 +135,7 @@ def _timing(run: RunData, known: KnownTicks, stolen_ms: float | None) -> dict[st
     return {
         **{name: percentiles(values_us) for name, values_us in times_us(run).items()},
         "deadline_misses": misses,
-        "deadline_miss_longest_run": longest_run(missed),
+        "deadline_miss_longest_run": longest_run(missed, rows_after_gaps(run, stamps_s(truth))),
         "success_rate": 1.0 - misses / known.known if known.known else None,
         "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
         "longest_stall_ms": longest_stall_ms(run),

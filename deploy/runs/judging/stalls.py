@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bus_schema.messages import topics
+from deploy.runs.judging.known_ticks import rows_after_gaps
 from deploy.runs.judging.longest_run import longest_run
 from deploy.runs.run_data import RunData, stamps_s
 
@@ -21,11 +22,11 @@ def longest_stall_ms(run: RunData) -> float | None:
     if run.clock != "realtime":
         return None
     truth = run.tables[topics.PLANT_TRUTH.name]
-    lateness_ns = truth["timing.lateness_ns"]
+    lateness_ns, after_gaps = truth["timing.lateness_ns"], rows_after_gaps(run, stamps_s(truth))
     steps_ns = run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"]
     stalls_ns = (
         int(lateness_ns.max(initial=0)),
-        longest_run(lateness_ns < 0) * run.setup.grid.period_ns,
+        longest_run(lateness_ns < 0, after_gaps) * run.setup.grid.period_ns,
         int(steps_ns.max(initial=0)),
         _longest_hold_up_ns(run),
     )
