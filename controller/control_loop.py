@@ -280,8 +280,9 @@ class ControlLoop:
     def _publish_events(self) -> None:
         """Publish what has happened; within a cycle, the torque is already on its way."""
         events, self._events = self._events, []
+        now_ns = max(self.stamp_ns, self._link.cycle_ns, 0)
         for kind, detail in events:
-            event = RunEvent(max(self.stamp_ns, 0), Role.CONTROLLER, kind, detail)
+            event = RunEvent(now_ns, Role.CONTROLLER, kind, detail)
             self._link.publish(topics.RUN_EVENTS, event.encode())
 
 

@@ -166,11 +166,12 @@ class CanControllerLink(ControllerLink):
             yield from self._bring_to_rest(tick, is_stop_requested)
 
     def _cycle(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
+        self.cycle_ns = self._run.grid.tick_ns(tick)
         self._sample(tick)
         is_complete = yield from self._await_state(tick, is_stop_requested)
         if not is_complete:
             return
-        self._state.stamp_ns = self._run.grid.tick_ns(tick)
+        self._state.stamp_ns = self.cycle_ns
         self._state.fields["effort"][:] = self._torque
         self._is_answered = False
         if self._on_state is not None:

@@ -132,9 +132,12 @@ class ControllerLink(Link, Protocol):
     Attributes:
         start_ns: when the run begins, on the clock of the states' stamps; None where only the
             plant says so, with its states.
+        cycle_ns: the cycle it is in, on the same clock, which may never come to a state; -1 where
+            a state is all that makes a cycle.
     """
 
     start_ns: int | None = None
+    cycle_ns: int = -1
 
     def serve(self, on_state: StateHandler) -> None:
         """Have `on_state` called for each joint state that arrives, one at a time."""

@@ -167,6 +167,9 @@ def test_all_axes_come_to_rest_when_one_drive_fails(
         "link.can.answer_timeout_s=2",
     )  # fmt: skip
     assert reason in run.faults
+    # of the cycle that brought it, so that no consequence stands before its cause
+    told_ns = {event.stamp_ns for event in run.data.events if "DriveError" in event.detail}
+    assert told_ns == {round(STRUCK_S * 1e9)}
     assert not summarise(run.data)["completed"]
     assert emergency is None or emergency in run.can_log.read_text()
     # the other drives hear of it at the next tick, then slow down; two ticks to see it
