@@ -151,6 +151,10 @@ class Diagnostics:
         self._network_norm[:] = value
 
 
+TRANSFORMED_ERROR, SLIDING_VARIABLE, NETWORK_OUTPUT = range(3)
+"""Rows of what `Diagnostics` publish, in the order of its `PUBLISHED`."""
+
+
 class Dynamics(Protocol):
     """What a model-based law may ask of a nominal model M(q) q̈ + C(q, q̇) q̇ + G(q) = τ.
 

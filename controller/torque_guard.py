@@ -79,7 +79,7 @@ class TorqueGuard:
         is_float64 = kind is _FLOAT64 or (isinstance(kind, np.dtype) and kind == _FLOAT64)
         if not is_float64 or torque.shape != self._shape:
             raise InvalidTorqueError(self._law, tick, self._mismatch(torque))
-        self._wanted[:] = torque
+        self._wanted[...] = torque
         hits = self._limit(step_s)
         if hits == _NOT_FINITE:
             raise InvalidTorqueError(self._law, tick, f"the torque {torque.tolist()}")

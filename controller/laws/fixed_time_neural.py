@@ -25,7 +25,14 @@ from bus_schema.configuration import (
     PowerBelowOne,
 )
 from bus_schema.runtime.compiled import bind, compiled
-from controller.control_law import Diagnostics, Dynamics, Tracking
+from controller.control_law import (
+    NETWORK_OUTPUT,
+    SLIDING_VARIABLE,
+    TRANSFORMED_ERROR,
+    Diagnostics,
+    Dynamics,
+    Tracking,
+)
 from controller.funnel import transform, transformation_rates
 from controller.laws.anti_windup import may_accumulate
 from controller.laws.rbf_network import NODES, activate, adapt
@@ -83,7 +90,7 @@ class FixedTimeNeuralGains(NamedTuple):
 
 
 class _Memory(NamedTuple):
-    """What the law keeps from cycle to cycle, in arrays that its kernel changes in place.
+    """What the law keeps from cycle to cycle; its kernel changes it in place.
 
     Attributes:
         torque: N m, shape (joints,).
@@ -108,20 +115,20 @@ class FixedTimeNeural:
         self.diagnostics = Diagnostics(joints)
         self._gains = _packed(gains)
         self._torque_limits_nm = torque_limits_nm
-        self._memory = _Memory(
-            np.zeros(joints), np.zeros(joints), np.zeros((joints, NODES)), np.zeros(NODES)
+        self._memory = _packed(
+            _Memory(np.zeros(joints), np.zeros(joints), np.zeros((joints, NODES)), np.zeros(NODES))
         )
+        self._torque: Vector = self._memory["torque"][0]
         self._tracking: Tracking | None = None
 
     def reset(self) -> None:
-        for values in self._memory:
-            values[:] = 0.0
+        self._memory[:] = np.zeros((), self._memory.dtype)
 
     def torque(self, tracking: Tracking) -> Vector:
         if tracking is not self._tracking:
             self._bind(tracking)
         self._kernel(tracking.step_s, tracking.horizon_s)
-        return self._memory.torque
+        return self._torque
 
     def _bind(self, tracking: Tracking) -> None:
         """Fix what the kernel works on: to find out its types costs more than the law itself."""
@@ -130,18 +137,18 @@ class FixedTimeNeural:
             _torque,
             tracking.error, tracking.error_rate, tracking.bounds,
             self._gains, self._torque_limits_nm, self._memory,
-            inner.transformed_error, inner.sliding_variable,
-            inner.network_output, inner.network_norm,
+            inner.published, inner.network_norm,
             free=["float64", "float64"],
         )  # fmt: skip
 
 
-def _packed(gains: FixedTimeNeuralGains) -> NDArray[np.void]:
-    """Gains as a structured array of one element, whose fields bear their names.
+def _packed(several: FixedTimeNeuralGains | _Memory) -> NDArray[np.void]:
+    """A tuple of numbers and arrays as a structured array of one element with fields of its names.
 
-    As a tuple they would have to be taken apart at every call, for a twentieth of a control step.
+    As tuples, gains and memory would have to be taken apart at every call, for a tenth of a control
+    step.
     """
-    values = gains._asdict()
+    values = several._asdict()
     dtype = np.dtype([(name, np.float64, np.shape(value)) for name, value in values.items()])
     return np.array([tuple(values.values())], dtype)
 
@@ -157,11 +164,12 @@ def _delayed(g: Any, horizon_s: float) -> tuple[float, float, float]:
 @compiled
 def _torque(
     error: Vector, error_rate: Vector, bounds: Matrix,
-    gains: NDArray[np.void], torque_limits: Vector, memory: _Memory,
-    transformed: Vector, sliding: Vector, network_output: Vector, network_norm: Vector,
+    gains: NDArray[np.void], torque_limits: Vector, memory: NDArray[np.void],
+    published: Matrix, network_norm: Vector,
     step_s: float, horizon_s: float,
 ) -> None:  # fmt: skip
-    g, (torque, opening, weights, activation) = gains[0], memory
+    g, m = gains[0], memory[0]
+    torque, opening, weights, activation = m.torque, m.opening, m.weights, m.activation
     width, slower, k_2_factor = _delayed(g, horizon_s)
     squared_norm = 0.0
     for i in range(error.size):
@@ -186,5 +194,7 @@ def _torque(
         reaching = g.k_1[i] * sig(s, g.gamma_1) + g.k_3[i] * s
         reaching += k_2_factor * g.k_2[i] * sig(s, g.gamma_2)
         torque[i] = output - reaching
-        transformed[i], sliding[i], network_output[i] = epsilon, s, output
+        published[TRANSFORMED_ERROR, i] = epsilon
+        published[SLIDING_VARIABLE, i] = s
+        published[NETWORK_OUTPUT, i] = output
     network_norm[0] = math.sqrt(squared_norm)

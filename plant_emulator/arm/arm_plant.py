@@ -138,11 +138,12 @@ class ArmPlant:
         if self._is_braked:
             self._set_brakes(engaged=False)
             self.mode = follow(self.mode, Trigger.COMMAND)
-        self._commanded[:] = torque_nm
+        self._commanded[...] = torque_nm
         drive = self.torques.drive
-        if target is not None:
-            drive.target[:] = target
-        drive.stamp_s[0] = stamp_ns * 1e-9 if target is not None else math.nan
+        if drive.gains.is_active:
+            drive.stamp_s[0] = stamp_ns * 1e-9 if target is not None else math.nan
+            if target is not None:
+                drive.target[:] = target
 
     def hold(self, joints: NDArray[np.bool_]) -> None:
         """Keep the brakes of some joints engaged while the others move, shape (joints,)."""
