@@ -1,8 +1,8 @@
-"""Messages in bundles: what loops in virtual time send, as a recorder takes it.
+"""Messages in bundles: what loops send, as a recorder takes it.
 
 A recorder that subscribes to what loops send at every tick is a second peer to each `put`, and a
-thread that is woken up each time, beside loops that wait for one another. So in virtual time loops
-put all they send into bundles too, and tell so by a token. Commands are told of by the plant, as it
+thread that is woken up each time, beside loops that wait for one another. So loops put all they
+send into bundles too, and tell so by a token. Commands are told of by the plant, as it
 takes them in, whoever sent them and whatever becomes of him. While nobody else has announced that
 he speaks, a recorder takes bundles alone. Whoever subscribes to topics gets each message at once.
 """
@@ -20,6 +20,8 @@ from bus_schema.zenoh.ros_graph import GID_BYTES, Attachment
 from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
 _LARGEST_BYTES = 1 << 16
+_MOST_MESSAGES = 256
+_TYPICAL_MESSAGES = 100
 _MOST_HEARD = 1000  # of publishers; whoever makes up an id for each message fills no memory
 _HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
 _BUNDLED = {
@@ -41,35 +43,33 @@ class Bundler:
     def __init__(self, session: ZenohSession, domain: int, role: Role) -> None:
         self._publisher: ZenohPublisher = session.publisher(bundle_key_expression(domain, role))
         session.announce(bundling_key_expression(domain, role, session.identifier))
+        self._kept: deque[bytes] = deque()
         self._lock = threading.Lock()
-        self._parts: list[bytes] = []
-        self._size = 0
 
-    def add(self, topic: str, attachment: bytes, payload: bytes) -> None:
-        """Add a message; a bundle that is large enough is sent.
-
-        One that is too large for the transport takes no others along.
-        """
-        name = topic.encode()
-        head = _HEAD.pack(len(name), len(attachment), len(payload))
-        size = len(head) + len(name) + len(attachment) + len(payload)
-        with self._lock:
-            if self._size + size > _LARGEST_BYTES:
-                self._send()
-            self._parts += (head, name, attachment, payload)
-            self._size += size
-            if self._size >= _LARGEST_BYTES:
-                self._send()
+    def add(self, topic: bytes, attachment: bytes, payload: bytes) -> None:
+        """Add a message; those that are many or large enough are sent."""
+        head = _HEAD.pack(len(topic), len(attachment), len(payload))
+        self._kept.append(head + topic + attachment + payload)
+        if len(self._kept) >= _MOST_MESSAGES or len(payload) >= _LARGEST_BYTES:
+            self.send()
 
     def send(self) -> None:
-        """Send what was added since the last bundle."""
-        with self._lock:
-            self._send()
+        """Send what was added since the last bundle, in more than one if it is much.
 
-    def _send(self) -> None:
-        if self._parts:
-            self._publisher.put(b"".join(self._parts), b"")
-            self._parts, self._size = [], 0
+        A message that is too large for the transport takes no others along.
+        """
+        with self._lock:
+            bundle: list[bytes] = []
+            size = 0
+            for _ in range(len(self._kept)):  # in a flood there are always more
+                message = self._kept.popleft()
+                size += len(message)
+                if bundle and size > _LARGEST_BYTES:
+                    self._publisher.put(b"".join(bundle), b"")
+                    bundle, size = [], len(message)
+                bundle.append(message)
+            if bundle:
+                self._publisher.put(b"".join(bundle), b"")
 
 
 def unbundled(bundle: bytes) -> Iterator[tuple[bytes, Delivery]]:
@@ -94,7 +94,8 @@ class BundleMailbox:
     Args:
         session: of the recorder.
         domain: ROS domain.
-        capacity: deliveries to keep; once there are more, senders wait.
+        capacity: messages to keep.
+        lossless: once there are more, senders wait; or else the oldest make room.
         speakers: gives the sessions that have announced that they send on our topics.
     """
 
@@ -103,9 +104,12 @@ class BundleMailbox:
         session: ZenohSession,
         domain: int,
         capacity: int,
+        *,
+        lossless: bool,
         speakers: Callable[[], set[str]],
     ) -> None:
-        self._session, self._domain, self._capacity = session, domain, capacity
+        self._session, self._domain = session, domain
+        self._capacity, self._lossless = capacity, lossless
         self._speakers = speakers
         self._bundling: dict[str, str] = {}  # role by session
         self._keys = {
@@ -118,7 +122,9 @@ class BundleMailbox:
         self._commands = JOINT_COMMANDS.key_expression(domain)
         self._bundled: set[bytes] = set()  # ids of publishers whose messages come in bundles
         self._heard: dict[tuple[str, bytes], int] = {}  # numbers that came before that was known
-        self._bundles = session.mailbox(bundle_key_expression(domain), capacity, lossless=True)
+        self._bundles = session.mailbox(
+            bundle_key_expression(domain), -(-capacity // _TYPICAL_MESSAGES), lossless=lossless
+        )
         self._direct: Mailbox | None = None
         self._listen()
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
@@ -178,7 +184,7 @@ class BundleMailbox:
         ):
             if self._direct is None:
                 key = f"{self._domain}/**"
-                self._direct = self._session.mailbox(key, self._capacity, lossless=True)
+                self._direct = self._session.mailbox(key, self._capacity, lossless=self._lossless)
         elif self._direct is not None:
             self._direct.close()
             self._direct = None

@@ -15,8 +15,8 @@ logger = logging.getLogger(__name__)
 
 LARGEST_LEAD_BYTES = 1 << 19
 """Half of what the queue to a peer holds: 16 batches of up to 64 KiB."""
-_OVERHEAD_BYTES = 100
-"""What else of a message is in the queue: key, attachment, headers."""
+OVERHEAD_BYTES = 100
+"""What else of each message is in the queue: key, attachment, headers."""
 _PATIENCE_S = 60.0
 
 
@@ -47,9 +47,9 @@ class FlowControl:
             self._change.notify_all()
 
     def send(self, size_bytes: int, mark: int = 0) -> None:
-        """A message is sent; recorders will tell of it by its `mark`, should it have one."""
+        """Messages are sent; recorders will tell of them by their `mark`, should they have one."""
         with self._change:
-            self._sent_bytes += size_bytes + _OVERHEAD_BYTES
+            self._sent_bytes += size_bytes
             if mark:
                 self._marks.append((mark, self._sent_bytes))
                 self._last_mark = mark

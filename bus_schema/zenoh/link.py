@@ -28,6 +28,7 @@ from bus_schema.zenoh.session import Delivery
 logger = logging.getLogger(__name__)
 
 _LARGEST_STATE_BACKLOG = 1000
+_COMMANDS = topics.JOINT_COMMANDS.name.encode()
 _GRACE_S = 1.0
 _GRACE_BESIDE_RECORDER_S = 3.0
 """A stranger beside a recorder may only be looking on, while our own controller still starts."""
@@ -52,7 +53,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         lockstep: bool,
         agreement: Agreement | None = None,
     ) -> None:
-        super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement, bundles=lockstep)
+        super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement, bundles=True)
         self._commander_was_seen = False
         self._states = self.advertise(topics.JOINT_STATES)
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
@@ -101,7 +102,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         """Remember its sender, and tell recorders, whoever that is and whatever becomes of it."""
         self._senders.note(arrival.sender)
         if self._bundler is not None:
-            self._bundler.add(topics.JOINT_COMMANDS.name, delivery.attachment, arrival.payload)
+            self._bundler.add(_COMMANDS, delivery.attachment, arrival.payload)
 
     def _may_have_unannounced_controller(self) -> bool:
         """A recorder subscribes to states too: beside one, a stranger has to be connected."""
@@ -157,7 +158,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
         self, link: LinkConfiguration, *, lossless: bool, agreement: Agreement | None = None
     ) -> None:
         super().__init__(
-            link, Role.CONTROLLER, lossless=lossless, agreement=agreement, bundles=lossless
+            link, Role.CONTROLLER, lossless=lossless, agreement=agreement, bundles=True
         )
         self._on_state: StateHandler | None = None
         for topic in (topics.CONTROL_STATUS, topics.RUN_EVENTS):
@@ -202,7 +203,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
 
     def _answer(self, delivery: Delivery) -> None:
         if self._on_state is not None:
-            self._on_state(delivery.payload, beside(delivery.attachment) or None)
+            self._on_state(delivery.payload, beside(delivery.attachment))
 
     def _knock(self) -> None:
         """Have whoever waits look up now and then."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Callable
 
 from bus_schema.errors import PeerSilentError, ScenarioMismatchError
@@ -12,7 +11,7 @@ from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import never
 from bus_schema.messages import topics
-from bus_schema.messages.topics import Rate, Role, Topic
+from bus_schema.messages.topics import Role, Topic
 from bus_schema.zenoh.access import (
     progress_key_expression,
     recorded_key_expression,
@@ -22,6 +21,7 @@ from bus_schema.zenoh.access import (
 from bus_schema.zenoh.bundles import BundleMailbox, Bundler
 from bus_schema.zenoh.diagnosis import SilenceWatch
 from bus_schema.zenoh.flow_control import FlowControl
+from bus_schema.zenoh.outbox import Outbox
 from bus_schema.zenoh.ros_graph import (
     Attachment,
     Entity,
@@ -33,12 +33,11 @@ from bus_schema.zenoh.ros_graph import (
     node_token,
 )
 from bus_schema.zenoh.senders import Senders
-from bus_schema.zenoh.session import Delivery, Inbox, Mailbox, ZenohPublisher, ZenohSession
+from bus_schema.zenoh.session import Delivery, Inbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
 LOOK_S = 0.005
 """Between two looks for a peer before a run: short, as each is waited for in every run."""
-_BATCH = 32
 _PATIENCE_S = 0.1
 """In virtual time a subscriber that reads slowly gets everything, and one that is frozen holds the
 loop up for so long, once. A loop in real time waits for nobody."""
@@ -85,15 +84,12 @@ class ZenohNode:
         self._role = role
         self._node = node_name(role)
         self._entities: dict[str, Entity] = {}
+        self._last_entity = 0
         self._offered: set[str] = set()  # topics of which others announced publishers, ever
         self._senders = Senders()
         self._acknowledged = threading.Event()
         self._flow = FlowControl() if lossless and role is not Role.RECORDER else None
         self._progress: ZenohPublisher | None = None
-        self._waiting: list[tuple[ZenohPublisher, bytes, bytes]] = []
-        self._waiting_lock = threading.Lock()
-        self._publishers: dict[str, tuple[ZenohPublisher, bytes]] = {}
-        self._sequences: defaultdict[str, int] = defaultdict(int)
         self._agreement = agreement
         self._differences: dict[str, list[str]] = {}
         # Before all other tokens: whoever sees this node knows which scenario it runs.
@@ -102,6 +98,7 @@ class ZenohNode:
             own = (role.value, self._session.identifier, agreement.encode())
             self._session.announce(scenario_key_expression(link.domain, *own))
         self._bundler = Bundler(self._session, link.domain, role) if bundles else None
+        self._outbox = Outbox(self._bundler, self._flow)
         if self._flow is not None:
             self._session.subscribe(progress_key_expression(link.domain), self._on_progress)
         self._session.watch_tokens(graph_key_expression(link.domain), self._on_token)
@@ -111,8 +108,8 @@ class ZenohNode:
 
         From then on it watches for the token by which a recorder reports that it has everything.
         """
-        if topics.RUN_EVENTS.name in self._publishers:
-            _, gid = self._publishers[topics.RUN_EVENTS.name]
+        gid = self._outbox.gid_of(topics.RUN_EVENTS)
+        if gid is not None:
             key = recorded_key_expression(self._domain, gid.hex())
             self._session.watch_tokens(key, lambda _token, _alive: self._acknowledged.set())
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
@@ -122,7 +119,7 @@ class ZenohNode:
         kept = topic.depth if topic.latched else 0
         publisher = self._session.publisher(topic.key_expression(self._domain), kept)
         token = self._token(EntityKind.PUBLISHER, topic)
-        self._publishers[topic.name] = (publisher, endpoint_gid(token))
+        self._outbox.add(topic, publisher, endpoint_gid(token))
         self._session.announce(token)
         return publisher
 
@@ -133,50 +130,22 @@ class ZenohNode:
         self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return inbox
 
-    def listen_to_all(self, capacity: int, *, lossless: bool) -> Mailbox | BundleMailbox:
+    def listen_to_all(self, capacity: int, *, lossless: bool) -> BundleMailbox:
         """Subscribe to everything in the domain, in one mailbox."""
-        mailbox = (
-            BundleMailbox(self._session, self._domain, capacity, self._speakers)
-            if lossless
-            else self._session.mailbox(f"{self._domain}/**", capacity, lossless=False)
+        mailbox = BundleMailbox(
+            self._session, self._domain, capacity, lossless=lossless, speakers=self._speakers
         )
         for topic in topics.TOPICS:
             self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return mailbox
 
     def publish(self, topic: Topic, payload: bytes, beside: bytes = b"") -> int:
-        """Send a message; its sequence number. What goes `beside` it follows the attachment.
-
-        What is not urgent waits for some more of its kind: each message that leaves alone costs its
-        receivers a wake-up, and on few cores these wake-ups get in the way of the loops.
-        """
-        publisher, gid = self._publishers[topic.name]
-        self._sequences[topic.name] = sequence = self._sequences[topic.name] + 1
-        attachment = Attachment(sequence, time.time_ns(), gid).encode()
-        if self._flow is not None:
-            self._flow.send(len(payload) + len(beside), sequence if topic.paces else 0)
-        if topic.urgent:
-            publisher.put(payload, attachment + beside)
-        if self._bundler is not None and topic is not topics.JOINT_COMMANDS:
-            self._bundler.add(topic.name, attachment, payload)
-        if topic.urgent:
-            return sequence
-        with self._waiting_lock:
-            self._waiting.append((publisher, payload, attachment))
-            is_full = len(self._waiting) >= _BATCH
-            if is_full or topic.rate is Rate.EVENT:
-                for waiting, its_payload, its_attachment in self._waiting:
-                    waiting.put(its_payload, its_attachment)
-                self._waiting.clear()
-                if self._bundler is not None:
-                    self._bundler.send()
-        if is_full and self._flow is not None:
-            self._flow.await_recorders()
-        return sequence
+        """Send a message; its sequence number. What goes `beside` it follows the attachment."""
+        return self._outbox.send(topic, payload, beside)
 
     def sends_on(self, topic: Topic) -> bool:
         """Whether this node has a publisher of a topic."""
-        return topic.name in self._publishers
+        return self._outbox.has(topic)
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether another session has announced that it sends on a topic."""
@@ -258,9 +227,9 @@ class ZenohNode:
         return {entity.session for entity in others if entity.topic in names}
 
     def _token(self, kind: EntityKind, topic: Topic) -> str:
-        self._sequences["entities"] = entity_id = self._sequences["entities"] + 1
+        self._last_entity += 1
         return endpoint_token(
-            self._domain, self._session.identifier, self._node, entity_id, kind, topic
+            self._domain, self._session.identifier, self._node, self._last_entity, kind, topic
         )
 
     def _on_scenario(self, token: str, alive: bool) -> None:
@@ -283,8 +252,7 @@ class ZenohNode:
 
     def _on_progress(self, delivery: Delivery) -> None:
         told = Attachment.decode(delivery.payload)
-        own = {gid for _, gid in list(self._publishers.values())}
-        if self._flow is not None and told is not None and told.gid in own:
+        if self._flow is not None and told is not None and told.gid in self._outbox.gids():
             recorder = delivery.attachment.decode(errors="replace")
             self._flow.acknowledge(recorder, told.sequence)
 

@@ -48,9 +48,11 @@ class Attachment(NamedTuple):
         return Attachment(sequence, source_time_ns, gid)
 
 
-def beside(data: bytes) -> bytes:
-    """What follows an attachment, with a joint state its plant status; empty if nothing does."""
-    return data[_ATTACHMENT.size :] if Attachment.decode(data) is not None else b""
+def beside(data: bytes) -> bytes | None:
+    """What follows an attachment, with a joint state its plant status; None if nothing does."""
+    if len(data) > _ATTACHMENT.size and Attachment.decode(data) is not None:
+        return data[_ATTACHMENT.size :]
+    return None
 
 
 class EntityKind(StrEnum):

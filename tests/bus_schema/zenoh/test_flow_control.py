@@ -98,7 +98,8 @@ def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
 
         sender = threading.Thread(target=send)
         sender.start()
-        _, gid = plant._publishers[PLANT_TRUTH.name]
+        gid = plant._outbox.gid_of(PLANT_TRUTH)
+        assert gid is not None
         for number in range(1, batches + 1):
             for _ in range(batch):
                 await_true(lambda: mailbox.take() is not None)

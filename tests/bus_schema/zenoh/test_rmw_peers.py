@@ -16,13 +16,16 @@ from rosbags.typesys import Stores, get_typestore
 
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import (
     JOINT_COMMANDS,
     JOINT_STATES,
     PLANT_TRUTH,
     ROBOT_DESCRIPTION,
+    RUN_EVENTS,
     TF,
     TF_STATIC,
+    Role,
     layout,
 )
 from bus_schema.messages.types import STRING, TF_MESSAGE
@@ -97,6 +100,8 @@ def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
     for _ in range(640):
         plant.send_state(state(0), status())
         plant.publish(PLANT_TRUTH, layout(PLANT_TRUTH, JOINTS).template)
+    # As at the end of a run, an event takes along what waits for more of its kind.
+    plant.publish(RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
     await_true(lambda: len(numbers[PLANT_TRUTH.name]) == 640)
     heard = numbers[JOINT_STATES.name]
     await_true(lambda: heard[-1] - heard[0] >= 640)

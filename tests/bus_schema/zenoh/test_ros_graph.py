@@ -60,8 +60,8 @@ def test_what_follows_an_attachment_is_no_part_of_it() -> None:
     attachment = Attachment(1, 2, GID)
     assert Attachment.decode(attachment.encode() + b"more") == attachment
     assert beside(attachment.encode() + b"more") == b"more"
-    assert beside(attachment.encode()) == b""
-    assert beside(b'{"from": "somebody who attaches a text of their own"}') == b""
+    assert beside(attachment.encode()) is None
+    assert beside(b'{"from": "somebody who attaches a text of their own"}') is None
 
 
 @pytest.mark.parametrize(

@@ -192,10 +192,12 @@ def test_recorder_says_nothing_but_how_far_it_has_come_and_that_it_has_everythin
         recorder = ZenohNode(link, Role.RECORDER, lossless=True)
         recorder.announce()
         plant.await_recorder(HANG_S)
-        flow, (_, gid) = plant._flow, plant._publishers[topics.PLANT_TRUTH.name]
+        flow, gid = plant._flow, plant._outbox.gid_of(topics.PLANT_TRUTH)
         assert flow is not None
+        assert gid is not None
         await_true(lambda: recorder.tell_progress(gid, 5) or 5 in flow._recorders.values())
-        _, gid = plant._publishers[topics.RUN_EVENTS.name]
+        gid = plant._outbox.gid_of(topics.RUN_EVENTS)
+        assert gid is not None
         recorder.acknowledge(gid)
         plant.await_recorded()
         assert plant._acknowledged.is_set()
