@@ -35,23 +35,28 @@ class Instruments:
         # A third of what NumPy's copies would take, at every tick.
         self._take_motion = copying(arm.measured, self._state.rows("position", "velocity"))
         self._take_effort = copying(arm.torques.actuator, self._state.fields["effort"])
+        self._payload = b""
 
-    def measure(self, stamp_ns: int, command_age_ns: int) -> Measurement:
-        """Measure the joints.
-
-        Args:
-            stamp_ns: now.
-            command_age_ns: age of the state that the command in force answers; -1 without one.
-        """
-        state, status, commands = self._state, self._status, self._commands
-        state.stamp_ns = stamp_ns
-        status.stamp[:] = state.stamp
+    def read(self, stamp_ns: int) -> None:
+        """Read encoders and torque sensors, as they are at an instant."""
+        self._state.stamp_ns = stamp_ns
         self._arm.read_encoders(stamp_ns)
         self._take_motion()
         self._take_effort()
+        self._payload = self._state.payload()
+
+    def measure(self, stamp_ns: int, command_age_ns: int) -> Measurement:
+        """What was read last, with what is in force now.
+
+        Args:
+            stamp_ns: instant that was read for.
+            command_age_ns: age of the state that the command in force answers; -1 without one.
+        """
+        status, commands = self._status, self._commands
+        status.stamp[:] = self._state.stamp
         scalars = status.scalars  # the run starts at 0 on its own clock
         scalars.mode = self._arm.mode
         scalars.command_sequence = commands.sequence
         scalars.command_age_ns = command_age_ns
         scalars.command_delay_ns = commands.delay_ns
-        return Measurement(stamp_ns, state.payload(), status.payload())
+        return Measurement(stamp_ns, self._payload, status.payload())

@@ -123,7 +123,9 @@ class PlantLoop:
 
     def _run_ticks(self) -> None:
         self._telemetry.begin_cycle(0)
+        self._react()
         self._note_truth(was_skipped=False)
+        self._instruments.read(0)
         self._measure()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
@@ -144,16 +146,18 @@ class PlantLoop:
             self._exchange_until(self._grid.tick_ns(self.tick + 1))
             first = self.tick * self._grid.substeps
             self._advance(first, first + self._grid.substeps)
+            self._instruments.read(self._grid.tick_ns(self.tick + 1))
         else:
             self._keep_pace(self._next_tick())
         self._telemetry.begin_cycle(self._lateness_ns)
-        self._complete_tick(was_skipped=False)
+        self._reach_next_tick()
         if self.tick < self._end_tick:
             self._measure()
+        self._note_truth(was_skipped=False)
         self._telemetry.end_cycle()
 
     def _keep_pace(self, tick: int) -> None:
-        """Reach a tick in real time, with nothing left to do there but to measure."""
+        """Reach a tick in real time, with nothing left to do there but to tell."""
         before = (tick - 1) * self._grid.substeps
         for stage in self._stages:
             # What acts in a substep is known when it begins: the physics need not wait any longer.
@@ -161,7 +165,11 @@ class PlantLoop:
             self._exchange_until(self._grid.substep_ns(end - 1))
             self._skip_to(tick - 1)
             self._advance(before + stage.start, end)
-        self._exchange_until(self._grid.tick_ns(tick))
+        tick_ns = self._grid.tick_ns(tick)
+        if self._clock.awake_ns:
+            self._exchange_until(tick_ns - self._clock.awake_ns)
+        self._instruments.read(tick_ns)  # the physics are through with what comes before the tick
+        self._exchange_until(tick_ns)
 
     def _next_tick(self) -> int:
         """The next tick of the grid, or the one that the clock has reached if that is later."""
@@ -176,16 +184,16 @@ class PlantLoop:
     def _exchange_until(self, until_ns: int) -> None:
         """Deliver the states that fall due, and take in the commands that arrive, until then."""
         while self._uplink.next_due_ns < until_ns:
-            due_ns, measurement = self._uplink.receive()
-            self._link.wait_until(self._clock, due_ns)
-            self._deliver(measurement)
+            self._deliver_next()
         self._telemetry.send(self._link)
         self._lateness_ns = self._link.wait_until(self._clock, until_ns)
         self._collect_commands()
         if self._arm.mode in COMMANDABLE and (reason := self._link.fault()) is not None:
             self._begin_stop(reason)
 
-    def _deliver(self, measurement: Measurement) -> None:
+    def _deliver_next(self) -> None:
+        due_ns, measurement = self._uplink.receive()
+        self._link.wait_until(self._clock, due_ns)
         self._newest_state_ns = max(self._newest_state_ns, measurement.stamp_ns)
         self._telemetry.note_delivered(self._clock.now_ns() - measurement.stamp_ns)
         self._link.send_state(measurement.state, measurement.status)
@@ -242,7 +250,8 @@ class PlantLoop:
         while self.tick < tick:
             first = self.tick * self._grid.substeps
             self._advance(first, first + self._grid.substeps)
-            self._complete_tick(was_skipped=True)
+            self._reach_next_tick()
+            self._note_truth(was_skipped=True)
 
     def _advance(self, first: int, end: int) -> None:
         """Let the physics go through substeps of this tick, by their numbers in the run."""
@@ -263,12 +272,18 @@ class PlantLoop:
             first = following
         self._telemetry.note_physics(time.perf_counter_ns() - started_ns)
 
-    def _complete_tick(self, *, was_skipped: bool) -> None:
+    def _reach_next_tick(self) -> None:
         self.tick += 1
         self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
         if self._commands.downlink.next_due_ns <= now_ns:
             self._commands.put_into_force(now_ns)
-        self._note_truth(was_skipped=was_skipped)
+        self._react()
+
+    def _react(self) -> None:
+        """Stop where a limit asks for it, and see how old the command in force is."""
+        if self._arm.torques.limit_hits:
+            self._handle_limit_hits()
+        self._command_age_ns = self._commands.age_ns(self._tick_ns)
 
     def _handle_limit_hits(self) -> None:
         """Count the limits that were hit during a tick, and stop where that is asked for."""
@@ -292,15 +307,15 @@ class PlantLoop:
         self._end_tick = min(self._end_tick, self.tick + 1 + stop_ticks)
 
     def _measure(self) -> None:
-        """Measure the joints and send the state on its way."""
+        """Send the state that was read on its way; in real time somebody waits for it."""
         measurement = self._instruments.measure(self._tick_ns, self._command_age_ns)
         size_bytes = len(measurement.state) + len(measurement.status)
         self._uplink.send(measurement, self._tick_ns, size_bytes)
+        if not self._task.lockstep:
+            while self._uplink.next_due_ns <= self._tick_ns:
+                self._deliver_next()
 
     def _note_truth(self, *, was_skipped: bool) -> None:
-        if self._arm.torques.limit_hits:
-            self._handle_limit_hits()
-        self._command_age_ns = self._commands.age_ns(self._tick_ns)
         self._telemetry.note_truth(
             self._tick_ns, self.tick, self._commands.sequence, self._command_age_ns,
             was_skipped=was_skipped,

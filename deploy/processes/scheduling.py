@@ -22,14 +22,18 @@ _BEHIND_OTHERS = 49
 """Priority of a loop without a CPU of its own: loops of other runs that have one go first."""
 
 
-def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> None:
-    """Have a loop scheduled as its clock wants it, and report that; before other threads exist."""
+def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> bool:
+    """Have a loop scheduled as its clock wants it, and report that; before other threads exist.
+
+    Returns:
+        whether it has a CPU that no other real-time loop runs on.
+    """
     if setup.scenario.clock != "realtime":
         use_batch_scheduling()
         # Each waits for the other at every tick; to wake up a CPU would be half of that. It is no
         # matter of deadlines: where it is refused, the run takes longer.
         sleep_lightly()
-        return
+        return False
     candidates = _cpus_for(setup, role)
     cpu = claim_cpu(candidates)
     if cpu is None and candidates:
@@ -37,6 +41,7 @@ def set_up_scheduling(setup: Setup, reporter: StatusReporter, role: Role) -> Non
     else:
         settings = go_realtime(cpu=cpu)
     report_settings(settings, reporter)
+    return cpu is not None
 
 
 def leave_loops_their_cpus() -> None:

@@ -25,6 +25,7 @@ class Station:
         )
         self.to_come = []
         self.delivered = []
+        self.messages = []
 
     def expect(self, stamp_ns, arrival_ns):
         """A command answering the state of `stamp_ns` will arrive; torques tell which one it is."""
@@ -45,6 +46,7 @@ class Station:
         record = Record(self._layout)
         self._layout.decode(state, record)
         self.delivered.append((self._clock.now_ns(), record.stamp_ns))
+        self.messages.append((state, status))
 
     def wait_until(self, clock, instant_ns):
         return clock.wait_until(instant_ns)
@@ -76,9 +78,10 @@ def run():
     """Runs a plant for 20 ms; the station, and (start of a substep, torque of joint 1) of each."""
     arms = []
 
-    def start(*overrides, expected=()):
+    def start(*overrides, expected=(), awake_ns=0):
         setup = load_setup("paper_arm", ["duration_s=0.02", *overrides])
         clock, arm = VirtualClock(), setup.arm()
+        clock.awake_ns = awake_ns
         arms.append(arm)
         station = Station(setup.robot.joint_names, clock)
         for stamp_ns, arrival_ns in expected:
@@ -117,6 +120,19 @@ def test_states_that_overtake_each_other_are_delivered_each_at_its_time(run):
     stamps = [stamp_ns for _, stamp_ns in station.delivered]
     assert stamps != sorted(stamps)
     assert [now_ns for now_ns, _ in station.delivered] == sorted(t for t, _ in station.delivered)
+
+
+@pytest.mark.parametrize("uplink_ms", [0, 2.97])
+def test_waiting_awake_for_a_tick_changes_nothing(run, uplink_ms):
+    """Nor do commands that arrive meanwhile come any later; the state tells which is in force."""
+    first_ns = round(uplink_ms * MS) + 40_000
+    expected = [(k * MS, k * MS + first_ns + k * 61_000) for k in range(1, 15)]
+    asleep, steps_asleep = run(f"link.uplink.delay_ms={uplink_ms}", expected=expected)
+    awake, steps = run(f"link.uplink.delay_ms={uplink_ms}", expected=expected, awake_ns=60_000)
+    assert steps == steps_asleep
+    assert len({torque for _, torque in steps}) > 10
+    assert awake.delivered == asleep.delivered
+    assert awake.messages == asleep.messages
 
 
 def first_under(steps, torque_nm):

@@ -57,6 +57,19 @@ def test_tick_at_or_before_is_the_last_tick_that_has_begun(rate_hz, instant_ns):
     assert grid.tick_ns(tick) <= instant_ns < grid.tick_ns(tick + 1)
 
 
+def test_what_is_near_is_waited_for_awake_and_what_is_not_asleep(monkeypatch):
+    clock, slept_s = MonotonicClock(awake_ns=2_000_000_000), []
+    sleep = time.sleep
+    monkeypatch.setattr(time, "sleep", lambda span_s: (slept_s.append(span_s), sleep(span_s)))
+    near_ns = clock.now_ns() + 1_000_000
+    assert clock.wait_until(near_ns) >= 0
+    assert clock.now_ns() >= near_ns
+    assert slept_s == []
+    clock.awake_ns = 0
+    assert clock.wait_until(clock.now_ns() + 50_000_000) >= 0
+    assert sum(slept_s) > 0.0
+
+
 def test_virtual_clock_moves_only_when_waited_for_and_never_back():
     clock = VirtualClock()
     assert clock.now_ns() == 0
