@@ -78,7 +78,7 @@ def _stretch(
     position, velocity, acceleration = motion[0], motion[1], motion[2]
     in_force, upcoming, newest, delay_ns = flight
     joints, slots, lag_s = position.size, commands.stamps_ns.size, belief.lag_s[0]
-    total, before = np.empty(joints), velocity.copy()
+    asked, total, before = np.empty(joints), np.empty(joints), velocity.copy()
     now_ns = from_ns
     while now_ns < until_ns:
         end_ns = min(now_ns + _STEP_NS, until_ns)
@@ -90,34 +90,53 @@ def _stretch(
             in_force, upcoming = upcoming, upcoming + 1
         slot, step_s = in_force % slots, (end_ns - now_ns) * 1e-9
         age_s = (now_ns - commands.stamps_ns[slot]) * 1e-9
+        _ask(commands, slot, age_s, drive, limits, position, velocity, asked)
         left = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
         mean_left = (1.0 - left) * lag_s / step_s
         for i in range(joints):
-            asked = commands.torques_nm[slot, i]
-            if drive.is_active:
-                asked += drive_torque(
-                    commands.targets[slot, 0, i] + age_s * commands.targets[slot, 1, i],
-                    commands.targets[slot, 1, i], position[i], velocity[i], drive, i,
-                )  # fmt: skip
-                asked = min(max(asked, -limits[i]), limits[i])
-            impulse[i] += step_s * asked
-            behind = actuator[i] - asked
-            actuator[i] = asked + left * behind
+            impulse[i] += step_s * asked[i]
+            behind = actuator[i] - asked[i]
+            actuator[i] = asked[i] + left * behind
             friction = belief.coulomb_nm[i] * math.tanh(velocity[i] / SMOOTHING_RAD_S)
             friction += belief.viscous_nm_s[i] * velocity[i]
-            delivered = asked + mean_left * behind
+            delivered = asked[i] + mean_left * behind
             total[i] = delivered + belief.disturbance_nm[i] - friction - load[i]
-        for i in range(joints):
-            flatness = 1.0 / math.cosh(min(abs(velocity[i] / SMOOTHING_RAD_S), 300.0))
-            damping = belief.coulomb_nm[i] / SMOOTHING_RAD_S * flatness * flatness
-            damping += belief.viscous_nm_s[i]
-            pull = 0.0
-            for j in range(joints):
-                pull += inverse_mass[i, j] * total[j]
-            change = step_s * pull / (1.0 + step_s * inverse_mass[i, i] * damping)
-            position[i] += step_s * (velocity[i] + 0.5 * change)
-            velocity[i] += change
+        _push(inverse_mass, total, belief, step_s, position, velocity)
         now_ns = end_ns
     for i in range(joints):
         acceleration[i] = (velocity[i] - before[i]) / ((until_ns - from_ns) * 1e-9)
     return in_force, upcoming
+
+
+@compiled
+def _ask(
+    commands: Commands, slot: int, age_s: float, drive: DriveGains, limits: Vector,
+    position: Vector, velocity: Vector, asked: Vector,
+) -> None:  # fmt: skip
+    """What a command of this age and the drives' own loops ask of the actuators, N m."""
+    for i in range(asked.size):
+        asked[i] = commands.torques_nm[slot, i]
+        if drive.is_active:
+            asked[i] += drive_torque(
+                commands.targets[slot, 0, i] + age_s * commands.targets[slot, 1, i],
+                commands.targets[slot, 1, i], position[i], velocity[i], drive, i,
+            )  # fmt: skip
+            asked[i] = min(max(asked[i], -limits[i]), limits[i])
+
+
+@compiled
+def _push(
+    inverse_mass: Matrix, total: Vector, belief: ArmBelief, step_s: float,
+    position: Vector, velocity: Vector,
+) -> None:  # fmt: skip
+    """Move on by one step under these torques, implicitly in what friction damps."""
+    for i in range(total.size):
+        flatness = 1.0 / math.cosh(min(abs(velocity[i] / SMOOTHING_RAD_S), 300.0))
+        damping = belief.coulomb_nm[i] / SMOOTHING_RAD_S * flatness * flatness
+        damping += belief.viscous_nm_s[i]
+        pull = 0.0
+        for j in range(total.size):
+            pull += inverse_mass[i, j] * total[j]
+        change = step_s * pull / (1.0 + step_s * inverse_mass[i, i] * damping)
+        position[i] += step_s * (velocity[i] + 0.5 * change)
+        velocity[i] += change
