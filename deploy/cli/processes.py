@@ -16,13 +16,13 @@ from deploy.exit_codes import FINISHED
 from deploy.processes.launcher import RunOutcome
 from deploy.processes.network.links import check_link, require_keys, require_own_controller
 from deploy.processes.network.real_delay import LONGEST_MS, RELAY
+from deploy.processes.network.relay_process import run_relay
 from deploy.processes.parent import end_with_parent
 from deploy.processes.processes import (
     StopRequest,
     run_controller,
     run_plant,
     run_recorder,
-    run_relay,
 )
 from deploy.processes.status import StatusReporter
 from deploy.runs.run_folder import RunFolder

@@ -1,10 +1,9 @@
-"""Controller, plant, recorder and relay as processes: signals, progress, end."""
+"""Controller, plant and recorder as processes: signals, progress, end."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,7 +17,7 @@ from bus_schema.errors import BusError, ScenarioMismatchError
 from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import MonotonicClock, VirtualClock
-from bus_schema.runtime.realtime import go_realtime, raise_priority, use_batch_scheduling
+from bus_schema.runtime.realtime import raise_priority, use_batch_scheduling
 from controller.control_law import LOWER, UPPER
 from controller.control_loop import ControlLoop, reason_of
 from controller.errors import ControllerError
@@ -26,7 +25,6 @@ from deploy.exit_codes import BAD_INPUT, FAULT, FINISHED, INTERRUPTED
 from deploy.link_kinds.kind import LinkRun
 from deploy.processes.live.feed import LiveFeed
 from deploy.processes.network.clock_link import ClockLink
-from deploy.processes.network.delay_relay import DelayRelay
 from deploy.processes.network.reference_link import ReferenceLink
 from deploy.processes.recorder import SCENARIO_ATTACHMENT, Recorder
 from deploy.processes.scheduling import (
@@ -40,6 +38,7 @@ from deploy.scenario.setup import Setup
 from deploy.stop_signals import ignore_stops, on_stop
 from plant_emulator.faults.process_faults import process_actions
 from plant_emulator.plant_loop import PlantLoop
+from plant_emulator.plant_task import PlantOutcome
 
 logger = logging.getLogger(__name__)
 
@@ -75,11 +74,7 @@ def run_plant(
     try:
         run = _between_processes(setup, can_log)
         link = setup.link_kind.open_plant(run, arm, clock)
-        if setup.scenario.link.publish_reference:
-            joint_names = setup.robot.joint_names
-            link = cast("PlantLink", ReferenceLink(link, setup.reference, joint_names))
-        if setup.scenario.link.publish_clock:
-            link = cast("PlantLink", ClockLink(link))
+        link = _telling_more(setup, link)
         request = partial(reporter.request, await_execution=lockstep)
         actions = process_actions(setup.scenario.faults, request)
         task = setup.plant_task(lockstep=lockstep, process_actions=actions)
@@ -95,11 +90,7 @@ def run_plant(
         link.await_recorded()
         if outcome.faults:  # of a controller that left at once, it shows late why
             link.require_same_scenario(Role.CONTROLLER)
-        for fault in outcome.faults:
-            reporter.report("fault", text=fault)
-        reporter.report(
-            "result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s
-        )
+        _report_outcome(outcome, reporter)
         if outcome.faults:
             return FAULT
         return INTERRUPTED if stop.is_set else FINISHED
@@ -111,6 +102,24 @@ def run_plant(
         if link is not None:
             link.close()
         arm.close()
+
+
+def _telling_more(setup: Setup, link: PlantLink) -> PlantLink:
+    """The plant's link with what the scenario wants told beside every state."""
+    if setup.scenario.link.publish_reference:
+        joint_names = setup.robot.joint_names
+        link = cast("PlantLink", ReferenceLink(link, setup.reference, joint_names))
+    if setup.scenario.link.publish_clock:
+        link = cast("PlantLink", ClockLink(link))
+    return link
+
+
+def _report_outcome(outcome: PlantOutcome, reporter: StatusReporter) -> None:
+    for fault in outcome.faults:
+        reporter.report("fault", text=fault)
+    reporter.report(
+        "result", completed=outcome.completed, ticks=outcome.ticks, wall_s=outcome.wall_s
+    )
 
 
 def run_controller(setup: Setup, reporter: StatusReporter, *, await_recorder: bool) -> int:
@@ -227,36 +236,6 @@ def _live_feed(setup: Setup, recording: Path) -> LiveFeed | None:
     except OSError as error:
         logger.warning("there will be no live view: %s", error)
         return None
-
-
-def run_relay(
-    listen: tuple[str, int], target: tuple[str, int], delay_ms: float, reporter: StatusReporter
-) -> int:
-    """Be the relay between two TCP peers until asked to stop; the exit code.
-
-    Args:
-        listen: host and port where connections come in.
-        target: host and port that they are passed on to.
-        delay_ms: how long bytes are held back, each way.
-        reporter: where to report how late they left.
-    """
-    stop = StopRequest()
-    report_settings(go_realtime(), reporter)
-    family = socket.AF_INET6 if ":" in listen[0] else socket.AF_INET
-    try:
-        listener = socket.create_server(listen, family=family)
-    except OSError as error:
-        reporter.report("fault", text=f"cannot listen at {listen[0]}:{listen[1]}: {error}")
-        return FAULT
-    with listener:
-        relay = DelayRelay(listener, target, round(delay_ms * 1e6))
-        reporter.report(
-            "note", text=f"holds back by {delay_ms:g} ms each way at {listen[0]}:{listen[1]}"
-        )
-        relay.run(lambda: stop.is_set)
-    ignore_stops()
-    reporter.report("result", chunks=relay.chunks, lateness_us=relay.lateness_us())
-    return FINISHED
 
 
 def _between_processes(setup: Setup, can_log: Path | None = None) -> LinkRun:

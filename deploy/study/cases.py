@@ -111,45 +111,42 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
         ScenarioError: the scenario refuses one.
         ConfigurationError: so does what stands in the definition.
     """
-    own = {**own, LAW: "as laws (--laws)", SEED: "as seeds (--seeds)"}
-    if wanted.compensation is not None:
-        own[COMPENSATION] = "as compensation (--compensation)"
-    if wanted.drive_feedback is not None:
-        own[DRIVE_FEEDBACK] = "as drive_feedback (--drive-feedback)"
-    require_effect(wanted.fixed, own)
-    fixed = wanted.fixed_overrides
-    if wanted.duration_s is not None:
-        if "duration_s" in wanted.fixed:
-            allowed = "must be given once, under duration_s (--duration) or under set (--set)"
-            raise ConfigurationError("duration_s", wanted.duration_s, allowed)
-        fixed = (*fixed, override("duration_s", wanted.duration_s))
+    fixed = _fixed(wanted, own)
     unasked: Sequence[bool | None] = [None]
     chosen = itertools.product(
         [(scenario, law) for scenario in wanted.scenarios for law in _laws(wanted, scenario)],
         wanted.compensation or unasked, wanted.drive_feedback or unasked, wanted.running,
     )  # fmt: skip
     for (scenario, law), compensation, drive_feedback, running in chosen:
-        overrides = (*fixed, override(LAW, law))
-        if compensation is not None:
-            overrides = (*overrides, override(COMPENSATION, compensation))
-        if drive_feedback is not None:
-            overrides = (*overrides, override(DRIVE_FEEDBACK, drive_feedback))
+        asked = {LAW: law, COMPENSATION: compensation, DRIVE_FEEDBACK: drive_feedback}
+        given = (override(key, value) for key, value in asked.items() if value is not None)
+        overrides = (*fixed, *given)
         base = load_setup(scenario, overrides)
         quantity = build_quantity(wanted.quantity, wanted.direction, running, base)
         if not quantity.starts_from_own:
             require_effect(
                 wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
             )
+        name = base.scenario.controller.name
         yield Setting(
-            scenario,
-            base,
-            base.scenario.controller.name,
-            compensation,
-            drive_feedback,
-            running,
-            overrides,
-            quantity,
+            scenario, base, name, compensation, drive_feedback, running, overrides, quantity
         )
+
+
+def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
+    """What is set in all scenarios; errors as `settings`."""
+    own = {**own, LAW: "as laws (--laws)", SEED: "as seeds (--seeds)"}
+    if wanted.compensation is not None:
+        own[COMPENSATION] = "as compensation (--compensation)"
+    if wanted.drive_feedback is not None:
+        own[DRIVE_FEEDBACK] = "as drive_feedback (--drive-feedback)"
+    require_effect(wanted.fixed, own)
+    if wanted.duration_s is None:
+        return wanted.fixed_overrides
+    if "duration_s" in wanted.fixed:
+        allowed = "must be given once, under duration_s (--duration) or under set (--set)"
+        raise ConfigurationError("duration_s", wanted.duration_s, allowed)
+    return (*wanted.fixed_overrides, override("duration_s", wanted.duration_s))
 
 
 def _laws(wanted: CasesDefinition, scenario: str) -> list[str]:
