@@ -88,8 +88,9 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
 
 def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
     """What missing ticks mean for numbers that rest on neighbouring ones."""
-    tracking, left_out_s = summary["tracking"], summary["torque"]["left_out_s"]
-    pairs = zip(tracking["joint_names"], tracking["settling_is_latest"], strict=True)
+    recording = summary["recording"]
+    left_out_s = recording["torque_left_out_s"]
+    pairs = zip(summary["tracking"]["joint_names"], recording["settling_is_latest"], strict=True)
     names = ", ".join(name for name, is_latest in pairs if is_latest)
     found = []
     if names:

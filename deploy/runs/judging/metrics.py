@@ -15,7 +15,7 @@ from bus_schema.percentiles import PERCENTILES, percentiles
 from deploy.runs.judging.bounds import judge_bounds
 from deploy.runs.judging.chattering import chatter_shares
 from deploy.runs.judging.identified import identified
-from deploy.runs.judging.known_ticks import KnownTicks, known_ticks, rows_after_gaps
+from deploy.runs.judging.known_ticks import KnownTicks, Rows, known_ticks, rows_after_gaps
 from deploy.runs.judging.longest_run import longest_run
 from deploy.runs.judging.settling_bound import settling_bound_s
 from deploy.runs.judging.stalls import longest_stall_ms
@@ -40,7 +40,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
     """
     setup = run.setup
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
-    known = known_ticks(run)
+    known, tracking = known_ticks(run), _tracking(run)
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
     return {
@@ -55,7 +55,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
         "unrecorded_faults": list(more_faults),  # to judge the recording again by
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
         "bounds": judge_bounds(run),
-        "tracking": _tracking(run),
+        "tracking": tracking,
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
         "transport": _transport(run),
@@ -72,6 +72,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
             "notes": run.notes,
             "ticks_known": known.known,
             "gaps_s": known.gaps_s[:_MOST_GAPS],
+            **_over_gaps(run, tracking["settling_time_s"]),
         },
         "commander": _commander(run),
         "digest": run.digest,
@@ -81,14 +82,11 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
 def _tracking(run: RunData) -> dict[str, Any]:
     errors, times_s = run.true_errors_rad, run.times_s(topics.PLANT_TRUTH)
     judged = errors[times_s >= run.setup.scenario.metrics.from_s]
-    settled = settling_times_s(errors, times_s, run.setup.funnel.final_rad)
-    after_gaps = set(times_s[rows_after_gaps(run, times_s)].tolist())
     return {
         "joint_names": list(run.setup.robot.joint_names),
         "rms_rad": np.sqrt((judged**2).mean(axis=0)).tolist() if len(judged) else None,
         "max_abs_rad": np.abs(judged).max(axis=0).tolist() if len(judged) else None,
-        "settling_time_s": settled,
-        "settling_is_latest": [time_s in after_gaps for time_s in settled],
+        "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
         "settling_bound_s": settling_bound_s(run.setup),
     }
 
@@ -107,15 +105,14 @@ def _torque(run: RunData) -> dict[str, Any]:
     commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
     effort = commands["effort"]
-    times_s = stamps_s(commands)
-    after_gaps = rows_after_gaps(run, times_s)
+    times_s, after_gaps = _command_times(run)
     follows = ~np.isin(np.arange(1, len(times_s)), after_gaps)
-    left_out_s = float(np.abs(np.diff(times_s))[~follows].sum())
+    left_out_s = np.abs(np.diff(times_s))[~follows].sum()
     duration_s = np.ptp(times_s) - left_out_s if follows.any() else 0.0  # answers may be unordered
     if not duration_s > 0.0:
         return dict.fromkeys(
             ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm",
-             "saturated_fraction", "left_out_s")
+             "saturated_fraction")
         )  # fmt: skip
     variation = np.abs(np.diff(effort, axis=0))[follows].sum(axis=0) / duration_s
     return {
@@ -124,7 +121,24 @@ def _torque(run: RunData) -> dict[str, Any]:
         "rms_nm": np.sqrt((effort**2).mean(axis=0)).tolist(),
         "peak_nm": np.abs(effort).max(axis=0).tolist(),
         "saturated_fraction": float(truth["saturated"].mean()) if len(truth) else None,
-        "left_out_s": left_out_s,
+    }
+
+
+def _command_times(run: RunData) -> tuple[Vector, Rows]:
+    """When the states were measured that commands answer, s, and which stand behind a gap."""
+    times_s = run.times_s(topics.JOINT_COMMANDS)
+    return times_s, rows_after_gaps(run, times_s)
+
+
+def _over_gaps(run: RunData, settled_s: Sequence[float | None]) -> dict[str, Any]:
+    """What missing ticks cost: time without torques, and whether settling times are the latest."""
+    command_times_s, after_gaps = _command_times(run)
+    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
+    return {
+        "torque_left_out_s": float(steps_s[after_gaps].sum()),
+        "settling_is_latest": [time_s in behind_gaps_s for time_s in settled_s],
     }
 
 

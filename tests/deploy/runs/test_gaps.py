@@ -51,10 +51,10 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     summary = summarise(run)
     torque, tracking = summary["torque"], summary["tracking"]
     assert torque["total_variation_nm_per_s"] == pytest.approx([1000.0] * 3)
-    assert torque["left_out_s"] == pytest.approx(0.006)
+    assert summary["recording"]["torque_left_out_s"] == pytest.approx(0.006)
     assert summary["timing"]["deadline_miss_longest_run"] == 3
     assert tracking["settling_time_s"] == pytest.approx([0.010] * 3)
-    assert tracking["settling_is_latest"] == [True] * 3
+    assert summary["recording"]["settling_is_latest"] == [True] * 3
     assert tracking["rms_rad"] == pytest.approx([np.sqrt(5 / 8) * 0.1] * 3)
     said = " ".join(verdict_on_run(run, summary).reasons)
     assert "known at 7 of 12 ticks" in said
@@ -67,9 +67,9 @@ def test_nothing_is_left_out_where_nothing_is_missing() -> None:
     errors_rad = np.where(ticks < 5, 0.1, 0.0)
     run = run_of(ticks, errors_rad, 1.0 * ticks, ticks < 99)
     summary = summarise(run)
-    assert summary["torque"]["left_out_s"] == 0.0
+    assert summary["recording"]["torque_left_out_s"] == 0.0
     assert summary["torque"]["total_variation_nm_per_s"] == pytest.approx([1000.0] * 3)
-    assert summary["tracking"]["settling_is_latest"] == [False] * 3
+    assert summary["recording"]["settling_is_latest"] == [False] * 3
     assert "latest" not in " ".join(verdict_on_run(run, summary).reasons)
 
 
