@@ -53,7 +53,6 @@ class McapLog:
             so that a kill costs no more than that.
 
     Attributes:
-        written: messages that are in the recording, or in the chunk that is still open, by topic.
         lost: messages that could not be written, by topic.
         failure: what ended the recording before its time, if anything did.
 
@@ -72,10 +71,14 @@ class McapLog:
         self._writer = QuickWriter(cast("IO[bytes]", self._file), chunk_size)
         self._writer.start(profile="ros2", library="funnel-hil")
         self._channels: dict[str, int] = {}
-        self._in_open_chunk: Counter[str] = Counter()
-        self.written: Counter[str] = Counter()
+        self._in_file: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
         self.failure: OSError | None = None
+
+    @property
+    def written(self) -> Counter[str]:
+        """Messages that are in the recording, or in the chunk that is still open, by topic."""
+        return self._in_file if self.failure is not None else self._in_file + self._in_open_chunk()
 
     @property
     def messages(self) -> int:
@@ -95,18 +98,15 @@ class McapLog:
                 becomes the publish time.
             payload: its CDR bytes.
         """
-        name, writer = topic.name, self._writer
+        name = topic.name
         if name not in self._channels and self.failure is None:
             self._attempt(lambda: self._register(topic), closes_chunk=True)
         if self.failure is not None:
             self.lost[name] += 1
             return
-        number = sequence & 0xFFFFFFFF
-        writer.add_message(self._channels[name], stamp_ns, payload, source_time_ns, number)
-        self.written[name] += 1
-        self._in_open_chunk[name] += 1
-        if writer.is_full:
-            self._attempt(writer.flush, closes_chunk=True)
+        channel, number = self._channels[name], sequence & 0xFFFFFFFF
+        if self._writer.add_message(channel, stamp_ns, payload, source_time_ns, number):
+            self._attempt(self._writer.flush, closes_chunk=True)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file."""
@@ -133,18 +133,23 @@ class McapLog:
 
     def _attempt(self, action: Callable[[], None], *, closes_chunk: bool = False) -> None:
         """Write to the disk, which takes all of a chunk or nothing; its failure is noted."""
-        before, failure = self._file.size, None
+        before, in_chunk, failure = self._file.size, self._in_open_chunk(), None
         try:
             action()
         except OSError as error:
             failure = error
         if closes_chunk and self._file.size != before:
-            self._in_open_chunk.clear()
+            self._in_file = self._in_file + in_chunk  # not in place: other threads may read it
+            in_chunk.clear()
         if failure is not None and self.failure is None:
             self.failure = failure
-            self.lost.update(self._in_open_chunk)
-            self.written -= self._in_open_chunk
+            self.lost += in_chunk
             logger.error("%s: %s: the recording ends here", self._path, failure.strerror)
+
+    def _in_open_chunk(self) -> Counter[str]:
+        """Messages that wait for the end of their chunk, by topic."""
+        channels = list(self._channels.items())
+        return Counter({topic: self._writer.waiting(channel) for topic, channel in channels})
 
     def _register(self, topic: Topic) -> None:
         schema = self._writer.register_schema(

@@ -8,6 +8,7 @@ to mcap.
 from __future__ import annotations
 
 import struct
+from collections import defaultdict
 from typing import IO
 
 from mcap._chunk_builder import ChunkBuilder
@@ -17,6 +18,7 @@ from mcap.records import Channel, MessageIndex, Schema, Statistics
 from mcap.writer import CompressionType, Writer
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_IS_MESSAGE = int(Opcode.MESSAGE)
 _MESSAGE_BYTES = struct.calcsize("<HIQQ")  # of its content, but for the payload
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of all entries
 _INDEX_BYTES = struct.calcsize("<HI")
@@ -43,46 +45,46 @@ class QuickWriter(Writer):
         self._chunk = own["_Writer__chunk_builder"] = _QuickChunk(own["_Writer__statistics"])
         self._chunk_bytes = chunk_bytes
 
-    @property
-    def is_full(self) -> bool:
-        """Whether the chunk is as large as one should be."""
-        return self._chunk.count > self._chunk_bytes
-
     def add_message(
         self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
-    ) -> None:
-        """Add a message to the chunk.
+    ) -> bool:
+        """Add a message to the chunk; whether that is as large now as one should be.
 
         Raises:
             struct.error: a number that MCAP has no room for.
         """
         length = len(data) + _MESSAGE_BYTES
-        head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, log_time, publish_time)
-        self._chunk.add(channel_id, log_time, head, data)
+        head = _MESSAGE.pack(_IS_MESSAGE, length, channel_id, sequence, log_time, publish_time)
+        chunk = self._chunk
+        content, entries = chunk.content, chunk.entries[channel_id]
+        entries += (log_time, len(content))
+        content += head
+        content += data
+        chunk.num_messages += 1
+        return len(content) > self._chunk_bytes
+
+    def waiting(self, channel_id: int) -> int:
+        """How many messages of a channel wait in the chunk."""
+        return len(self._chunk.entries.get(channel_id, ())) // 2
 
 
 class _QuickChunk(ChunkBuilder):
-    """A chunk in the making, whose messages count once it is in the file."""
+    """A chunk in the making, whose messages count once it is in the file.
+
+    Attributes:
+        content: its bytes so far.
+        entries: log time and place of each message in turn, by channel.
+    """
 
     def __init__(self, statistics: Statistics) -> None:
         super().__init__()
         self._statistics = statistics
-        self._parts: list[bytes] = []
-        self._size = 0
-        self._entries: dict[int, list[int]] = {}  # log time and place of messages, by channel
+        self.content = bytearray()
+        self.entries: defaultdict[int, list[int]] = defaultdict(list)
 
     @property
     def count(self) -> int:
-        return self._size
-
-    def add(self, channel: int, log_ns: int, head: bytes, data: bytes) -> None:
-        entries = self._entries.get(channel)
-        if entries is None:
-            entries = self._entries[channel] = []
-        entries += (log_ns, self._size)
-        self._parts += (head, data)
-        self._size += len(head) + len(data)
-        self.num_messages += 1
+        return len(self.content)
 
     def add_schema(self, schema: Schema) -> None:
         super().add_schema(schema)
@@ -92,24 +94,22 @@ class _QuickChunk(ChunkBuilder):
         super().add_channel(channel)
         self._keep_record()
 
-    def end(self) -> bytes:
-        times_ns = [entries[::2] for entries in self._entries.values()]
+    def end(self) -> bytearray:
+        times_ns = [entries[::2] for entries in self.entries.values()]
         self.message_start_time = min(map(min, times_ns))
         self.message_end_time = max(map(max, times_ns))
-        for channel, entries in self._entries.items():
+        for channel, entries in self.entries.items():
             self.message_indices[channel] = _QuickIndex(channel, entries)  # type: ignore[arg-type]
-        return b"".join(self._parts)
+        return self.content
 
     def reset(self) -> None:
         """Begin the next one: this one is in the file."""
         self._count()
         super().reset()  # type: ignore[no-untyped-call]
-        self._parts, self._size, self._entries = [], 0, {}
+        self.content, self.entries = bytearray(), defaultdict(list)
 
     def _keep_record(self) -> None:
-        record = self.record_writer.end()  # type: ignore[no-untyped-call]
-        self._parts.append(record)
-        self._size += len(record)
+        self.content += self.record_writer.end()  # type: ignore[no-untyped-call]
 
     def _count(self) -> None:
         counts, is_first = self._statistics, self._statistics.message_count == 0
@@ -117,7 +117,7 @@ class _QuickChunk(ChunkBuilder):
         counts.message_start_time = min(start_ns, self.message_start_time)
         counts.message_end_time = max(counts.message_end_time, self.message_end_time)
         counts.message_count += self.num_messages
-        for channel, entries in self._entries.items():
+        for channel, entries in self.entries.items():
             counts.channel_message_counts[channel] += len(entries) // 2
 
 

@@ -12,11 +12,11 @@ from __future__ import annotations
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 
-from bus_schema.messages.topics import JOINT_COMMANDS, Role, topics_of
+from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role, Topic, topics_of
 from bus_schema.zenoh.access import bundle_key_expression, bundling_key_expression
-from bus_schema.zenoh.ros_graph import GID_BYTES, Attachment
+from bus_schema.zenoh.ros_graph import ATTACHMENT, GID_BYTES, Attachment
 from bus_schema.zenoh.session import Delivery, Mailbox, ZenohPublisher, ZenohSession
 
 _LARGEST_BYTES = 1 << 16
@@ -29,6 +29,10 @@ _BUNDLED = {
     Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
 }
 """What the bundles of each loop hold; nobody says more in another's name."""
+Received = tuple[Topic, bytes, int, int, bytes]
+"""A message as a recorder takes it: topic, payload, and what its attachment says of it: number,
+when it was sent (Unix time, ns) and id of its sender; `_UNKNOWN` where it has none."""
+_UNKNOWN = Attachment(0, 0, b"")
 
 
 class Bundler:
@@ -72,24 +76,33 @@ class Bundler:
                 self._publisher.put(b"".join(bundle), b"")
 
 
-def unbundled(bundle: bytes) -> Iterator[tuple[bytes, Delivery]]:
-    """Topic and content of each message; what is no message ends it."""
-    at, end = 0, len(bundle)
-    while at + _HEAD.size <= end:
+def unbundled(bundle: bytes, topics: Mapping[bytes, Topic]) -> list[Received]:
+    """The messages in a bundle on these topics, by their names; what is no message ends it.
+
+    Recorders spend their time here: one loop, which reads attachments as `Attachment.decode` does.
+    """
+    messages = []
+    at, end, head_bytes, numbers_bytes = 0, len(bundle), _HEAD.size, ATTACHMENT.size
+    while at + head_bytes <= end:
         name_bytes, attachment_bytes, payload_bytes = _HEAD.unpack_from(bundle, at)
-        name_at = at + _HEAD.size
+        name_at = at + head_bytes
         attachment_at = name_at + name_bytes
         payload_at = attachment_at + attachment_bytes
         at = payload_at + payload_bytes
-        if at <= end:
-            yield (
-                bundle[name_at:attachment_at],
-                Delivery(bundle[payload_at:at], bundle[attachment_at:payload_at]),
-            )
+        topic = topics.get(bundle[name_at:attachment_at])
+        if at > end or topic is None:
+            continue
+        sequence, source_time_ns, gid_bytes, gid = 0, 0, 0, b""
+        if attachment_bytes >= numbers_bytes:
+            sequence, source_time_ns, gid_bytes, gid = ATTACHMENT.unpack_from(bundle, attachment_at)
+        if gid_bytes != GID_BYTES or sequence < 0 or source_time_ns < 0:
+            sequence, source_time_ns, gid = _UNKNOWN
+        messages.append((topic, bundle[payload_at:at], sequence, source_time_ns, gid))
+    return messages
 
 
 class BundleMailbox:
-    """All that is sent in a domain, each message once, in the order in which its sender sent it.
+    """All messages on our topics in a domain, each once, as ordered as their sender sent them.
 
     Args:
         session: of the recorder.
@@ -112,14 +125,13 @@ class BundleMailbox:
         self._capacity, self._lossless = capacity, lossless
         self._speakers = speakers
         self._bundling: dict[str, str] = {}  # role by session
-        self._keys = {
+        self._topics = {topic.key_expression(domain): topic for topic in TOPICS}
+        self._bundled_topics = {
             bundle_key_expression(domain, role): {
-                topic.name.encode(): topic.key_expression(domain) for topic in of_role
+                topic.name.encode(): topic for topic in of_role if topic in TOPICS
             }
             for role, of_role in _BUNDLED.items()
         }
-        self._unbundled: deque[tuple[str, Delivery]] = deque()
-        self._commands = JOINT_COMMANDS.key_expression(domain)
         self._bundled: set[bytes] = set()  # ids of publishers whose messages come in bundles
         self._heard: dict[tuple[str, bytes], int] = {}  # numbers that came before that was known
         self._bundles = session.mailbox(
@@ -129,52 +141,51 @@ class BundleMailbox:
         self._listen()
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
 
-    def take(self) -> tuple[str, Delivery] | None:
-        """Key and content of the oldest delivery not yet taken; None if there is none."""
-        while not self._unbundled:
-            bundle = self._bundles.take()
-            if bundle is not None:
-                self._unbundle(*bundle)
-                continue
-            delivery = self._direct.take() if self._direct is not None else None
-            if delivery is None:
-                self._listen()
-                return None
-            if not self._will_be_bundled(*delivery):
-                return delivery
-        return self._unbundled.popleft()
+    def take(self) -> list[Received] | None:
+        """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
+        bundle = self._bundles.take()
+        if bundle is not None:
+            return self._unbundle(*bundle)
+        delivery = self._direct.take() if self._direct is not None else None
+        if delivery is None:
+            self._listen()
+            return None
+        key, (payload, attachment) = delivery
+        topic = self._topics.get(key)
+        if topic is None:
+            return []
+        message = (topic, payload, *(Attachment.decode(attachment) or _UNKNOWN))
+        return [] if self._will_be_bundled(message) else [message]
 
-    def _unbundle(self, key: str, bundle: Delivery) -> None:
-        keys = self._keys.get(key, {})
-        for topic, delivery in unbundled(bundle.payload):
-            if topic in keys and self._is_new(keys[topic], delivery.attachment):
-                self._unbundled.append((keys[topic], delivery))
+    def _unbundle(self, key: str, bundle: Delivery) -> list[Received]:
+        """The messages of a bundle but those that have come by themselves."""
+        messages = unbundled(bundle.payload, self._bundled_topics.get(key, {}))
+        self._bundled.update(gid for topic, _, _, _, gid in messages if topic is not JOINT_COMMANDS)
+        if self._heard:  # only at the beginning
+            messages = [message for message in messages if self._is_new(message)]
+        return messages
 
-    def _is_new(self, key: str, attachment: bytes) -> bool:
+    def _is_new(self, message: Received) -> bool:
         """Whether a message in a bundle has not come by itself before."""
-        if key != self._commands:
-            self._bundled.add(attachment[-GID_BYTES:])
-        if not self._heard:  # as ever but at the beginning
+        topic, _, sequence, _, gid = message
+        if not sequence:  # of a stranger; not known from others of his
             return True
-        sent = Attachment.decode(attachment)
-        if sent is None or not sent.sequence:  # of a stranger; not known from others of his
-            return True
-        heard = self._heard.get((key, sent.gid), 0)
-        if sent.sequence < heard:
+        heard = self._heard.get((topic.name, gid), 0)
+        if sequence < heard:
             return False
-        self._heard.pop((key, sent.gid), None)
-        return sent.sequence > heard
+        self._heard.pop((topic.name, gid), None)
+        return sequence > heard
 
-    def _will_be_bundled(self, key: str, delivery: Delivery) -> bool:
+    def _will_be_bundled(self, message: Received) -> bool:
         """Whether a message that has come by itself comes in a bundle too, if it has not yet."""
-        if key == self._commands and Role.PLANT in self._bundling.values():
+        topic, _, sequence, _, gid = message
+        if topic is JOINT_COMMANDS and Role.PLANT in self._bundling.values():
             return True
-        sent = Attachment.decode(delivery.attachment)
-        if sent is None or not sent.sequence:
+        if not sequence:
             return False
-        if sent.gid not in self._bundled and len(self._heard) < _MOST_HEARD:
-            self._heard[key, sent.gid] = sent.sequence
-        return sent.gid in self._bundled
+        if gid not in self._bundled and len(self._heard) < _MOST_HEARD:
+            self._heard[topic.name, gid] = sequence
+        return gid in self._bundled
 
     def _listen(self) -> None:
         """Listen to all that is sent, unless all of it comes in bundles."""

@@ -16,7 +16,8 @@ from bus_schema.messages.topics import Role, Topic
 from bus_schema.messages.types import type_hash
 
 GID_BYTES = 16
-_ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
+ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
+"""What an `Attachment` is on the wire; before its identifier stands how many bytes that has."""
 _ADMIN = "@ros2_lv"
 _FIELDS_BEFORE_NODE_NAME = 8
 
@@ -35,14 +36,14 @@ class Attachment(NamedTuple):
     gid: bytes
 
     def encode(self) -> bytes:
-        return _ATTACHMENT.pack(self.sequence, self.source_time_ns, GID_BYTES, self.gid)
+        return ATTACHMENT.pack(self.sequence, self.source_time_ns, GID_BYTES, self.gid)
 
     @staticmethod
     def decode(data: bytes) -> Attachment | None:
         """The attachment, or None if these bytes are none. As in rmw_zenoh, more may follow."""
-        if len(data) < _ATTACHMENT.size:
+        if len(data) < ATTACHMENT.size:
             return None
-        sequence, source_time_ns, gid_bytes, gid = _ATTACHMENT.unpack_from(data)
+        sequence, source_time_ns, gid_bytes, gid = ATTACHMENT.unpack_from(data)
         if gid_bytes != GID_BYTES or sequence < 0 or source_time_ns < 0:
             return None
         return Attachment(sequence, source_time_ns, gid)
@@ -50,8 +51,8 @@ class Attachment(NamedTuple):
 
 def beside(data: bytes) -> bytes | None:
     """What follows an attachment, with a joint state its plant status; None if nothing does."""
-    if len(data) > _ATTACHMENT.size and Attachment.decode(data) is not None:
-        return data[_ATTACHMENT.size :]
+    if len(data) > ATTACHMENT.size and Attachment.decode(data) is not None:
+        return data[ATTACHMENT.size :]
     return None
 
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable
-from itertools import islice
+from itertools import chain
 from pathlib import Path
 
 from bus_schema.errors import InvalidMessageError, PeerSilentError
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
-from bus_schema.messages.topics import Role, Topic
+from bus_schema.messages.topics import Role
 from bus_schema.recording.mcap_log import McapLog
+from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
-from bus_schema.zenoh.ros_graph import Attachment
-from bus_schema.zenoh.session import Delivery
 from controller import reference_file
 from deploy.processes.live.feed import LiveFeed
 from deploy.processes.live.glimpse import Message
@@ -92,31 +91,30 @@ class GapCounter:
 
     Attributes:
         missed: messages that are missing, by topic.
-        came: messages that came, by topic.
     """
 
     def __init__(self) -> None:
-        self.came: Counter[str] = Counter()
-        self._last_sequence: defaultdict[tuple[str, bytes], int] = defaultdict(int)
+        self._last_sequence: dict[tuple[str, bytes], int] = {}
         self.missed: Counter[str] = Counter()
 
     def note(self, topic: str, sender: bytes, sequence: int) -> None:
         """A message came; what is missing since the last one of its sender is missed.
 
-        Those that give their messages no numbers can be counted only.
+        Of those whose number is 0, which is none, nothing is known to be missing.
         """
-        self.came[topic] += 1
-        if not sequence:
-            return
-        last = self._last_sequence[topic, sender]
-        if sequence > last + 1:
-            self.missed[topic] += sequence - last - 1
+        stream = topic, sender
+        last = self._last_sequence.get(stream, 0)
         if sequence > last:
-            self._last_sequence[topic, sender] = sequence
+            self._last_sequence[stream] = sequence
+            if sequence > last + 1:
+                self.missed[topic] += sequence - last - 1
 
-    def expect(self, topic: str, count: int) -> int:
-        """Somebody else got `count` messages; how many of them nobody had missed so far."""
-        unknown = max(0, count - self.came[topic] - self.missed[topic])
+    def expect(self, topic: str, count: int, came: int) -> int:
+        """Somebody else got `count` messages, of which `came` came here too.
+
+        How many of the others nobody had missed so far.
+        """
+        unknown = max(0, count - came - self.missed[topic])
         self.missed[topic] += unknown
         return unknown
 
@@ -140,13 +138,12 @@ class Recorder:
     def __init__(self, setup: Setup, path: Path, feed: LiveFeed | None = None) -> None:
         self._setup, self._feed = setup, feed
         self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.link_kind.name)
-        domain = setup.scenario.link.domain
-        self._topics = {topic.key_expression(domain): topic for topic in topics.TOPICS}
         self._gaps = GapCounter()
         self._progress: dict[bytes, int] = {}
         self._commands_received = 0
         self._last_stamp_ns = 0
         lossless = self._is_virtual = setup.scenario.clock == "lockstep"
+        self._pacing = {topic.name for topic in topics.TOPICS if lossless and topic.paces}
         self._node = ZenohNode(
             setup.scenario.link,
             Role.RECORDER,
@@ -209,51 +206,48 @@ class Recorder:
         give_up_s = time.monotonic() + _CLOSE_TIMEOUT_S
         while time.monotonic() < give_up_s and self._write_what_came():
             pass
-        for key, delivery in iter(self._mailbox.take, None):
-            topic = self._topics.get(key)
-            if topic is not None:
-                self._count_gap(topic, delivery)
-                self._gaps.missed[topic.name] += 1
+        for topic, _, sequence, _, gid in chain.from_iterable(iter(self._mailbox.take, None)):
+            self._gaps.note(topic.name, gid, sequence)
+            self._gaps.missed[topic.name] += 1
         self._compare_with_the_plant()
         close_log(self._log, self._gaps.missed)
         self._node.close()
 
     def _write_what_came(self) -> bool:
         """Write what has come in, or a good part of it; whether anything had."""
-        has_written = False
-        for key, delivery in islice(iter(self._mailbox.take, None), _AT_ONCE):
-            topic = self._topics.get(key)
-            if topic is not None:
-                self._write(topic, delivery)
-                has_written = True
+        taken = written = 0
+        while taken < _AT_ONCE and (messages := self._mailbox.take()) is not None:
+            self._write(messages)
+            written += len(messages)
+            taken += 1 + len(messages)  # what is not ours takes its time too
         for gid, sequence in self._progress.items():
             self._node.tell_progress(gid, sequence)
         self._progress.clear()
         if self._feed is not None:
             self._feed.send()
-        return has_written
+        return written > 0
 
-    def _write(self, topic: Topic, delivery: Delivery) -> None:
-        attachment = self._count_gap(topic, delivery)
-        stamp_ns = stamp_of(delivery.payload)
-        self._last_stamp_ns = self._last_stamp_ns if stamp_ns is None else stamp_ns
-        # In virtual time, when a message was sent by the wall says nothing of the run.
-        sent_ns = self._last_stamp_ns if self._is_virtual else attachment.source_time_ns
-        self._log.write(topic, attachment.sequence, self._last_stamp_ns, sent_ns, delivery.payload)
-        if topic is topics.JOINT_STATES:
-            self._view.show(delivery.payload, self._last_stamp_ns, sent_ns)
-        if self._feed is not None and self._feed.is_watched:
-            self._feed.take(Message(topic, self._last_stamp_ns, delivery.payload))
-        if self._is_virtual and topic.paces and attachment.gid:
-            self._progress[attachment.gid] = attachment.sequence
-        if topic is topics.RUN_EVENTS and attachment.gid:
-            self._read_event(delivery.payload, attachment.gid)
-
-    def _count_gap(self, topic: Topic, delivery: Delivery) -> Attachment:
-        """Count what is missing since the last message of this sender on this topic."""
-        attachment = Attachment.decode(delivery.attachment) or Attachment(0, 0, b"")
-        self._gaps.note(topic.name, attachment.gid, attachment.sequence)
-        return attachment
+    def _write(self, messages: list[Received]) -> None:
+        """Write messages, which is what the recorder spends its time on."""
+        stamp_ns = self._last_stamp_ns
+        feed = self._feed if self._feed is not None and self._feed.is_watched else None
+        for topic, payload, sequence, source_time_ns, gid in messages:
+            self._gaps.note(topic.name, gid, sequence)
+            told_ns = stamp_of(payload)
+            if told_ns is not None:
+                stamp_ns = told_ns
+            # In virtual time, when a message was sent by the wall says nothing of the run.
+            sent_ns = stamp_ns if self._is_virtual else source_time_ns
+            self._log.write(topic, sequence, stamp_ns, sent_ns, payload)
+            if topic is topics.JOINT_STATES:
+                self._view.show(payload, stamp_ns, sent_ns)
+            elif topic is topics.RUN_EVENTS and gid:
+                self._read_event(payload, gid)
+            elif topic.name in self._pacing and gid:
+                self._progress[gid] = sequence
+            if feed is not None:
+                feed.take(Message(topic, stamp_ns, payload))
+        self._last_stamp_ns = stamp_ns
 
     def _read_event(self, payload: bytes, gid: bytes) -> None:
         """Tell a process whose last message this is that all of its messages are recorded."""
@@ -268,7 +262,9 @@ class Recorder:
 
     def _compare_with_the_plant(self) -> None:
         """Count the commands that the plant received and that never came here."""
-        missing = self._gaps.expect(topics.JOINT_COMMANDS.name, self._commands_received)
+        name = topics.JOINT_COMMANDS.name
+        came = self._log.written[name] + self._log.lost[name]
+        missing = self._gaps.expect(name, self._commands_received, came)
         if missing:
             logger.warning(
                 "the plant received %d commands that never came here: a controller that connects"

@@ -31,6 +31,7 @@ from tests.bus_schema.zenoh.zenoh_pair import (
 
 CAPACITY = 10_000
 FOREIGN = Attachment(7, 0, b"f" * 16)
+NAMES = {topic.name.encode(): topic for topic in topics.TOPICS}
 
 
 class Ear:
@@ -40,14 +41,12 @@ class Ear:
         self.node = ZenohNode(link, Role.RECORDER, lossless=True)
         self.mailbox = self.node.listen_to_all(CAPACITY, lossless=True)
         self.node.announce()
-        self._names = {topic.key_expression(0): topic.name for topic in topics.TOPICS}
-        self.heard: dict[str, list[tuple[int, bytes]]] = {name: [] for name in self._names.values()}
+        self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in topics.TOPICS}
 
     def take_all(self) -> None:
-        for key, delivery in iter(self.mailbox.take, None):
-            sent = Attachment.decode(delivery.attachment)
-            number = 0 if sent is None else sent.sequence
-            self.heard[self._names[key]].append((number, delivery.payload))
+        for messages in iter(self.mailbox.take, None):
+            for topic, payload, number, _, _ in messages:
+                self.heard[topic.name].append((number, payload))
 
     def await_heard(self, topic: Topic, count: int) -> None:
         self.await_true(lambda: len(self.heard[topic.name]) >= count)
@@ -224,13 +223,36 @@ def test_what_is_no_bundle_is_taken_as_far_as_it_is_one(cut_off: int) -> None:
     await_true(lambda: bool(taken))
     session.close()
     (bundle,) = taken
-    said = [(name, delivery.payload) for name, delivery in unbundled(bundle)]
-    assert said == [(b"plant_truth", b"%d" % number) for number in range(3)]
-    assert [delivery.payload for _, delivery in unbundled(bundle[:-cut_off])] in (
-        [b"0", b"1"], [b"0"]
-    )  # fmt: skip
+    said = [(topics.PLANT_TRUTH, b"%d" % number, *FOREIGN) for number in range(3)]
+    assert unbundled(bundle, NAMES) == said
+    assert unbundled(bundle[:-cut_off], NAMES) in (said[:2], said[:1])
     for garbage in (b"", b"\0" * 5, b"\xff" * 300, bundle[7:]):
-        list(unbundled(garbage))
+        assert unbundled(garbage, NAMES) == []
+
+
+@pytest.mark.parametrize(
+    "attachment",
+    [
+        FOREIGN.encode(), FOREIGN.encode() + b"more", FOREIGN.encode()[:-1], b"", b"\xff" * 33,
+        bytes(33), Attachment(-1, 0, FOREIGN.gid).encode(), Attachment(1, -1, FOREIGN.gid).encode(),
+    ],
+)  # fmt: skip
+def test_attachments_in_bundles_are_read_as_those_of_messages_by_themselves(
+    attachment: bytes,
+) -> None:
+    session = ZenohSession([], [], low_latency=False)
+    taken: list[bytes] = []
+    session.subscribe(bundle_key_expression(0), lambda delivery: taken.append(delivery.payload))
+    bundler = Bundler(session, 0, Role.PLANT)
+    bundler.add(b"plant_truth", attachment, b"truth")
+    bundler.add(b"plant_truth", FOREIGN.encode(), b"next")
+    bundler.send()
+    await_true(lambda: bool(taken))
+    session.close()
+    alone = Attachment.decode(attachment) or Attachment(0, 0, b"")
+    assert unbundled(taken[0], NAMES) == [
+        (topics.PLANT_TRUTH, b"truth", *alone), (topics.PLANT_TRUTH, b"next", *FOREIGN),
+    ]  # fmt: skip
 
 
 def test_large_messages_do_not_wait_for_others() -> None:

@@ -96,13 +96,22 @@ def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
             for _ in range(batch * batches):
                 plant.publish(PLANT_TRUTH, payload)
 
+        come: list[object] = []
+
+        def await_messages(count: int) -> None:
+            def have_come() -> bool:
+                for messages in iter(mailbox.take, None):
+                    come.extend(messages)
+                return len(come) >= count
+
+            await_true(have_come)
+
         sender = threading.Thread(target=send)
         sender.start()
         gid = plant._outbox.gid_of(PLANT_TRUTH)
         assert gid is not None
         for number in range(1, batches + 1):
-            for _ in range(batch):
-                await_true(lambda: mailbox.take() is not None)
+            await_messages(number * batch)
             assert sender.is_alive()
             recorder.tell_progress(gid, number * batch)
         sender.join(HANG_S)
