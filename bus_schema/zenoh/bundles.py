@@ -125,6 +125,8 @@ class BundleMailbox:
         self._capacity, self._lossless = capacity, lossless
         self._speakers = speakers
         self._bundling: dict[str, str] = {}  # role by session
+        self._left: set[str] = set()  # of these sessions
+        self._lock = threading.Lock()
         self._topics = {topic.key_expression(domain): topic for topic in TOPICS}
         self._bundled_topics = {
             bundle_key_expression(domain, role): {
@@ -146,8 +148,10 @@ class BundleMailbox:
         bundle = self._bundles.take()
         if bundle is not None:
             return self._unbundle(*bundle)
+        left = self._left.copy()
         delivery = self._direct.take() if self._direct is not None else None
         if delivery is None:
+            self._forget(left)
             self._listen()
             return None
         key, (payload, attachment) = delivery
@@ -202,7 +206,16 @@ class BundleMailbox:
 
     def _on_bundling(self, token: str, alive: bool) -> None:
         *_, role, session = token.split("/")
-        if alive:
-            self._bundling[session] = role
-        else:
-            self._bundling.pop(session, None)
+        with self._lock:
+            if alive:
+                self._bundling[session] = role
+                self._left.discard(session)
+            else:
+                self._left.add(session)
+
+    def _forget(self, left: set[str]) -> None:
+        """Sessions have left, and all that came by itself before was held against their bundles."""
+        with self._lock:
+            for session in left & self._left:
+                self._left.discard(session)
+                self._bundling.pop(session, None)

@@ -310,6 +310,38 @@ def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced: bool
         stranger.close()  # type: ignore[no-untyped-call]
 
 
+def test_commands_come_once_though_the_plant_has_left_before_they_are_taken() -> None:
+    """By themselves they came before, and no token of the plant's tells of bundles any more."""
+    link = fresh_link()
+    with plant_on(link) as plant, ear_on(link, plant) as ear:
+        stranger = client_of(link.plant_endpoint)
+        key = topics.JOINT_COMMANDS.key_expression(0)
+
+        def is_heard_by_itself() -> bool:
+            stranger.put(key, b"a try")
+            ear.take_all()
+            return ear.mailbox._direct is not None and plant.await_command(0.01)
+
+        await_true(is_heard_by_itself)
+        for number in range(1, 6):
+            attachment = Attachment(number, 0, FOREIGN.gid).encode()
+            stranger.put(key, b"strike %d" % number, attachment=attachment)
+            stranger.put(key, b"by nobody")
+        taken: list[bytes] = []
+
+        def are_taken() -> bool:
+            taken.extend(arrival.payload for arrival in plant.take_commands())
+            return taken.count(b"by nobody") == 5
+
+        await_true(are_taken)
+        plant.publish(topics.RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
+        plant.close()
+        await_true(lambda: not ear.node.sees(Role.PLANT))
+        ear.await_heard(topics.JOINT_COMMANDS, len(taken))
+        assert [payload for _, payload in ear.heard["joint_commands"]] == taken
+        stranger.close()  # type: ignore[no-untyped-call]
+
+
 def test_message_too_large_for_the_transport_takes_no_others_along() -> None:
     session = ZenohSession([], [], low_latency=False)
     taken: list[bytes] = []
