@@ -52,6 +52,13 @@ def test_late_and_duplicate_states_get_the_torque_in_force(stamp_ns):
     assert (bench.loop.cycles, bench.loop.late) == (2, 1)
 
 
+def test_states_that_come_after_the_end_are_not_answered():
+    bench = Bench()
+    assert len(bench.send(0)) == 1
+    bench.loop.end()
+    assert bench.send(MS) == []
+
+
 @pytest.mark.parametrize("law", ["pid", "fixed_time_neural"])
 def test_late_states_change_nothing_in_the_law(law):
     disturbed, quiet = Bench(law), Bench(law)
