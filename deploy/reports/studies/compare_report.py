@@ -12,7 +12,7 @@ from deploy.reports.figures.arm.end_effector import tip_error_envelopes, tip_pat
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
 from deploy.reports.figures.network import first_network_output
-from deploy.reports.figures.settling import settling, settling_from_afar
+from deploy.reports.figures.studies.settling import settling, settling_from_afar
 from deploy.reports.figures.torque import torque_spectra, torques_by_law
 from deploy.reports.page import Fact, Panel, write_page
 from deploy.reports.studies.compare_tables import joint_table, verdict_on_laws, verdict_table

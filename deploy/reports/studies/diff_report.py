@@ -12,7 +12,7 @@ from deploy.reports import quantities
 from deploy.reports.figures.arm.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
-from deploy.reports.figures.recorded import positions_apart, time_percentiles
+from deploy.reports.figures.studies.recorded import positions_apart, time_percentiles
 from deploy.reports.figures.torque import torque_spectra, torques_by_law
 from deploy.reports.page import Fact, Panel, write_page
 from deploy.reports.studies.diff_tables import (

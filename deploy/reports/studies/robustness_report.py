@@ -7,8 +7,8 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from deploy.reports.figures import many_runs
-from deploy.reports.figures.effects import effects
+from deploy.reports.figures.studies import many_runs
+from deploy.reports.figures.studies.effects import effects
 from deploy.reports.page import Fact, Panel
 from deploy.reports.studies.robustness_tables import (
     interval_table,

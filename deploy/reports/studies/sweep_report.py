@@ -9,7 +9,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from deploy.reports.figures import many_runs
+from deploy.reports.figures.studies import many_runs
 from deploy.reports.page import Fact, Panel
 from deploy.reports.studies.study_content import Study, StudyContent, Summary
 from deploy.reports.studies.study_tables import point_table, shown_value

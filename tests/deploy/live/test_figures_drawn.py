@@ -5,7 +5,8 @@ import asyncio
 import pytest
 from browser import CHROMIUM, opened
 
-from deploy.reports.figures import many_runs, style
+from deploy.reports.figures import style
+from deploy.reports.figures.studies import many_runs
 from deploy.reports.page import Panel, write_page
 from deploy.reports.verdict import Verdict
 

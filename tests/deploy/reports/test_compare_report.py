@@ -12,7 +12,7 @@ from deploy.comparison.settling import SettlingTest, Start
 from deploy.reports.figures.arm.end_effector import tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
-from deploy.reports.figures.settling import settling, settling_from_afar
+from deploy.reports.figures.studies.settling import settling, settling_from_afar
 from deploy.reports.figures.torque import torque_spectra
 from deploy.reports.quantities import BY_LAW, RMS_ERROR
 from deploy.reports.studies import compare_report
