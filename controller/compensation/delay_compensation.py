@@ -32,7 +32,7 @@ from controller.compensation.motion_predictor import move
 from controller.control_law import LOWER, UPPER, Tracking
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.rigid_bodies import mass_and_load
+from controller.rigid_bodies.dynamics import mass_and_load
 
 
 class Arm(NamedTuple):

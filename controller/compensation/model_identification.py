@@ -19,7 +19,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
-from controller.rigid_bodies import inverse_dynamics
+from controller.rigid_bodies.dynamics import inverse_dynamics
 
 INERTIA, PAYLOAD, LAG, PER_JOINT = range(4)
 """Places in θ; from `PER_JOINT` on, f, c and b of all joints."""

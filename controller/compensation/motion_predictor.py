@@ -16,7 +16,8 @@ from bus_schema.drive_feedback import DriveGains, drive_torque
 from bus_schema.runtime.compiled import compiled
 from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
 from controller.compensation.command_timeline import HELD, Commands, Flight
-from controller.rigid_bodies import invert, mass_and_load
+from controller.rigid_bodies.dynamics import mass_and_load
+from controller.rigid_bodies.vectors import invert
 
 _STRETCH_NS = 16_000_000
 _STEP_NS = 1_000_000
