@@ -14,6 +14,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
+from operator import setitem
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -100,12 +101,15 @@ def bind(function: Callable[..., R], *fixed: Any, free: Sequence[str] = ()) -> C
 
 
 def copying(source: Matrix, target: Matrix) -> Callable[[], None]:
-    """A function that copies one small array over another, in a third of NumPy's time.
+    """A function that copies one small array over another, in a third of NumPy's time at most.
 
     Args:
         source: any shape.
         target: of the same shape.
     """
+    # Where no numbers are between numbers, Python's own copy of bytes takes half of that again.
+    if source.flags.c_contiguous and target.flags.c_contiguous:
+        return partial(setitem, target.data.cast("B"), slice(None), source.data.cast("B"))
     return bind(_copy, source, target)
 
 

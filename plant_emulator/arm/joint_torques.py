@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix, Records, Vector
+from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.limits import LimitsConfiguration, limit_torques
 from bus_schema.robot_description import RobotDescription
@@ -26,23 +26,19 @@ class TorqueTables(NamedTuple):
     """What the torques of a substep depend on, and where they go, as compiled code takes it.
 
     Attributes:
-        limits: of the torques, `bus_schema.limits.JointLimits.packed`.
-        saturation_nm: largest torques of the actuators, shape (joints,).
+        joints: of each joint, by name, shape (joints,): `bus_schema.limits.JointLimits.packed`,
+            `friction_table`, saturation_nm (the largest torque of its actuator) and held (whether
+            its brake holds it). Every further array costs each call of compiled code as much again.
         lag_factor: share of the difference to the commanded torque that is left after a substep.
-        friction: `friction_table`.
         disturbance: `disturbance_table`.
-        held: joints that their brakes hold, shape (joints,).
         drive: the loop that the drives close themselves.
         torques_nm: rows `ACTUATOR` to `ASKED` (the torques asked of the actuators, `WANTED`: with
             what the drives add, `LIMITED`: the same within the limits), shape (7, joints).
     """
 
-    limits: Records
-    saturation_nm: Vector
+    joints: Records
     lag_factor: float
-    friction: Records
     disturbance: Records
-    held: NDArray[np.bool_]
     drive: DriveLoop
     torques_nm: Matrix
 
@@ -79,17 +75,21 @@ class JointTorques:
         self._torques: Matrix = np.zeros((7, robot.joints))
         disturbance = disturbance_table(configuration.disturbance, robot.joint_names, random)
         self.drive = drive_loop(drive, configuration.drive_feedback.encoder, random)
+        of_plant = limits.of_plant(robot).packed(substep_s)
+        friction = friction_table(configuration.friction, robot.joints)
+        columns = {
+            name: table[name] for table in (of_plant, friction) for name in table.dtype.names or ()
+        }
+        columns["saturation_nm"] = actuators.saturation_nm
+        columns["held"] = np.zeros(robot.joints, np.bool_)
         self.tables = TorqueTables(
-            limits.of_plant(robot).packed(substep_s),
-            actuators.saturation_nm,
+            records(robot.joints, columns),
             actuators.lag_factor,
-            friction_table(configuration.friction, robot.joints),
             disturbance,
-            np.zeros(robot.joints, dtype=np.bool_),
             self.drive if adds_drive else idle(self.drive),
             self._torques,
         )
-        self.held = self.tables.held
+        self.held: NDArray[np.bool_] = self.tables.joints["held"]
         self.actuator: Vector = self._torques[ACTUATOR]
         self.friction: Vector = self._torques[FRICTION]
         self.disturbance: Vector = self._torques[DISTURBANCE]
@@ -123,21 +123,22 @@ def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[
         time_s: start of the substep.
         tables: what the torques depend on, and where they go.
     """
-    torques, saturation = tables.torques_nm, tables.saturation_nm
+    torques, joints = tables.torques_nm, tables.joints
     actuator, friction, disturbance = torques[ACTUATOR], torques[FRICTION], torques[DISTURBANCE]
     total, limited, wanted = torques[TOTAL], torques[LIMITED], torques[WANTED]
     wanted[:] = torques[ASKED]
     if tables.drive.gains.is_active:
         add_drive_torques(motion, time_s, tables.drive, wanted)
-    hits = limit_torques(wanted, motion, tables.limits, limited, 1.0)
+    hits = limit_torques(wanted, motion, joints, limited, 1.0)
     add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
     for i in range(wanted.size):
-        target = min(max(limited[i], -saturation[i]), saturation[i])
-        saturated = saturated or abs(wanted[i]) >= saturation[i]
+        saturation = joints[i].saturation_nm
+        target = min(max(limited[i], -saturation), saturation)
+        saturated = saturated or abs(wanted[i]) >= saturation
         actuator[i] = target + tables.lag_factor * (actuator[i] - target)
-        friction[i] = friction_torque(motion[1, i], tables.friction, i)
+        friction[i] = friction_torque(motion[1, i], joints, i)
         total[i] = actuator[i] - friction[i] - disturbance[i]
-        if tables.held[i]:  # its brake holds it: nothing else is felt there
+        if joints[i].held:  # its brake holds it: nothing else is felt there
             torques[:ASKED, i] = 0.0
     return saturated, hits
