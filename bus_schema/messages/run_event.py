@@ -12,7 +12,7 @@ from bus_schema.messages.layout import parse
 from bus_schema.messages.types import RUN_EVENT, TYPESTORE
 
 COMMANDS_RECEIVED = "commands_received"
-"""In `COUNTS` of the plant: how many commands it took off the bus, whatever became of them."""
+"""In `COUNTS` of the plant: how many commands it took off the bus and looked at."""
 
 
 class EventKind(StrEnum):

@@ -132,8 +132,11 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         return not self.sees(Role.CONTROLLER)
 
     def report(self) -> dict[str, Any]:
-        """How many commands came, whatever became of them: recorders compare it with their own."""
-        return {COMMANDS_RECEIVED: self._arrivals.received}
+        """How many commands were taken in: recorders compare it with their own.
+
+        What was left out, because too many waited, is counted as that.
+        """
+        return {COMMANDS_RECEIVED: self._arrivals.received - self._arrivals.overflow}
 
     def controller_has_left(self) -> bool:
         return self._commander_was_seen and not self.has_publisher(topics.JOINT_COMMANDS)

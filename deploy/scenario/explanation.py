@@ -83,6 +83,8 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
         return f"{source}: {key} = {shown(problem['input'])}: must be a list of {held}"
     if problem["type"] == "union_tag_invalid":
         return f"{source}: {key}.{_unknown_kind(**problem['ctx'])}"
+    if problem["type"] == "union_tag_not_found":
+        return f"{source}: {key}.{_QUOTED.findall(problem['ctx']['discriminator'])[0]}: is missing"
     said = problem["msg"].removeprefix("Value error, ")
     should = _SHOULD.fullmatch(said)
     allowed = f"be {said}" if should is None else should[1]

@@ -13,6 +13,7 @@ import pytest
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.messages.layout import Record
+from bus_schema.messages.run_event import COMMANDS_RECEIVED
 from bus_schema.messages.topics import (
     CONTROL_STATUS,
     JOINT_COMMANDS,
@@ -213,6 +214,7 @@ def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
             for _ in range(50):
                 controller.publish(JOINT_COMMANDS, reply)
             await_true(lambda: plant.overflow() == 30)
+            assert plant.report() == {COMMANDS_RECEIVED: 20}  # recorders have no more of them
         await_true(plant.controller_has_left)  # though nobody has taken anything
         assert [arrival.sequence for arrival in plant.take_commands()] == list(range(1, 21))
 

@@ -31,13 +31,21 @@ def messages(topic: Topic, ticks: np.ndarray, **columns: np.ndarray) -> list[byt
     return found
 
 
-def run_of(ticks: np.ndarray, errors_rad: Any, torques_nm: Any, met: Any) -> RunData:
-    """A run of which these ticks are known, with the same error and torque for all joints."""
+def run_of(
+    ticks: np.ndarray, errors_rad: Any, torques_nm: Any, met: Any, commanded: Any = None
+) -> RunData:
+    """A run of which these ticks are known, with the same error and torque for all joints.
+
+    Args:
+        commanded: ticks of which the command is known, if not the same.
+    """
     setup = load_setup("paper_arm", [f"reference={STILL}", "metrics.from_s=0"])
     met = np.asarray(met, dtype=np.uint8)
     payloads = {
         PLANT_TRUTH.name: messages(PLANT_TRUTH, ticks, position=errors_rad, deadline_met=met),
-        JOINT_COMMANDS.name: messages(JOINT_COMMANDS, ticks, effort=torques_nm),
+        JOINT_COMMANDS.name: messages(
+            JOINT_COMMANDS, ticks if commanded is None else commanded, effort=torques_nm
+        ),
     }
     return build_run_data(setup, payloads, clock="lockstep", link="zenoh")
 
@@ -60,6 +68,28 @@ def test_what_rests_on_neighbours_stops_at_a_gap() -> None:
     assert "known at 7 of 12 ticks" in said
     assert "at the latest: base_yaw, shoulder, elbow." in said
     assert "leave out the 0.006 s over them" in said
+
+
+@pytest.mark.parametrize(
+    ("ticks", "commanded"),
+    [
+        ([0, 1, 2, 3, 4, 11, 12], [0, 1, 2, 3, 10, 11, 12]),
+        ([0, 1, 2, 3, 4, 11, 12], [0, 1, 2, 3, 4, 5, 10, 11, 12]),
+        ([0, 1, 2, 3, 4, 10, 11, 12], [0, 1, 2, 3, 4, 12]),
+    ],
+    ids=["command before its truth", "on both sides", "fewer commands"],
+)
+def test_torques_stop_at_a_gap_whatever_came_first_behind_it(
+    ticks: list[int], commanded: list[int]
+) -> None:
+    """A loop sends the truth of a tick after what it has of the command for it."""
+    every = np.arange(13)
+    torques_nm = np.where(every < 8, 1.0, 101.0) + every
+    run = run_of(np.array(ticks), 0.0 * every, torques_nm, every < 99, np.array(commanded))
+    summary = summarise(run)
+    assert summary["torque"]["total_variation_nm_per_s"] == pytest.approx([1000.0] * 3)
+    left_out_s = max(np.diff(commanded)) * 1e-3
+    assert summary["recording"]["torque_left_out_s"] == pytest.approx(left_out_s)
 
 
 def test_nothing_is_left_out_where_nothing_is_missing() -> None:

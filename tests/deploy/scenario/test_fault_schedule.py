@@ -249,6 +249,7 @@ def test_simulation_refuses_faults_of_processes_it_has_not(target):
     ("fault", "told"),
     [
         ("{kind: gremlin, at_s: 1}", "faults.0.kind = 'gremlin': must be one of "),
+        ("{at_s: 1}", "faults.0.kind: is missing"),
         ("{kind: link_cut, direction: uplink}", "faults.0.link_cut.at_s: is missing"),
         ("{kind: link_cut, direction: up, at_s: 1}", "'up': must be 'uplink' or 'downlink'"),
         ("{kind: link_cut, direction: uplink, at_s: -1}", "at_s = -1: must be greater than"),
