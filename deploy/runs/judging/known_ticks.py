@@ -82,7 +82,7 @@ def rows_after_gaps(run: RunData, times_s: Vector) -> Rows:
     period_ns = run.setup.grid.period_ns
     gaps = np.rint(np.reshape(known_ticks(run).gaps_s, (-1, 2)) * 1e9 / period_ns)
     ticks = np.rint(times_s * 1e9 / period_ns)
-    pairs = np.sort(np.stack([np.concatenate(([-1.0], ticks[:-1])), ticks]), axis=0)
+    pairs = np.sort(np.stack([np.concatenate(([-1.0], ticks))[:-1], ticks]), axis=0)
     # Of other topics than the truth more or less may be missing at the ends of a gap.
     within = np.searchsorted(gaps[:, 0], pairs[1]) - np.searchsorted(gaps[:, 1], pairs[0], "right")
     return np.flatnonzero((within > 0) & (pairs[1] - pairs[0] > 1.0))

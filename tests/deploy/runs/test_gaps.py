@@ -92,6 +92,14 @@ def test_torques_stop_at_a_gap_whatever_came_first_behind_it(
     assert summary["recording"]["torque_left_out_s"] == pytest.approx(left_out_s)
 
 
+def test_a_run_that_never_began_is_judged() -> None:
+    none = np.zeros(0, dtype=int)
+    summary = summarise(run_of(none, none, none, none))
+    assert summary["ticks"] == 0
+    assert summary["torque"]["total_variation_nm_per_s"] is None
+    assert summary["recording"]["torque_left_out_s"] == 0.0
+
+
 def test_nothing_is_left_out_where_nothing_is_missing() -> None:
     ticks = np.arange(13)
     errors_rad = np.where(ticks < 5, 0.1, 0.0)
