@@ -29,7 +29,7 @@ class Shelved:
         what: name of the scenario or study, and the law of a run.
         started: when it was begun; None where nothing says so.
         completed: whether it came to its end, without a fault.
-        faulted: whether it had a fault and was judged all the same.
+        faulted: whether it had a fault, and came to its end or to that fault.
         bounds_kept: of a run; None for all else.
         tags: in alphabetical order.
     """
@@ -105,7 +105,7 @@ def _looked_at(path: Path) -> Shelved:
         " ".join(str(name) for name in names if name),
         _time(manifest.get("started")),
         completed=completed,
-        faulted=not completed and _was_judged(kind, summary),
+        faulted=not completed and _has_ended(kind, summary),
         bounds_kept=bounds.get("kept") if isinstance(bounds, dict) else None,
         tags=tags_of(path),
     )
@@ -118,15 +118,12 @@ def _is_complete(kind: str, summary: dict[str, Any]) -> bool:
     return bool(summary.get("completed")) and not summary.get("faults")
 
 
-def _was_judged(kind: str, summary: dict[str, Any]) -> bool:
-    """Whether it came to its end, or to the fault that ended it, and there was a tick to judge."""
+def _has_ended(kind: str, summary: dict[str, Any]) -> bool:
+    """Whether it came to its end, or to the fault that ended it, be it before the first tick."""
     laws = summary.get("laws")
     if kind == "comparison" and isinstance(laws, dict):
-        return all(_was_judged("run", law) for law in laws.values() if isinstance(law, dict))
-    if not summary.get("faults"):
-        return bool(summary.get("completed"))
-    bounds = summary.get("bounds")
-    return isinstance(bounds, dict) and bounds.get("violation_fraction") is not None
+        return all(_has_ended("run", law) for law in laws.values() if isinstance(law, dict))
+    return bool(summary.get("completed") or summary.get("faults"))
 
 
 def _scenario_of(manifest: dict[str, Any]) -> Any:
