@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
+from controller.laws.user_modules import OURS, find_in_current_folder
 
 EXTERNAL = "external"
 """Name of the law that is a program of its own."""
@@ -21,8 +20,6 @@ EXTERNAL = "external"
 _LAW_KEY = "controller.law"
 _left_out: ContextVar[bool] = ContextVar("custom laws are left out", default=False)
 _GAINS_KEY = "controller.gains.custom"
-_OURS = ("bus_schema", "controller", "deploy", "plant_emulator", "funnel_hil")
-_OUR_FOLDER = str(Path(__file__).resolve().parents[2])
 
 Maker = Callable[..., ControlLaw]
 """Makes a law from the nominal model and its gains: a class, as a rule."""
@@ -124,9 +121,7 @@ def find_law(name: str) -> Maker:
     if name in _given.get():
         return _given.get()[name]
     module_name, _, class_name = name.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path and "" not in sys.path:
-        sys.path += [_OUR_FOLDER, here]  # in this order: other processes get it, and import ours
+    find_in_current_folder()
     try:
         module = importlib.import_module(module_name)
     except (
@@ -138,7 +133,7 @@ def find_law(name: str) -> Maker:
         ) from error
     make: Maker | None = getattr(module, class_name, None)
     if not callable(make):
-        ours = module_name.partition(".")[0] in _OURS
+        ours = module_name.partition(".")[0] in OURS
         whose = ", which is funnel-hil's own module of that name: rename yours" if ours else ""
         raise ConfigurationError(_LAW_KEY, name, f"{module_name} has no class {class_name}{whose}")
     return make
