@@ -165,7 +165,8 @@ def write_report(
         path: the HTML file to write.
         conditions: under which it came about.
     """
-    verdict, from_s = verdict_on_run(run, summary), run.setup.scenario.metrics.from_s
+    verdict = verdict_on_run(run, summary, conditions)
+    from_s = run.setup.scenario.metrics.from_s
     rms_errors = zip(summary["tracking"]["joint_names"], RMS_ERROR.of_joints(summary), strict=True)
     write_page(
         path,

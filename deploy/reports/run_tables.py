@@ -48,13 +48,13 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
 
 
 def timing_table(summary: dict[str, Any]) -> Table:
-    """Percentiles of every timing quantity; a stall of the host too, where there was a long one.
+    """Percentiles of every timing quantity; the longest stall too, where it was a long one.
 
     What was always 0, as in virtual time, is told in a word.
     """
     stall_ms = summary["timing"]["longest_stall_ms"]
     stalls: list[list[Value]] = (
-        [["Stall of the host", *[None] * (len(PERCENTILES) - 1), 1e3 * stall_ms]]
+        [["Longest stall", *[None] * (len(PERCENTILES) - 1), 1e3 * stall_ms]]
         if stall_ms is not None and stall_ms > STALL_MS
         else []
     )
@@ -83,7 +83,7 @@ def health_table(summary: dict[str, Any]) -> Table:
         "Ticks with a saturated actuator (%)": scaled(summary["torque"]["saturated_fraction"], 100),
         "Real-time factor": summary["real_time_factor"],
         "CPU time that a hypervisor took (ms)": timing["stolen_ms"],
-        "Longest stall of the host (ms)": timing["longest_stall_ms"],
+        "Longest stall of a loop (ms)": timing["longest_stall_ms"],
         "Messages recorded": recorder["messages"],
         "Messages lost by the recorder": recorder["lost"],
         **{f"Lost of {topic}": count for topic, count in (recorder["lost_by_topic"] or {}).items()},

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal
 
+from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.reports.tables import margin_text, number
+from deploy.runs.conditions import granted_and_not
 from deploy.runs.judging.known_ticks import KnownTicks, known_ticks
 from deploy.runs.judging.stalls import STALL_MS
 from deploy.runs.run_data import RunData
 
 PARTIAL = "The recording is partial: it was not finished properly."
 UNCHECKED = "No checksum covers all of the recording: damage between its messages would not show."
+
+_GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
+"""Who holds up a loop that lacks a setting."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +39,20 @@ class Verdict:
     faults: Sequence[str] = ()
 
 
-def verdict_on_run(run: RunData, summary: dict[str, Any]) -> Verdict:
-    """The verdict on a run."""
+def verdict_on_run(
+    run: RunData,
+    summary: dict[str, Any],
+    conditions: Mapping[str, str] = MappingProxyType({}),
+) -> Verdict:
+    """The verdict on a run, which came about under some conditions, where they are known."""
     bounds, faults = summary["bounds"], summary["faults"]
     is_judged = bounds["violation_fraction"] is not None
     known = known_ticks(run)
-    reasons = [_bounds_sentence(run, bounds, known), *_shortcomings(run, summary, known)]
+    reasons = [
+        _bounds_sentence(run, bounds, known),
+        *_shortcomings(run, summary, known),
+        *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
+    ]
     kept = "kept" if bounds["kept"] else "not kept"
     if summary["completed"] and not faults and is_judged:
         return Verdict("good" if bounds["kept"] else "bad", f"Bounds {kept}", reasons)
@@ -77,13 +91,21 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
         found.append(
             f"A hypervisor took {timing['stolen_ms']:.0f} ms of CPU time away during the run."
         )
-    stall_ms = timing["longest_stall_ms"]
-    if stall_ms is not None and stall_ms > STALL_MS:
-        found.append(
-            f"A loop was held up for {stall_ms:.0f} ms, most likely by the host: what came of it"
-            " says little of the law."
-        )
     return found
+
+
+def _sentences_on_a_stall(stall_ms: float | None, conditions: Mapping[str, str]) -> list[str]:
+    """That a loop was held up for long, and by whom most likely, as far as that can be told."""
+    if stall_ms is None or stall_ms <= STALL_MS:
+        return []
+    is_known, lacked = granted_and_not(conditions)
+    if lacked:
+        who = " or ".join(_GOES_FIRST[name] for name in lacked)
+        cause = f"most likely by {who}, as a loop of this run had no {' and no '.join(lacked)}"
+    else:
+        cause = "most likely by the host" if is_known else "by the host or by other processes"
+    said = f"A loop was held up for {stall_ms:.0f} ms, {cause}"
+    return [f"{said}: what came of it says little of the law."]
 
 
 def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:

@@ -76,6 +76,13 @@ def host_of(manifest: Mapping[str, Any]) -> Conditions:
     }
 
 
+def granted_and_not(conditions: Mapping[str, str]) -> tuple[bool, list[str]]:
+    """Whether it is known what the machine granted the loops, and what of it one of them lacked."""
+    granted = conditions.get("granted", _UNKNOWN)
+    lacked = [name for name in _SHOWN_GRANTS if f"no {name}" in granted]
+    return not granted.startswith(_UNKNOWN), lacked
+
+
 def set_text(overrides: Sequence[str] | None) -> str:
     """What was set beside the scenario."""
     return _UNKNOWN if overrides is None else ", ".join(overrides) or "nothing"

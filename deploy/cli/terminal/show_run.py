@@ -57,7 +57,7 @@ def show_summary(
     console: Console, run: RunData, summary: dict[str, Any], conditions: Conditions
 ) -> None:
     """The result of a run as two small tables and a verdict, and what it is to be quoted with."""
-    verdict = verdict_on_run(run, summary)
+    verdict = verdict_on_run(run, summary, conditions)
     console.print(
         f"{summary['scenario']} · {summary['law']} · {summary['clock']}", markup=False, style="bold"
     )

@@ -1,4 +1,4 @@
-"""Stalls of the host: for how long a loop in real time was kept from what it had to do."""
+"""Stalls: for how long a loop in real time was kept from what it had to do."""
 
 from __future__ import annotations
 

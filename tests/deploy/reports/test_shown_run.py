@@ -1,0 +1,73 @@
+"""What the terminal shows of a run, beside what its tables hold."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from bus_schema.messages import topics
+from deploy.cli.terminal.show_run import show_summary
+from deploy.runs.conditions import conditions_of_recording
+from deploy.runs.judging.metrics import summarise
+from deploy.runs.run_data import RunData
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+
+GRANTED = {"granted": True, "detail": "in force"}
+REFUSED = {"granted": False, "detail": "refused"}
+
+
+@pytest.fixture(scope="module")
+def run() -> RunData:
+    return simulate(load_setup("paper_arm", ["duration_s=0.1", "metrics.from_s=0.04"])).data()
+
+
+@pytest.fixture
+def held_up(run: RunData) -> RunData:
+    """A run in real time, one tick of which came 102 ms late."""
+    truth = run.tables[topics.PLANT_TRUTH.name].copy()
+    truth["timing.lateness_ns"][50] = 102_000_000
+    tables = {**run.tables, topics.PLANT_TRUTH.name: truth}
+    return replace(run, clock="realtime", tables=tables)
+
+
+def shown(run: RunData, *settings: dict[str, object]) -> str:
+    """What the terminal shows of a run whose plant was granted or refused some settings."""
+    manifest = {"realtime": {"plant": list(settings)} if settings else {}}
+    console = Console(file=io.StringIO(), width=200)
+    show_summary(console, run, summarise(run), conditions_of_recording(run, manifest))
+    return console.file.getvalue()
+
+
+def setting(name: str, values: dict[str, object]) -> dict[str, object]:
+    return {"name": name, **values}
+
+
+@pytest.mark.parametrize(
+    ("affinity", "scheduler", "cause"),
+    [
+        (GRANTED, GRANTED, "most likely by the host:"),
+        (REFUSED, GRANTED, "another loop on its CPU, as a loop of this run had no CPU affinity:"),
+        (GRANTED, REFUSED, "by other programs, as a loop of this run had no real-time scheduler:"),
+        (
+            REFUSED,
+            REFUSED,
+            "by other programs or another loop on its CPU, as a loop of this run had no real-time"
+            " scheduler and no CPU affinity:",
+        ),
+    ],
+)
+def test_who_held_up_a_loop_is_told_by_what_it_lacked(held_up, affinity, scheduler, cause):
+    said = shown(
+        held_up, setting("CPU affinity", affinity), setting("real-time scheduler", scheduler)
+    )
+    assert "A loop was held up for 102 ms" in said
+    assert cause in said
+    assert ("the host" in said) == (affinity is scheduler is GRANTED)
+
+
+def test_where_nobody_knows_what_loops_were_granted_the_host_is_not_blamed_alone(held_up):
+    assert "held up for 102 ms, by the host or by other processes:" in shown(held_up)
