@@ -40,10 +40,10 @@ def joint_table(summary: dict[str, Any], from_s: float) -> Table:
         if quantity is not quantities.SETTLING_BOUND or summary[quantity.section][quantity.key]
     ]
     return Table(
-        "Joints",
+        f"Joints, errors from {from_s:g} s on",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],
         list(zip(names, *(values for _, values in shown), strict=True)),
-        f"Errors from {from_s:g} s on. {quantities.SETTLED}",
+        quantities.SETTLED,
     )
 
 

@@ -71,3 +71,7 @@ def test_who_held_up_a_loop_is_told_by_what_it_lacked(held_up, affinity, schedul
 
 def test_where_nobody_knows_what_loops_were_granted_the_host_is_not_blamed_alone(held_up):
     assert "held up for 102 ms, by the host or by other processes:" in shown(held_up)
+
+
+def test_over_which_time_errors_are_taken_is_told(run):
+    assert "Joints, errors from 0.04 s on\n" in shown(run)
