@@ -77,7 +77,10 @@ def timing_table(summary: dict[str, Any]) -> Table:
 def health_table(summary: dict[str, Any]) -> Table:
     """Deadlines, pace and recording."""
     timing, recorder = summary["timing"], summary["recorder"]
+    skipped = summary["recording"]["ticks_skipped"]
+    skips = {"Ticks": summary["ticks"], "Ticks skipped, plant too late": skipped}
     rows = {
+        **(skips if skipped else {}),
         "Deadlines missed": timing["deadline_misses"],
         "Longest run of misses (ticks)": timing["deadline_miss_longest_run"],
         "Ticks with a saturated actuator (%)": scaled(summary["torque"]["saturated_fraction"], 100),

@@ -79,6 +79,11 @@ def show_summary(
         + (f", real-time factor {factor:.2f}" if factor is not None else "")
         + f", digest {summary['digest'][:16]}"
     )
+    if skipped := summary["recording"]["ticks_skipped"]:
+        sent = number(summary["transport"]["uplink"]["sent"])
+        console.print(
+            f"{skipped:,} ticks skipped, as the plant came too late to measure; states sent: {sent}"
+        )
     print_conditions(console, conditions)
 
 

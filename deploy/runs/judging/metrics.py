@@ -41,6 +41,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
     setup = run.setup
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
     known, tracking = known_ticks(run), _tracking(run)
+    truth = run.tables[topics.PLANT_TRUTH.name]
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
     return {
@@ -71,6 +72,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
             "damage": list(run.damage),
             "notes": run.notes,
             "ticks_known": known.known,
+            "ticks_skipped": int(truth["timing.skipped"].max(initial=0)),
             "gaps_s": known.gaps_s[:_MOST_GAPS],
             **_over_gaps(run, tracking["settling_time_s"]),
         },

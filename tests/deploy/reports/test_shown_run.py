@@ -10,6 +10,7 @@ from rich.console import Console
 
 from bus_schema.messages import topics
 from deploy.cli.terminal.show_run import show_summary
+from deploy.reports.run_tables import health_table
 from deploy.runs.conditions import conditions_of_recording
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
@@ -75,3 +76,17 @@ def test_where_nobody_knows_what_loops_were_granted_the_host_is_not_blamed_alone
 
 def test_over_which_time_errors_are_taken_is_told(run):
     assert "Joints, errors from 0.04 s on\n" in shown(run)
+
+
+def test_ticks_that_a_late_plant_skipped_are_told(run):
+    truth = run.tables[topics.PLANT_TRUTH.name].copy()
+    truth["timing.skipped"][60:] = 7
+    skipped = replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
+    assert summarise(skipped)["recording"]["ticks_skipped"] == 7
+    assert "7 ticks skipped, as the plant came too late to measure; states sent: 100" in shown(
+        skipped
+    )
+    rows = dict(health_table(summarise(skipped)).rows)
+    assert (rows["Ticks"], rows["Ticks skipped, plant too late"]) == (100, 7)
+    assert "skipped" not in shown(run)
+    assert not any("skipped" in name for name, _ in health_table(summarise(run)).rows)
