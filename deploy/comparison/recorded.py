@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +25,7 @@ from deploy.runs.run_folder import (
     read_summary,
     unrecorded_faults,
 )
+from deploy.runs.simulate import CLOCK as SIMULATED
 from deploy.scenario.agreement import values_in_common
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -64,8 +65,8 @@ class RecordedRuns:
         partings: of each run from the first; None where all ticks are the same bits that both
             recordings have.
         differing: values of the scenarios by run, as JSON, for each key that is not the same in
-            all; None where a scenario lacks it. Without what belongs to a host, and without gains
-            of laws that none of the runs has.
+            all; None where a scenario lacks it. Without what belongs to a host, without gains of
+            laws that none of the runs has, and without the clock where one is a simulation.
     """
 
     paths: Sequence[Path]
@@ -111,12 +112,10 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
     runs = [run for run, _ in read]
     _require_same_joints(paths, runs)
     partings = [_parting(runs[0], run) for run in runs]
-    laws = {run.data.setup.scenario.controller.law for run in runs}
-    sections = {"custom" if is_custom(law) else law for law in laws}
     differing = {
         key: values
         for key, values in _differing([each for _, each in read]).items()
-        if _is_in_force(key, sections)
+        if _is_in_force(key, [run.data for run in runs])
     }
     return RecordedRuns(places, Comparison(runs), partings, differing)
 
@@ -195,8 +194,12 @@ def ticks_in_common(first: RunData, other: RunData) -> tuple[Rows, Rows]:
     return here, there
 
 
-def _is_in_force(key: str, sections: Collection[str]) -> bool:
-    """Whether a value is of any use: gains are, in the sections of the laws that ran."""
+def _is_in_force(key: str, runs: Sequence[RunData]) -> bool:
+    """Whether a value is of use to all: gains are of laws that ran, no clock is of a simulation."""
+    if key == "clock":
+        return all(run.clock != SIMULATED for run in runs)
+    laws = {run.setup.scenario.controller.law for run in runs}
+    sections = {"custom" if is_custom(law) else law for law in laws}
     return not key.startswith(_GAINS) or key.removeprefix(_GAINS).partition(".")[0] in sections
 
 

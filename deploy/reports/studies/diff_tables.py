@@ -77,9 +77,9 @@ def run_table(compared: RecordedRuns) -> Table:
     ]
     rows: list[list[Cell | Value]] = [
         [title, *(run.summary[key] for run in runs)]
-        for title, key in (("Scenario", "scenario"), ("Law", "law"), ("Clock", "clock"),
-                           ("Link", "link"))
-    ]  # fmt: skip
+        for title, key in (("Scenario", "scenario"), ("Law", "law"), ("Link", "link"))
+    ]
+    rows += [["Clock", *(_CLOCKS.get(run.data.clock, run.data.clock) for run in runs)]]
     rows += [
         [name.capitalize(), *(each[name] for each in conditions)] for name in ("version", "date")
     ]
@@ -100,8 +100,8 @@ def run_table(compared: RecordedRuns) -> Table:
     digests = [run.summary["digest"] for run in runs]
     same = (Cell("same", "good") if each == digests[0] else "differs" for each in digests[1:])
     rows.append(["Digest, beside the first", ABSENT, *same])
-    for title, value in _PARTINGS.items():
-        partings = (Cell("never", "good") if p is None else value(p) for p in compared.partings[1:])
+    for title, (none, value) in _PARTINGS.items():
+        partings = (none if p is None else value(p) for p in compared.partings[1:])
         rows.append([title, ABSENT, *partings])
     return Table(
         "Runs", _columns(compared, "Run"), rows,
@@ -110,11 +110,21 @@ def run_table(compared: RecordedRuns) -> Table:
     )  # fmt: skip
 
 
-_PARTINGS: dict[str, Callable[[Parting], Value]] = {
-    "First tick that differs": lambda parting: str(parting.tick),
-    "… at (s)": lambda parting: parting.time_s,
-    "Positions apart, most (mrad)": lambda parting: scaled(parting.largest_rad, _MRAD),
+_CLOCKS = {
+    "realtime": "run in real time",
+    "lockstep": "run in lockstep",
+    "virtual": "simulated in virtual time",
 }
+"""What kept time, by the name it has in recordings: what a run was, not what its scenario says."""
+
+_PARTINGS: dict[str, tuple[Cell | Value, Callable[[Parting], Value]]] = {
+    "First tick that differs": (Cell("never", "good"), lambda parting: str(parting.tick)),
+    "… at (s)": (ABSENT, lambda parting: parting.time_s),
+    "Positions apart, most (mrad)": (
+        Cell("0", "good"), lambda parting: scaled(parting.largest_rad, _MRAD)
+    ),
+}  # fmt: skip
+"""What is told of a run that parts from the first, after what is told of one that never does."""
 
 
 def joint_table(compared: RecordedRuns, quantity: quantities.JointQuantity | None) -> Table:

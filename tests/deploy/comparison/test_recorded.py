@@ -105,7 +105,22 @@ def test_a_run_that_is_repeated_is_the_same_to_the_bit(folder):
     rows = rows_of(run_table(compared))
     assert rows["Digest, beside the first"] == ["–", "same"]
     assert rows["First tick that differs"] == ["–", "never"]
+    assert rows["… at (s)"] == ["–", "–"]
+    assert rows["Positions apart, most (mrad)"] == ["–", "0"]
     assert "the same at every tick" in verdict_on_runs(compared).headline
+
+
+def test_clocks_are_told_by_what_the_runs_were(folder, tmp_path, funnel_hil):
+    """A simulation is never in real time, whatever its scenario says."""
+    changes = [word for change in (*SHORT, "clock=lockstep") for word in ("--set", change)]
+    out = tmp_path / "lockstep"
+    code, said = funnel_hil("run", "paper_arm", *changes, "--out", out, "--no-report")
+    assert code == 0, said
+    compared = recorded_runs([tmp_path / "lockstep", folder / "first"])
+    assert compared.partings == [None, None]
+    clocks = rows_of(run_table(compared))["Clock"]
+    assert clocks == ["run in lockstep", "simulated in virtual time"]
+    assert compared.differing == {}
 
 
 @pytest.mark.parametrize("order", [("first", "gap"), ("gap", "first")])
