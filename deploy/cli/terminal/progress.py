@@ -5,7 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column
@@ -15,6 +17,23 @@ _POLL_S = 0.1
 _PLAIN_LINE_S = 3.0
 _BAR_WIDTH = 12
 _WHOLE = Column(no_wrap=True, overflow="ellipsis")
+
+
+class _Shape(NamedTuple):
+    """What a live line has besides how far the command is, its speed and its note."""
+
+    name: bool
+    bar: bool
+    time_left: bool
+
+
+_SHAPES = (
+    _Shape(name=True, bar=True, time_left=True),
+    _Shape(name=True, bar=False, time_left=True),
+    _Shape(name=True, bar=False, time_left=False),
+    _Shape(name=False, bar=False, time_left=False),
+)
+"""From the widest on: the first that fits is shown."""
 
 
 class CommandProgress:
@@ -30,10 +49,14 @@ class CommandProgress:
     def __init__(self, console: Console, name: str, total: float, unit: str) -> None:
         self._console, self._unit, self._note = console, unit, ""
         self._total, self._done, self._done_before = total, 0.0, 0.0
-        self._bar = Progress(
+        self._columns = (
             TextColumn("{task.description}", style="bold", markup=False, table_column=_WHOLE),
             BarColumn(bar_width=_BAR_WIDTH),
             TextColumn("{task.fields[line]}", markup=False, table_column=_WHOLE),
+        )
+        self._shape = 0
+        self._bar = Progress(
+            *self._columns,
             console=console,
             transient=True,
             disable=not console.is_terminal,
@@ -102,21 +125,32 @@ class CommandProgress:
             self.say(self._line())
 
     def _fitting_line(self) -> str:
-        """The line beside name and bar; where there is little room, its end is left out.
+        """The line beside name and bar; where there is little room, they leave it to the note.
 
-        So name, bar and the time that is left stay, however long the note is.
+        They do not come back, as a line whose parts come and go cannot be read. What is still too
+        long loses its end.
         """
         name = self._bar.tasks[self._task].description
-        line = Text(self._line())
-        line.truncate(self._console.width - len(name) - _BAR_WIDTH - 2, overflow="ellipsis")
-        return line.plain
+        for index in range(self._shape, len(_SHAPES)):
+            shape = _SHAPES[index]
+            line = self._line(time_left=shape.time_left)
+            beside = shape.name * (cell_len(name) + 1) + shape.bar * (_BAR_WIDTH + 1)
+            room = self._console.width - beside
+            if cell_len(line) <= room:
+                break
+        self._shape = index
+        shown = zip(self._columns, (shape.name, shape.bar, True), strict=True)
+        self._bar.columns = tuple(column for column, is_shown in shown if is_shown)
+        text = Text(line)
+        text.truncate(room, overflow="ellipsis")
+        return text.plain
 
-    def _line(self) -> str:
+    def _line(self, *, time_left: bool = True) -> str:
         elapsed_s = max(time.monotonic() - self._started_s, 1e-9)
         speed = (self._done - self._done_before) / elapsed_s
         line = f"{round(self._done, 2):g} of {self._total:g} {self._unit}"
         if speed > 0.0:
             line += f", {speed:.3g} {self._unit}/s"
-            if self._done < self._total:
+            if time_left and self._done < self._total:
                 line += f", {(self._total - self._done) / speed:.0f} s left"
         return f"{line}, {self._note}" if self._note else line

@@ -4,7 +4,6 @@ import io
 import logging
 import re
 import threading
-import time
 
 import pytest
 from rich.console import Console
@@ -102,20 +101,46 @@ def test_what_processes_say_is_shown(console):
     assert last.endswith("deadline misses 3")
 
 
-def test_at_80_columns_name_bar_time_left_and_joint_stay():
-    console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system=None)
-    names = tuple(f"lbr_iiwa_joint_{number}" for number in range(1, 8))
-    with CommandProgress(console, "iiwa", 20, "s") as progress:
-        handle = status_handler(progress, names)
-        handle(StatusMessage("plant", "progress", {"time_s": 1.0, "deadline_misses": 12345}))
-        time.sleep(0.01)  # for a speed
-        worst = {"joint": 3, "error_mrad": 0.123, "bound_mrad": 10.0}
+NAMED = ("base_yaw", "shoulder", "elbow")
+NUMBERED = tuple(f"lbr_iiwa_joint_{number}" for number in range(1, 8))
+
+
+def last_live_line(monkeypatch, width, name, joints, worst_mrad, misses):
+    """What a terminal shows in the end of 15.25 s of 20 s, a little slower than real time."""
+    now_s = [0.0]
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s[0])
+    console = Console(
+        file=io.StringIO(), width=width, force_terminal=True, color_system=None,
+        get_time=lambda: 0.0,
+    )  # fmt: skip
+    with CommandProgress(console, name, 20, "s") as progress:
+        handle = status_handler(progress, joints)
+        worst = {"joint": 1, "error_mrad": worst_mrad, "bound_mrad": 10.0}
+        handle(StatusMessage("plant", "progress", {"time_s": 0.0, "deadline_misses": 0}))
         handle(StatusMessage("controller", "progress", worst))
-        handle(StatusMessage("plant", "progress", {"time_s": 1.5, "deadline_misses": 12345}))
+        now_s[0] = 15.28
+        handle(StatusMessage("plant", "progress", {"time_s": 15.25, "deadline_misses": misses}))
     said = re.split(r"[\r\n]|\x1b\[2K", console.file.getvalue())
-    last = [line for line in said if "of 20 s" in line][-1]
-    assert re.match(r"iiwa .* 1\.5 of 20 s, \S+ s/s, \d+ s left, …joint_3", last)
-    assert len(last.rstrip()) <= 80
+    return [line for line in said if "of 20 s" in line][-1].rstrip()
+
+
+def test_at_80_columns_time_speed_error_and_misses_are_seen(monkeypatch):
+    line = last_live_line(monkeypatch, 80, "paper_arm", NAMED, -12.345, 3)
+    assert line == "15.25 of 20 s, 0.998 s/s, base_yaw -12.345 of 10.0 mrad, deadline misses 3"
+    line = last_live_line(monkeypatch, 80, "iiwa", NUMBERED, 0.123, 12345)
+    assert line == "15.25 of 20 s, 0.998 s/s, …joint_1 +0.123 of 10.0 mrad, deadline misses 12345"
+
+
+def test_with_more_room_name_time_left_and_bar_are_seen_too(monkeypatch):
+    note = "base_yaw +0.123 of 10.0 mrad, deadline misses 3"
+    far = "15.25 of 20 s, 0.998 s/s"
+    lines = {
+        width: last_live_line(monkeypatch, width, "paper_arm", NAMED, 0.123, 3)
+        for width in (90, 100, 120)
+    }
+    assert lines[90] == f"paper_arm {far}, {note}"
+    assert lines[100] == f"paper_arm {far}, 5 s left, {note}"
+    assert re.fullmatch(rf"paper_arm ━[━╸╺ ]+{re.escape(f'{far}, 5 s left, {note}')}", lines[120])
 
 
 def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypatch):
