@@ -56,13 +56,14 @@ def status_handler(
 def show_summary(
     console: Console, run: RunData, summary: dict[str, Any], conditions: Conditions
 ) -> None:
-    """The result of a run as two small tables and a verdict, and what it is to be quoted with."""
+    """The result of a run as two small tables, a verdict, and what it is to be quoted with."""
     verdict = verdict_on_run(run, summary, conditions)
     console.print(
         f"{summary['scenario']} · {summary['law']} · {summary['clock']}", markup=False, style="bold"
     )
-    print_table(console, joint_table(summary, run.setup.scenario.metrics.from_s))
-    print_table(console, timing_table(summary))
+    if summary["ticks"]:
+        print_table(console, joint_table(summary, run.setup.scenario.metrics.from_s))
+        print_table(console, timing_table(summary))
     if verdict.faults:
         first, *others = verdict.faults
         console.print(f"[bold red]fault[/]  {escape(first)}", soft_wrap=True)

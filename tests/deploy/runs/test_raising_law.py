@@ -73,6 +73,8 @@ def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tic
     out = folder / "out"
     code, output = funnel_hil("simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out)
     assert code == 1
+    # of a run without ticks there is nothing to put into tables
+    assert [title in output for title in ("Joints, errors", "Timing")] == [at_tick > 0] * 2
     assert_told_everywhere(told, output, out)
 
 
