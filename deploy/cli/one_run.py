@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+import typer
 from rich.console import Console
 
 from bus_schema.messages.topics import Role
@@ -127,6 +128,8 @@ def run_in_virtual_time(options: RunOptions) -> None:
     """Run a scenario in this process and in virtual time, and judge the run."""
     setup = load_setup(options.scenario, options.overrides)
     say_oddities(setup)
+    if setup.scenario.link.security.enabled:
+        typer.echo("warning: link.security: a simulation uses no keys, and checks none", err=True)
     check_link(setup, one_process=True)
     console = Console()
     with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:

@@ -159,6 +159,18 @@ def test_commands_refuse_before_anything_starts(
     assert not out.exists()
 
 
+def test_a_simulation_says_that_it_uses_no_keys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = ["link.security.enabled=true", f"link.security.folder={tmp_path}/none"]
+    values += ["duration_s=0.1", "metrics.from_s=0"]
+    words = ["simulate", "paper_arm", *(word for value in values for word in ("--set", value))]
+    words += ["--no-report", "--out", str(tmp_path / "out")]
+    code, said = call(monkeypatch, capsys, *words)
+    assert code == 0
+    assert "warning: link.security: a simulation uses no keys, and checks none" in said.err
+
+
 def test_cli_makes_issues_and_lists(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
