@@ -23,6 +23,7 @@ from deploy.benchmarks.measure import Costs, Section
 from deploy.benchmarks.recorder_throughput import measure_recorder
 from deploy.benchmarks.round_trip import measure_round_trips
 from deploy.benchmarks.sweep_costs import measure_sweep
+from deploy.reports.tables import number
 from deploy.runs.run_folder import provenance
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -112,4 +113,4 @@ def _require_writable(file: Path) -> None:
 
 
 def _sum(costs: Costs, names: tuple[str, ...]) -> str:
-    return f"{sum(costs[name].median for name in names):.3g}"
+    return number(sum(costs[name].median for name in names))

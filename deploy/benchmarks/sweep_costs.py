@@ -54,7 +54,7 @@ def measure_sweep(scenario: str, seconds: float, runs: int, repetitions: int) ->
             repetitions,
         )
     ratios = [ratio(costs, ONE, BARE), ratio(costs, ONE, TWO)]
-    notes = [f"{runs} runs of {seconds:g} s each; rows, scenarios and table are written"]
+    notes = [f"Each is {runs} runs of {seconds:g} s; sweeps write rows, scenarios and table too."]
     return Section(f"Sweep of {setup.scenario.name}", costs, ratios, notes)
 
 
