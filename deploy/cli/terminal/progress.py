@@ -63,7 +63,7 @@ class CommandProgress:
         )
         self._task = self._bar.add_task(name, total=total, line="starting")
         self._started_s = self._printed_s = time.monotonic()
-        self._is_printed = True
+        self._is_printed, self._printed_done = True, -1.0
         self._position: Callable[[], float] | None = None
         self._over = threading.Event()
         self._follower = threading.Thread(target=self._watch, daemon=True)
@@ -94,7 +94,8 @@ class CommandProgress:
         self._note = self._note if note is None else note
         self._bar.update(self._task, completed=done, total=self._total, line=self._fitting_line())
         self._is_printed = False
-        if time.monotonic() - self._printed_s >= _PLAIN_LINE_S:
+        is_time = time.monotonic() - self._printed_s >= _PLAIN_LINE_S
+        if is_time and done != self._printed_done:  # starting up is told once
             self._print_plainly()
 
     def skip_to(self, done: float) -> None:
@@ -121,6 +122,7 @@ class CommandProgress:
 
     def _print_plainly(self) -> None:
         self._printed_s, self._is_printed = time.monotonic(), True
+        self._printed_done = self._done
         if not self._console.is_terminal:
             self.say(self._line())
 

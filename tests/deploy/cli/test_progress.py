@@ -42,6 +42,14 @@ def test_plain_lines_come_now_and_then(console, monkeypatch):
     assert [line.split(",")[0] for line in lines(console)] == ["1 of 2 runs", "2 of 2 runs"]
 
 
+def test_while_nothing_more_is_done_there_is_one_plain_line(console, monkeypatch):
+    monkeypatch.setattr(progress_module, "_PLAIN_LINE_S", 0.0)
+    with CommandProgress(console, "arm", 20, "s") as progress:
+        for done in (0.0, 0.0, 0.0, 1.0):
+            progress.update(done)
+    assert [line.split(",")[0] for line in lines(console)] == ["0 of 20 s", "1 of 20 s"]
+
+
 def test_nothing_is_said_of_what_never_began(console):
     with CommandProgress(console, "arm", 8, "s"):
         pass
