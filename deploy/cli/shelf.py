@@ -22,7 +22,7 @@ from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import load_run
 from deploy.runs.shelf import Shelved, shelved, tag
 from deploy.scenario.scenario import SHIPPED
-from deploy.scenario.yaml_files import ScenarioError
+from deploy.scenario.yaml_files import FAULTS, ScenarioError
 from deploy.study.study import SHIPPED as SHIPPED_STUDIES
 
 app = typer.Typer(help="Folders of results: list, tag, prune.", no_args_is_help=True)
@@ -36,10 +36,15 @@ _GAP = 2
 
 def scenarios() -> None:
     """List the scenarios and studies that are shipped."""
-    for folder, use in ((SHIPPED, "run, simulate, compare, margin"), (SHIPPED_STUDIES, "studies")):
-        table = _table(f"{folder.name} ({use})", "Name", "What it is")
+    use = "run, simulate, compare, margin"
+    for folder, title, before in (
+        (SHIPPED, f"{SHIPPED.name} ({use})", ""),
+        (SHIPPED / FAULTS, f"{SHIPPED.name} in which something breaks (the same)", f"{FAULTS}/"),
+        (SHIPPED_STUDIES, f"{SHIPPED_STUDIES.name} (studies)", ""),
+    ):
+        table = _table(title, "Name", "What it is")
         for file in sorted(folder.glob("*.yaml")):
-            table.add_row(file.stem, _first_sentence(file))
+            table.add_row(before + file.stem, _first_sentence(file))
         Console().print(table)
 
 

@@ -22,6 +22,9 @@ from deploy.scenario.yaml_text import problem_in, values_of
 # Several times as fast, where it is there.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
+FAULTS = "faults"
+"""Folder within that of the shipped scenarios, of those in which something breaks."""
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -69,11 +72,15 @@ def find_yaml(
     if is_file(by_name):
         return by_name
     names = sorted(file.stem for file in filter(fits, shipped.glob("*.yaml")))
+    faults = sorted(f"{FAULTS}/{file.stem}" for file in shipped.glob(f"{FAULTS}/*.yaml"))
+    listed = [*names, f"{FAULTS}/*"] if faults else names
+    if faults and name_or_path.startswith(f"{FAULTS}/"):
+        listed = faults
     is_there = any(os.path.exists(path) for path in (name_or_path, beside / name_or_path))  # noqa: PTH110 (raises nothing)
     what = "is no regular file" if is_there else "no such file"
     raise ScenarioError(
         f"{shortened(name_or_path)}: {what}, nor one of the shipped {shipped.name}"
-        f" {', '.join(names)}{did_you_mean(name_or_path, names)}"
+        f" {', '.join(listed)}{did_you_mean(name_or_path, [*names, *faults])}"
     )
 
 

@@ -13,6 +13,8 @@ MISSPELT = [
     (("margin", "--study", "delay_margn"), "delay_margin"),
     (("sweep", "delay_swep"), "delay_sweep"),
     (("simulate", "papr_arm"), "paper_arm"),
+    (("simulate", "faults/encoder_stik"), "faults/encoder_stuck"),
+    (("simulate", "encoder_stuck"), "faults/encoder_stuck"),
     (("simulate", "--set", "clock=lockstp"), "lockstep"),
     (("simulate", "--set", "link.kind=zenho"), "zenoh"),
     (("simulate", "--set", "link.can.protocol=cia40"), "cia402"),
@@ -28,6 +30,14 @@ def test_a_choice_that_is_misspelt(funnel_hil, nothing_starts, words, meant):
     code, said = funnel_hil(*words)
     assert code == 2
     assert said.endswith(f"; did you mean {meant}?\n")
+
+
+def test_shipped_faults_are_listed_to_who_asks_for_one(funnel_hil, nothing_starts):
+    code, said = funnel_hil("simulate", "faults/nothing_like_it")
+    assert code == 2
+    assert "faults/actuator_dead, faults/actuator_weak" in said
+    assert "paper_arm" not in said
+    assert "paper_arm_mit, faults/*" in funnel_hil("simulate", "nowhere")[1]
 
 
 def test_no_hint_where_nothing_is_alike(funnel_hil, nothing_starts):

@@ -54,9 +54,11 @@ def test_version(funnel_hil):
 def test_scenarios_are_listed_with_what_they_are(funnel_hil):
     code, said = funnel_hil("scenarios")
     assert code == 0
-    for file in [*SHIPPED.glob("*.yaml"), *STUDIES.glob("*.yaml")]:
-        (line,) = [line for line in said.splitlines() if line.split()[:1] == [file.stem]]
-        assert len(line.split()) > 4
+    faults = [f"faults/{file.stem}" for file in SHIPPED.glob("faults/*.yaml")]
+    assert "faults/encoder_stuck" in faults
+    for name in [file.stem for file in (*SHIPPED.glob("*.yaml"), *STUDIES.glob("*.yaml"))] + faults:
+        (line,) = [line for line in said.splitlines() if line.split()[:1] == [name]]
+        assert len(line.split()) > 3
 
 
 def test_export_writes_every_series_in_both_formats(funnel_hil, recorded):
