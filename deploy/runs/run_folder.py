@@ -29,6 +29,7 @@ from deploy.processes.recorder import (
     SCENARIO_ATTACHMENT,
 )
 from deploy.runs.new_folder import FolderLock, new_folder
+from deploy.runs.no_recording import no_recording
 from deploy.runs.run_data import RunData, build_run_data
 from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.scenario import load_setup
@@ -155,7 +156,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
     if not file.exists():
         file = partial_path(file)
     if not file.is_file():
-        raise RunFolderError(f"{path}: holds no run.mcap")
+        raise RunFolderError(no_recording(path, str(read_summary(path).get("kind", ""))))
     contents = read_log(file)
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
         damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""

@@ -1,0 +1,67 @@
+"""Who gives something else for a recorded run is told what it is, and where there are runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus_schema.recording.atomic_files import write_json
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    """Results of each kind, as far as they are looked at."""
+    monkeypatch.chdir(tmp_path)
+    for name, kind in (
+        ("paper_arm-1", "run"), ("margin-a", "margin"), ("sweep-a", "sweep"), ("both", "comparison")
+    ):  # fmt: skip
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        write_json(tmp_path / "runs" / name / "summary.json", {"kind": kind})
+    (tmp_path / "runs" / "both" / "pid").mkdir()
+    (tmp_path / "runs" / "both" / "pid" / "run.mcap").touch()
+    (tmp_path / "runs" / "under_way").mkdir()
+    (tmp_path / "runs" / "under_way" / "study.yaml").touch()
+    return tmp_path / "runs"
+
+
+COMMANDS = (("view",), ("replay",), ("export", "--csv"))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_folder_that_is_not_there(funnel_hil, runs, command):
+    code, said = funnel_hil(*command, "runs/papr_arm-1")
+    assert code == 2
+    assert "error: runs/papr_arm-1: holds no run.mcap: no such folder or file; " in said
+    assert "funnel-hil runs list runs shows runs/both, runs/margin-a, runs/paper_arm-1, " in said
+    assert said.endswith("; did you mean paper_arm-1?\n")
+
+
+def test_many_are_not_all_named(funnel_hil, runs):
+    for number in range(3):
+        (runs / f"new-{number}").mkdir()
+        write_json(runs / f"new-{number}" / "summary.json", {})
+    said = funnel_hil("view", "runs/nope")[1]
+    assert said.endswith("runs/new-2 and 3 more\n")
+    said = funnel_hil("view", "results/nope")[1]
+    assert said.endswith("; funnel-hil runs list shows what lies in runs\n")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("margin-a", "a study of margins"),
+        ("sweep-a", "a sweep"),
+        ("under_way", "a study"),
+        ("both", "a comparison, with runs in runs/both/pid"),
+    ],
+)
+def test_results_of_another_kind(funnel_hil, runs, command, name, what):
+    code, said = funnel_hil(*command, f"runs/{name}")
+    assert code == 2
+    told = f"holds no run.mcap, as it is no run but {what}; funnel-hil report runs/{name} shows it"
+    assert said == f"error: runs/{name}: {told}\n"
+
+
+def test_folder_of_a_run_without_its_recording(funnel_hil, runs):
+    said = funnel_hil("view", "runs/paper_arm-1")[1]
+    assert said == "error: runs/paper_arm-1: holds no run.mcap\n"
