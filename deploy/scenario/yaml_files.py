@@ -22,6 +22,7 @@ from deploy.scenario.yaml_text import problem_in, values_of
 # Several times as fast, where it is there.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
+_XML = ("<?xml", "<!--", "<robot")
 FAULTS = "faults"
 """Folder within that of the shipped scenarios, of those in which something breaks."""
 
@@ -99,8 +100,14 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ScenarioError: it cannot be read, or holds something else.
     """
     try:
+        text = path.read_text()
+        if text.lstrip().startswith(_XML):
+            raise ScenarioError(
+                f"{path}: must be a mapping of keys to values in YAML, and is XML: an arm in URDF"
+                f" or xacro goes under robot.urdf of a scenario; funnel-hil robot {path} shows it"
+            )
         with naming(path):
-            values = values_of(path.read_text())
+            values = values_of(text)
     except yaml.YAMLError as error:
         raise ScenarioError(f"{path}: cannot be read as YAML: {problem_in(error)}") from error
     except (OSError, UnicodeDecodeError) as error:

@@ -56,6 +56,18 @@ def test_a_xacro_file_is_an_arm_like_any_other(folder):
     assert load_setup(str(written)).governing_inertia_kg_m2[0] == pytest.approx(0.16)
 
 
+@pytest.mark.parametrize("before", ["", '<?xml version="1.0"?>\n', "\n<!-- an arm: of mine -->\n"])
+@pytest.mark.parametrize("command", ["simulate", "sweep"])
+def test_an_arm_where_yaml_is_expected_is_told_where_it_goes(folder, funnel_hil, command, before):
+    arm = folder / "arm.urdf"
+    arm.write_text(before + XACRO)
+    code, said = funnel_hil(command, arm)
+    assert code == 2
+    assert f"{arm}: must be a mapping of keys to values in YAML, and is XML: " in said
+    assert "goes under robot.urdf of a scenario; " in said
+    assert said.endswith(f"funnel-hil robot {arm} shows it\n")
+
+
 def test_what_xacro_refuses_is_told_by_file(folder):
     path = folder / "some_robot" / "urdf" / "arm.urdf.xacro"
     path.write_text(path.read_text().replace("2 * 1.5", "twice"))
