@@ -30,7 +30,7 @@ from tests.eds_decoding import EdsDecoder
 VIRTUAL = ["link.can.interface=virtual", "link.can.answer_timeout_s=20"]
 STRUCK_S = 0.5
 TICK_S = 0.002
-HANG_S = 20.0
+HANG_S = 60.0
 SLOW_DOWN_S = 0.3
 """Object 0x2000: the longest a CiA 402 drive takes to slow down before it brakes."""
 
