@@ -126,7 +126,7 @@ class PlantLoop:
         self._react()
         self._note_truth(was_skipped=False)
         self._instruments.read(0)
-        self._measure()
+        self._send_state()
         while self.tick < self._end_tick and not self._stop_requested:
             self._cycle()
         self._exchange_until(self._tick_ns)
@@ -152,7 +152,7 @@ class PlantLoop:
         self._telemetry.begin_cycle(self._lateness_ns)
         self._reach_next_tick()
         if self.tick < self._end_tick:
-            self._measure()
+            self._send_state()
         self._note_truth(was_skipped=False)
         self._telemetry.end_cycle()
 
@@ -306,7 +306,7 @@ class PlantLoop:
         stop_ticks = round(self._task.plant.stop_duration_s * 1e9 / self._grid.period_ns)
         self._end_tick = min(self._end_tick, self.tick + 1 + stop_ticks)
 
-    def _measure(self) -> None:
+    def _send_state(self) -> None:
         """Send the state that was read on its way; in real time somebody waits for it."""
         measurement = self._instruments.measure(self._tick_ns, self._command_age_ns)
         size_bytes = len(measurement.state) + len(measurement.status)

@@ -30,7 +30,7 @@ class Stream:
         self.name = topic.name.encode()
         self.is_urgent, self.paces = topic.urgent, topic.paces
         self.is_event = topic.rate is Rate.EVENT
-        self.is_own_bundled = topic is not JOINT_COMMANDS  # of those the plant tells
+        self.is_bundled = topic is not JOINT_COMMANDS  # the plant bundles those that it takes in
         self.sequence = 0
 
 
@@ -77,7 +77,7 @@ class Outbox:
         attachment = Attachment(sequence, time.time_ns(), stream.gid).encode()
         if stream.is_urgent:
             stream.publisher.put(payload, attachment + beside)
-        if self._bundler is not None and stream.is_own_bundled:
+        if self._bundler is not None and stream.is_bundled:
             self._bundler.add(stream.name, attachment, payload)
         if self._flow is not None:
             self._sent_bytes += len(payload) + len(beside) + OVERHEAD_BYTES
