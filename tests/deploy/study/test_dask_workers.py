@@ -36,7 +36,38 @@ class Deadly:
     def torque(self, tracking):
         os._exit(1)
 """
-WAIT_S = 120.0
+GATED_LAW = """
+import time
+from pathlib import Path
+import numpy as np
+from controller.control_law import Diagnostics
+
+HERE = Path({folder!r})
+
+class Gated:
+    # A law at rest whose runs begin when they are let, so that a sweep can be caught in the middle
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+        self.rest, self.has_begun = np.zeros(model.joints), False
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        if not self.has_begun:
+            self.has_begun = True
+            self.begin()
+        return self.rest
+
+    def begin(self):
+        with open(HERE / "begun", "ab", buffering=0) as begun:
+            begun.write(b".")
+            place = begun.tell()
+        while place > int((HERE / "let").read_text() or 0):
+            time.sleep(0.01)
+"""
+EVERY = 10**6
+WAIT_S = 300.0
 
 
 def wait_for(condition):
@@ -86,6 +117,37 @@ def write_sweep(file, grid, **more):
     values = {"name": "short", "scenario": "paper_arm", "set": fixed, "grid": grid, **more}
     file.write_text(yaml.safe_dump(values))
     return file
+
+
+class Gate:
+    """Lets the runs of sweeps whose law is `gated:Gated` begin.
+
+    Args:
+        folder: where the law is written.
+    """
+
+    def __init__(self, folder):
+        self._let, self._begun = folder / "let", folder / "begun"
+        self._begun.touch()
+        self.let(0)
+        (folder / "gated.py").write_text(GATED_LAW.format(folder=str(folder)))
+
+    def let(self, runs):
+        """Let so many runs begin in all."""
+        self._runs_let = runs
+        self._let.write_text(str(runs))
+
+    def wait_for(self, runs):
+        """Wait until so many runs are at the gate or through it."""
+        wait_for(lambda: self._begun.stat().st_size >= runs)
+
+    def let_until(self, condition):
+        """Let one run after another begin until something is so."""
+        self.wait_for(self._runs_let + 1)
+        while not condition():
+            self.let(self._runs_let + 1)
+            self.wait_for(self._runs_let + 1)
+            time.sleep(0.2)  # parts are written once a second
 
 
 def start(definition, out, *words, cwd=ROOT):
@@ -146,40 +208,47 @@ def test_an_address_that_is_none_is_refused(funnel_hil, definition, tmp_path):
 
 def test_a_worker_killed_in_the_middle_costs_no_row_and_doubles_none(funnel_hil, cluster, tmp_path):
     address, worker = cluster
-    definition = write_sweep(tmp_path / "long.yaml", {"link.uplink.delay_ms": [0, 1]}, seeds=30)
-    out = tmp_path / "out"
-    command = start(definition, out, "--scheduler", address)
-    wait_for(lambda: parts_of(out) or (out / "sweep.parquet").exists())
-    assert not (out / "sweep.parquet").exists(), "too late to kill a worker in the middle"
+    gate = Gate(tmp_path)
+    gated, uplink_ms = {"controller.law": "gated:Gated"}, {"link.uplink.delay_ms": [0, 1]}
+    definition = write_sweep(tmp_path / "long.yaml", uplink_ms, seeds=30, set=gated)
+    command = start(definition, tmp_path / "out", "--scheduler", address, cwd=tmp_path)
+    gate.let(4)
+    gate.wait_for(6)  # each worker is in the middle of a run
     worker.kill()
+    gate.let(EVERY)
     assert command.wait(timeout=WAIT_S) == 0
-    rows = parquet.read_table(out / "sweep.parquet").to_pylist()
+    rows = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pylist()
     assert [(row["point"], row["seed"]) for row in rows] == [
         (point, seed) for point in ("00000", "00001") for seed in range(1, 31)
     ]
     assert all(row["error"] is None for row in rows)
 
 
-def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_path):
-    definition = write_sweep(tmp_path / "long.yaml", {"link.uplink.delay_ms": [0, 1]}, seeds=40)
+def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_path, monkeypatch):
+    gate = Gate(tmp_path)
+    gated, uplink_ms = {"controller.law": "gated:Gated"}, {"link.uplink.delay_ms": [0, 1]}
+    definition = write_sweep(tmp_path / "long.yaml", uplink_ms, seeds=40, set=gated)
     out = tmp_path / "out"
     words = (definition, out, "--workers", "1")
-    killed = start(*words)
-    wait_for(lambda: parts_of(out) or (out / "sweep.parquet").exists())
+    killed = start(*words, cwd=tmp_path)
+    gate.let_until(lambda: parts_of(out))
     killed.kill()
     killed.wait()
     kept = sum(parquet.read_table(part).num_rows for part in parts_of(out))
     assert 0 < kept < 80
-    stopped = start(*words)
-    wait_for(lambda: len(parts_of(out)) > 1 or stopped.poll() is not None)
+    stopped = start(*words, cwd=tmp_path)
+    gate.let_until(lambda: len(parts_of(out)) > 1)
     stopped.send_signal(signal.SIGINT)
+    gate.let(EVERY)
     output = stopped.communicate(timeout=WAIT_S)[0]
     assert stopped.returncode == 130, output
     assert f"{kept} runs were there from before" in output
     assert "goes on from here" in output
-    assert 0 < parquet.read_table(out / "sweep.parquet").num_rows < 80
-    last = start(definition, out, "--scheduler", cluster[0])  # who does the rest does not matter
+    assert kept < parquet.read_table(out / "sweep.parquet").num_rows < 80
+    # who does the rest does not matter
+    last = start(definition, out, "--scheduler", cluster[0], cwd=tmp_path)
     assert last.wait(timeout=WAIT_S) == 0
+    monkeypatch.chdir(tmp_path)
     assert table_of(out / "sweep.parquet") == done_here(definition, tmp_path / "here")
 
 
