@@ -1,0 +1,96 @@
+"""Where something goes wrong in a run of the plant: it is told, the arm stops, the run ends."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+
+from bus_schema.limits import LimitCounts, name_of
+from bus_schema.messages.run_event import EventKind
+from bus_schema.runtime.clock import TickGrid
+from bus_schema.runtime.modes import COMMANDABLE, Mode, mode_event
+from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.telemetry import PlantTelemetry
+
+logger = logging.getLogger(__name__)
+
+
+class Supervisor:
+    """Stops the arm safely where something asks for it, and says when the run ends.
+
+    Args:
+        arm: what is stopped.
+        telemetry: where events are noted.
+        plant: how the arm stops.
+        grid: ticks of the run.
+        ticks: length of the run.
+        tick: the tick that the run has reached; events are stamped with its instant.
+
+    Attributes:
+        end_tick: the run ends there: after all its ticks, or when a stop has had its time.
+        stop_requested: the run is to end at the next tick, because somebody wants it so.
+        faults: what went wrong, one sentence each.
+        limits: how often each limit was hit.
+    """
+
+    def __init__(
+        self,
+        arm: ArmPlant,
+        telemetry: PlantTelemetry,
+        plant: PlantConfiguration,
+        grid: TickGrid,
+        ticks: int,
+        tick: Callable[[], int],
+    ) -> None:
+        self._arm, self._telemetry, self._grid, self._tick = arm, telemetry, grid, tick
+        self._safe_stop = f"safe stop ({plant.safe_stop})"
+        self._stop_ticks = round(plant.stop_duration_s * 1e9 / grid.period_ns)
+        self.end_tick = ticks
+        self.stop_requested = False
+        self.faults: list[str] = []
+        self.limits = LimitCounts()
+
+    def announce(self, kind: EventKind, detail: str) -> None:
+        """Tell that something happened at this tick."""
+        self._telemetry.note_event(self._grid.tick_ns(self._tick()), kind, detail)
+
+    def announce_mode(self, why: str) -> None:
+        """Tell which mode the arm is in by now."""
+        self.announce(EventKind.MODE, mode_event(self._arm.mode, why))
+
+    def fail(self, reason: str) -> None:
+        """Tell of a fault."""
+        self.faults.append(reason)
+        logger.error("%s", reason)
+        self.announce(EventKind.FAULT, reason)
+
+    def stop(self, reason: str) -> None:
+        """Stop the arm, and end the run when it has had the time for it."""
+        self._arm.stop()
+        self.announce_mode(self._safe_stop)
+        self.fail(reason)
+        self.end_tick = min(self.end_tick, self._tick() + 1 + self._stop_ticks)
+
+    def stop_safely(self, reason: str) -> None:
+        """The same, where the reason does not say by itself that the arm is stopped."""
+        self.stop(f"{reason}: {self._safe_stop}")
+
+    def stop_after_error(self, error: Exception) -> None:
+        """Stop the arm because the loop cannot go on."""
+        reason = f"the plant cannot go on: {type(error).__name__}: {error}"
+        logger.exception("the plant cannot go on", exc_info=error)
+        if self._arm.mode in COMMANDABLE:
+            self.stop_safely(reason)
+        else:
+            self.fail(reason)
+
+    def handle_limit_hits(self) -> None:
+        """Count the limits that were hit during a tick, and stop where that is asked for."""
+        hits = self._arm.torques.take_limit_hits()
+        new = self.limits.note(hits)
+        if new:
+            self.announce(EventKind.LIMIT, f"reached for the first time: {name_of(new)}")
+        beyond = self._arm.stops_at & hits
+        if beyond and self._arm.mode is Mode.TRACKING:
+            self.stop_safely(f"beyond its limits: {name_of(beyond)}")
