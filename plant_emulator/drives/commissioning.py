@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bus_schema.can.cia402_codec import rated_torque_nm
+from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.configuration import expand
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration

@@ -17,7 +17,7 @@ from pathlib import Path
 import cantools
 import pytest
 
-from bus_schema.can.cia402_master import MASTER_NODE
+from bus_schema.can.cia402.master import MASTER_NODE
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError

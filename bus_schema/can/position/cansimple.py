@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.cansimple_codec import SET_INPUT_POS, CanSimpleCodec, identifier
-from bus_schema.can.cansimple_master import CanSimpleMaster
+from bus_schema.can.cansimple.codec import SET_INPUT_POS, CanSimpleCodec, identifier
+from bus_schema.can.cansimple.master import CanSimpleMaster
 from bus_schema.can.frame import CanBus, CanFrame, is_classical_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.position.aiming import AimingCodec, AimingMaster

@@ -14,8 +14,8 @@ from canopen.profiles.p402 import BaseNode402
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.cia402_codec import Cia402Codec
-from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.cia402.codec import Cia402Codec
+from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import CanBus, CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.position.aiming import AimingCodec, AimingMaster

@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from bus_schema.can.candump import CandumpLog
-from bus_schema.can.cia402_codec import Cia402Codec
-from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.cia402.codec import Cia402Codec
+from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.exchange import FrameExchange
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.medium import CanMedium

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bus_schema.can.cansimple_codec import CanSimpleCodec
-from bus_schema.can.cansimple_master import CanSimpleMaster
+from bus_schema.can.cansimple.codec import CanSimpleCodec
+from bus_schema.can.cansimple.master import CanSimpleMaster
 from bus_schema.can.frame import CanBus
 from bus_schema.can.position.cansimple import CanSimplePositionCodec, CanSimplePositionMaster
 from bus_schema.configuration import ConfigurationError

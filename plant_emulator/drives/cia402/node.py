@@ -15,7 +15,7 @@ from canopen.objectdictionary import NUMBER_TYPES, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
-from bus_schema.can.eds import object_dictionary
+from bus_schema.can.cia402.eds import object_dictionary
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.cia402.abort import Abort

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import canopen
 
-from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
-from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
+from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import CanBus
 from bus_schema.can.position.cia402 import (
     Cia402PositionCodec,

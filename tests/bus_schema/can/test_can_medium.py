@@ -12,7 +12,7 @@ from bit_strings import classical
 from numpy.typing import NDArray
 
 from bus_schema.can.candump import CandumpLog
-from bus_schema.can.cia402_codec import Cia402Codec
+from bus_schema.can.cia402.codec import Cia402Codec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_table import FrameTable
 from bus_schema.can.frame_timing import check_cycle_fits, cycle_bits

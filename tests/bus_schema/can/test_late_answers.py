@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bus_schema.can.cansimple_codec import GET_ENCODER_ESTIMATES, HEARTBEAT, CanSimpleCodec
-from bus_schema.can.cansimple_master import CanSimpleMaster
+from bus_schema.can.cansimple.codec import GET_ENCODER_ESTIMATES, HEARTBEAT, CanSimpleCodec
+from bus_schema.can.cansimple.master import CanSimpleMaster
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.link import CanControllerLink, CanRun
 from bus_schema.link.can_configuration import CanConfiguration

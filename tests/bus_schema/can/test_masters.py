@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from bus_schema.can.cansimple_codec import CanSimpleCodec
-from bus_schema.can.cansimple_master import CanSimpleMaster
-from bus_schema.can.cia402_codec import Cia402Codec, rated_torque_nm
-from bus_schema.can.cia402_master import Cia402Master
+from bus_schema.can.cansimple.codec import CanSimpleCodec
+from bus_schema.can.cansimple.master import CanSimpleMaster
+from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
+from bus_schema.can.cia402.master import Cia402Master
 from bus_schema.can.frame import BUS_OFF, CanFrame
 from bus_schema.can.master import CanMaster, DriveError, SilentDriveError
 from bus_schema.errors import BusError

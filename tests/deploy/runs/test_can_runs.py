@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bus_schema.arrays import Vector
-from bus_schema.can.cia402_codec import rated_torque_nm
-from bus_schema.can.cia402_master import MASTER_NODE
+from bus_schema.can.cia402.codec import rated_torque_nm
+from bus_schema.can.cia402.master import MASTER_NODE
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
 from bus_schema.can.session import open_can_bus

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus_schema.can.cia402_codec import rated_torque_nm
+from bus_schema.can.cia402.codec import rated_torque_nm
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.runtime.modes import Mode
 from controller.reference import sample_positions

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from bus_schema.can.cia402_codec import PEAK_TO_RATED
+from bus_schema.can.cia402.codec import PEAK_TO_RATED
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
 from bus_schema.robot_description import load_robot

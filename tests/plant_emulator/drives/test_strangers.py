@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pytest
 
-from bus_schema.can.cansimple_codec import CanSimpleCodec
-from bus_schema.can.cia402_codec import Cia402Codec
+from bus_schema.can.cansimple.codec import CanSimpleCodec
+from bus_schema.can.cia402.codec import Cia402Codec
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import BusError

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.can.cansimple_codec import (
+from bus_schema.can.cansimple.codec import (
     CLEAR_ERRORS,
     COMMAND_BITS,
     HEARTBEAT,

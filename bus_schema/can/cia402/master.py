@@ -20,8 +20,8 @@ from canopen.emcy import EmcyError
 from canopen.profiles.p402 import BaseNode402, State402
 from canopen.sdo.exceptions import SdoError
 
-from bus_schema.can.cia402_codec import Cia402Codec
-from bus_schema.can.eds import object_dictionary
+from bus_schema.can.cia402.codec import Cia402Codec
+from bus_schema.can.cia402.eds import object_dictionary
 from bus_schema.can.frame import CanBus, CanFrame, is_data
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError

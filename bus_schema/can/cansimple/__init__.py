@@ -1,0 +1,1 @@
+"""ODrive axes on CANSimple: their cyclic frames, and the master that runs them."""
