@@ -16,13 +16,13 @@ from rich.table import Table
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.benchmarks.can.cycle import measure_can_cycles
-from deploy.benchmarks.control_step import measure_control_steps
-from deploy.benchmarks.finishing import measure_finishing
-from deploy.benchmarks.loop_costs import measure_loop_costs
+from deploy.benchmarks.costs.control_step import measure_control_steps
+from deploy.benchmarks.costs.finishing import measure_finishing
+from deploy.benchmarks.costs.loop import measure_loop_costs
+from deploy.benchmarks.costs.recorder import measure_recorder
+from deploy.benchmarks.costs.round_trip import measure_round_trips
+from deploy.benchmarks.costs.sweep import measure_sweep
 from deploy.benchmarks.measure import Costs, Section
-from deploy.benchmarks.recorder_throughput import measure_recorder
-from deploy.benchmarks.round_trip import measure_round_trips
-from deploy.benchmarks.sweep_costs import measure_sweep
 from deploy.reports.tables import number
 from deploy.runs.run_folder import provenance
 from deploy.scenario.yaml_files import ScenarioError

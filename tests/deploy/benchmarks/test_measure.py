@@ -11,11 +11,11 @@ from rich.console import Console
 
 from deploy.benchmarks import bench, cyclictest, echo
 from deploy.benchmarks.context_switches import switches_per_exchange
-from deploy.benchmarks.control_step import measure_control_steps
-from deploy.benchmarks.finishing import measure_finishing
-from deploy.benchmarks.long_arm import write_long_arm
+from deploy.benchmarks.costs.control_step import measure_control_steps
+from deploy.benchmarks.costs.finishing import measure_finishing
+from deploy.benchmarks.costs.long_arm import write_long_arm
+from deploy.benchmarks.costs.recorder import measure_recorder
 from deploy.benchmarks.measure import Section, Spread, cost_us, interleave, ratio
-from deploy.benchmarks.recorder_throughput import measure_recorder
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from controller.control_law import Tracking
 from controller.torque_guard import TorqueGuard
-from deploy.benchmarks.long_arm import write_long_arm
+from deploy.benchmarks.costs.long_arm import write_long_arm
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup

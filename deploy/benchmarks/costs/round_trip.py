@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from functools import partial
 
 from deploy.benchmarks import cyclictest
+from deploy.benchmarks.costs.loop import recorded_run
 from deploy.benchmarks.echo import EchoPair
-from deploy.benchmarks.loop_costs import recorded_run
 from deploy.benchmarks.measure import Section, interleave, ratio
 from deploy.processes.network.links import with_free_endpoints
 from deploy.runs.judging.metrics import summarise
