@@ -66,7 +66,7 @@ COMMANDS = {
         "Feed a recorded run to the law again and compare the torques bit for bit.",
     ),
     "reference": (
-        "deploy.cli.reference:reference",
+        "deploy.cli.interop.reference:reference",
         "Write where the joints are to be at each tick: position, velocity and acceleration.",
     ),
     "bench": (
@@ -90,7 +90,7 @@ COMMANDS = {
         "List the scenarios and studies that are shipped.",
     ),
     "export": (
-        "deploy.cli.shelf:export",
+        "deploy.cli.interop.export:export",
         "Write a recorded run as tables over time: what is judged, and every topic.",
     ),
     "runs": (
@@ -98,15 +98,15 @@ COMMANDS = {
         "Folders of results: list, tag, prune.",
     ),
     "ros-package": (
-        "deploy.cli.ros.package:ros_package",
+        "deploy.cli.interop.ros_package:ros_package",
         "Write our message types as a ROS 2 package, for colcon to build.",
     ),
     "ros2-control": (
-        "deploy.cli.ros.ros2_control:ros2_control",
+        "deploy.cli.interop.ros2_control:ros2_control",
         "Write the arm's URDF with its ros2_control element, and a controllers.yaml for it.",
     ),
     "includes": (
-        "deploy.cli.includes:includes",
+        "deploy.cli.interop.includes:includes",
         "Print the C compiler's option for the header of controller.law: external.",
     ),
 }

@@ -11,7 +11,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from deploy.cli import app
-from deploy.cli.reference import reference
+from deploy.cli.interop.reference import reference
 from deploy.scenario.yaml_files import InputError
 
 SINUSOIDS = (

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
-from deploy.cli.shelf import export
+from deploy.cli.interop.export import export
 from deploy.cli.study.experiments import replay, report
 from deploy.runs.judging.bounds import judge_bounds
 from deploy.runs.judging.known_ticks import known_ticks

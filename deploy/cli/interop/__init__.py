@@ -1,0 +1,1 @@
+"""Commands that write files for programs of others: controllers, notebooks, ROS 2."""
