@@ -121,7 +121,7 @@ def load_robot(
     left_out: list[str] = []
     try:
         if is_mjcf(root):
-            root, left_out = as_urdf(root, path.parent)
+            root, left_out = as_urdf(root)
             text = ET.tostring(root, encoding="unicode")
         robot = _described(path, text, root, driven, repair=repair)
         return replace(robot, warnings=(*left_out, *robot.warnings))

@@ -9,7 +9,6 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from itertools import count
-from pathlib import Path
 
 import numpy as np
 
@@ -41,12 +40,11 @@ def is_mjcf(root: ET.Element) -> bool:
     return root.tag == "mujoco"
 
 
-def as_urdf(root: ET.Element, folder: Path) -> tuple[ET.Element, list[str]]:
+def as_urdf(root: ET.Element) -> tuple[ET.Element, list[str]]:
     """The same arm as a URDF, and what was left out of it, a sentence each.
 
     Args:
         root: the MJCF file.
-        folder: where it lies.
 
     Raises:
         RobotDescriptionError: it cannot be read, or has what no tree of such joints has.
@@ -63,15 +61,15 @@ def as_urdf(root: ET.Element, folder: Path) -> tuple[ET.Element, list[str]]:
     worldbody = root.find("worldbody")
     if worldbody is None:
         raise RobotDescriptionError("has no worldbody")
-    return _Converter(root, folder).convert(worldbody)
+    return _Converter(root).convert(worldbody)
 
 
 class _Converter:
     """Writes links and joints, body by body."""
 
-    def __init__(self, root: ET.Element, folder: Path) -> None:
+    def __init__(self, root: ET.Element) -> None:
         self._root = root
-        self._compiler = compiler_of(root, folder)
+        self._compiler = compiler_of(root)
         self._defaults = Defaults(root)
         self._efforts = Efforts(root, self._defaults, self._compiler)
         self._urdf = ET.Element("robot", name=root.get("model", "mjcf"))

@@ -6,7 +6,6 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -74,20 +73,18 @@ class Compiler:
         sequence: axes of Euler angles, small letters for axes that turn along.
         auto_limits: a range limits, whether or not it is said to.
         inertia_from_geoms: True, False, or None where a body says it has inertia of its own.
-        mesh_folder: where mesh files lie.
     """
 
     in_degrees: bool
     sequence: str
     auto_limits: bool
     inertia_from_geoms: bool | None
-    mesh_folder: Path
 
     def angle(self, value: float) -> float:
         return math.radians(value) if self.in_degrees else value
 
 
-def compiler_of(root: ET.Element, folder: Path) -> Compiler:
+def compiler_of(root: ET.Element) -> Compiler:
     """Read the settings.
 
     Raises:
@@ -113,7 +110,6 @@ def compiler_of(root: ET.Element, folder: Path) -> Compiler:
         sequence=sequence,
         auto_limits=given.get("autolimits", "true") == "true",
         inertia_from_geoms=choices[from_geoms],
-        mesh_folder=folder / given.get("meshdir", given.get("assetdir", "")),
     )
 
 
