@@ -62,7 +62,7 @@ COMMANDS = {
         "Set recorded runs side by side: real time and lockstep, two laws, two versions.",
     ),
     "replay": (
-        "deploy.cli.study.experiments:replay",
+        "deploy.cli.study.replay:replay",
         "Feed a recorded run to the law again and compare the torques bit for bit.",
     ),
     "reference": (

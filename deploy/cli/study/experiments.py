@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from controller.laws import LAWS
-from controller.laws.custom import custom_laws_left_out, is_custom
+from controller.laws.custom import custom_laws_left_out
 from deploy.cli.common import judging, leave, parse_laws, say_oddities, show_places, watching
 from deploy.cli.options import Out, Overrides, Overwrite, RequireBounds, ScenarioArgument
 from deploy.cli.study.studies import is_study, report_study
@@ -36,8 +36,6 @@ from deploy.reports.studies.compare_tables import (
 )
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
-from deploy.reports.verdict import PARTIAL, damaged
-from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
@@ -47,10 +45,7 @@ from deploy.runs.run_folder import (
 )
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError, naming
 from deploy.stop_signals import on_stop
-
-RunDirectory = Annotated[Path, typer.Argument(help="Folder of a recorded run.")]
 
 
 def compare(
@@ -92,52 +87,6 @@ def compare(
             whole=all(run.is_whole for run in comparison.runs),
             kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
         )
-
-
-def replay(
-    run_dir: RunDirectory,
-    allow_custom_law: Annotated[
-        bool,
-        typer.Option(
-            "--allow-custom-law",
-            help="Run the law of one's own that the recording names.",
-        ),
-    ] = False,
-) -> None:
-    """Feed a recorded run to the law again and compare the torques bit for bit."""
-    data, contents = load_run(run_dir)
-    law = data.setup.scenario.controller.law
-    if data.setup.scenario.controller.process is not None:
-        raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
-    if data.setup.link_kind.controller_leads and data.clock == "realtime":
-        raise ScenarioError(
-            f"{run_dir}: cannot be replayed: in real time over {data.setup.link_kind.name} it is"
-            " not recorded which of the drives' states came too late for the law"
-        )
-    if is_custom(law) and not allow_custom_law:
-        raise ScenarioError(
-            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
-            " which is code from wherever its module or program is found"
-        )
-    with naming(run_dir):
-        result = replay_run(data.setup, contents)
-    console = Console()
-    if data.damage:
-        console.print(damaged(data.damage), markup=False)
-    elif not data.complete:
-        console.print(PARTIAL)
-    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
-    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
-    if result.failure:
-        console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
-    if result.is_identical:
-        until = " as far as can be read" * bool(data.damage) or " until it failed" * bool(
-            result.failure
-        )
-        console.print(f"[bold green]identical[/]{until}")
-        raise typer.Exit(FAULT if data.damage else FINISHED)
-    console.print(f"[bold red]different[/] from command {result.first_difference} on")
-    raise typer.Exit(FAULT)
 
 
 def report(

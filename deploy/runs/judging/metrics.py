@@ -41,7 +41,6 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
     setup = run.setup
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
     known, tracking = known_ticks(run), _tracking(run)
-    truth = run.tables[topics.PLANT_TRUTH.name]
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
     return {
@@ -68,14 +67,7 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
             "lost_by_topic": None if run.lost is None else dict(run.lost),
             "complete": run.complete,
         },
-        "recording": {
-            "damage": list(run.damage),
-            "notes": run.notes,
-            "ticks_known": known.known,
-            "ticks_skipped": int(truth["timing.skipped"].max(initial=0)),
-            "gaps_s": known.gaps_s[:_MOST_GAPS],
-            **_over_gaps(run, tracking["settling_time_s"]),
-        },
+        "recording": _recording(run, known, tracking["settling_time_s"]),
         "commander": _commander(run),
         "digest": run.digest,
     }
@@ -130,6 +122,21 @@ def _command_times(run: RunData) -> tuple[Vector, Rows]:
     """When the states were measured that commands answer, s, and which stand behind a gap."""
     times_s = run.times_s(topics.JOINT_COMMANDS)
     return times_s, rows_after_gaps(run, times_s)
+
+
+def _recording(
+    run: RunData, known: KnownTicks, settled_s: Sequence[float | None]
+) -> dict[str, Any]:
+    """How whole the recording is."""
+    skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
+    return {
+        "damage": list(run.damage),
+        "notes": run.notes,
+        "ticks_known": known.known,
+        "ticks_skipped": int(skipped.max(initial=0)),
+        "gaps_s": known.gaps_s[:_MOST_GAPS],
+        **_over_gaps(run, settled_s),
+    }
 
 
 def _over_gaps(run: RunData, settled_s: Sequence[float | None]) -> dict[str, Any]:

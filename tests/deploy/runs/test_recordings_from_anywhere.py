@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
 from deploy.cli.interop.export import export
-from deploy.cli.study.experiments import replay, report
+from deploy.cli.study.experiments import report
+from deploy.cli.study.replay import replay
 from deploy.runs.judging.bounds import judge_bounds
 from deploy.runs.judging.known_ticks import known_ticks
 from deploy.runs.judging.metrics import summarise

@@ -1,0 +1,71 @@
+"""The command `replay`: a recorded run fed to its law again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from controller.laws.custom import is_custom
+from deploy.exit_codes import FAULT, FINISHED
+from deploy.reports.verdict import PARTIAL, damaged
+from deploy.runs.replay import Replay
+from deploy.runs.replay import replay as replay_run
+from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import load_run
+from deploy.scenario.yaml_files import ScenarioError, naming
+
+
+def replay(
+    run_dir: Annotated[Path, typer.Argument(help="Folder of a recorded run.")],
+    allow_custom_law: Annotated[
+        bool,
+        typer.Option(
+            "--allow-custom-law",
+            help="Run the law of one's own that the recording names.",
+        ),
+    ] = False,
+) -> None:
+    """Feed a recorded run to the law again and compare the torques bit for bit."""
+    data, contents = load_run(run_dir)
+    _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
+    with naming(run_dir):
+        result = replay_run(data.setup, contents)
+    _show(result, data)
+    raise typer.Exit(FINISHED if result.is_identical and not data.damage else FAULT)
+
+
+def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool) -> None:
+    """Check that its law is there to be fed again, and may be."""
+    law = data.setup.scenario.controller.law
+    if data.setup.scenario.controller.process is not None:
+        raise ScenarioError(f"{run_dir}: {data.controller}: is no law of ours to replay")
+    if data.setup.link_kind.controller_leads and data.clock == "realtime":
+        raise ScenarioError(
+            f"{run_dir}: cannot be replayed: in real time over {data.setup.link_kind.name} it is"
+            " not recorded which of the drives' states came too late for the law"
+        )
+    if is_custom(law) and not allow_custom_law:
+        raise ScenarioError(
+            f"{run_dir}: controller.law = {law!r}: is no shipped law; --allow-custom-law runs it,"
+            " which is code from wherever its module or program is found"
+        )
+
+
+def _show(result: Replay, data: RunData) -> None:
+    console = Console()
+    if data.damage:
+        console.print(damaged(data.damage), markup=False)
+    elif not data.complete:
+        console.print(PARTIAL)
+    console.print(f"recorded {result.recorded} commands, digest {result.recorded_digest}")
+    console.print(f"replayed {result.replayed} commands, digest {result.digest}")
+    if result.failure:
+        console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
+    if not result.is_identical:
+        console.print(f"[bold red]different[/] from command {result.first_difference} on")
+        return
+    until = " as far as can be read" if data.damage else " until it failed" * bool(result.failure)
+    console.print(f"[bold green]identical[/]{until}")
