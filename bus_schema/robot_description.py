@@ -14,10 +14,10 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.mjcf.as_urdf import as_urdf, is_mjcf
-from bus_schema.urdf_checks import MOVING_TYPES, check_urdf, finite_number
-from bus_schema.urdf_inertia import check_moved_masses, judge_inertias
-from bus_schema.urdf_joints import Follower, HeldJoint, joint_roles
-from bus_schema.urdf_resolved import (
+from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
+from bus_schema.urdf.inertia import check_moved_masses, judge_inertias
+from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
+from bus_schema.urdf.resolved import (
     attach_payload,
     drop_shapes,
     long_axes,
@@ -27,7 +27,7 @@ from bus_schema.urdf_resolved import (
     resolve_inertias,
     resolve_joints,
 )
-from bus_schema.xacro_files import expanded, is_xacro
+from bus_schema.urdf.xacro_files import expanded, is_xacro
 
 Shapes = Literal["named", "drawable", "none"]
 

@@ -27,7 +27,7 @@ from bus_schema.mjcf.settings import (
     vector,
 )
 from bus_schema.mjcf.settings import orientation as orientation_of
-from bus_schema.urdf_checks import finite_number, shortened
+from bus_schema.urdf.checks import finite_number, shortened
 
 _KINDS = {"hinge": "revolute", "slide": "prismatic"}
 _FORBIDDEN = ("tendon", "equality", "deformable", "extension")

@@ -20,7 +20,7 @@ from bus_schema.mjcf.settings import (
     orientation,
     vector,
 )
-from bus_schema.urdf_checks import shortened
+from bus_schema.urdf.checks import shortened
 
 _WATER = "1000"
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}

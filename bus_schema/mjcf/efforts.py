@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.mjcf.settings import Attributes, Compiler, Defaults, numbers, vector
-from bus_schema.urdf_checks import shortened
+from bus_schema.urdf.checks import shortened
 
 
 class Efforts:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf_checks import finite_number, shortened
+from bus_schema.urdf.checks import finite_number, shortened
 
 DEEPEST = 100
 """How many elements may lie within one another."""

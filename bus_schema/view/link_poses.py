@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
-from bus_schema.urdf_checks import MOVING_TYPES
+from bus_schema.urdf.checks import MOVING_TYPES
 
 Poses = NDArray[np.float64]
 """Translation (m) and unit quaternion x y z w in the last axis, of length 7."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 
-from bus_schema.urdf_joints import Follower
+from bus_schema.urdf.joints import Follower
 from plant_emulator.arm.bullet_library import DOUBLE, INT, POINTER, JointInfo, function, setter
 
 _GEAR = 6

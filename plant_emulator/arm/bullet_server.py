@@ -19,7 +19,7 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.compiled import c_function, compiled
-from bus_schema.urdf_resolved import PAYLOAD_LINK
+from bus_schema.urdf.resolved import PAYLOAD_LINK
 from plant_emulator.arm.bullet_gears import tie
 from plant_emulator.arm.bullet_library import (
     DOUBLE,

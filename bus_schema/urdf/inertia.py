@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf_checks import INERTIA, check_inertial, inertia_of, joint_ends, mass_of
+from bus_schema.urdf.checks import INERTIA, check_inertial, inertia_of, joint_ends, mass_of
 
 _ROUNDING = 1e-3
 _SLIGHT = 0.15

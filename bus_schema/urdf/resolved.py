@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bus_schema.urdf_checks import MOVING_TYPES
-from bus_schema.urdf_inertia import mend_inertias
+from bus_schema.urdf.checks import MOVING_TYPES
+from bus_schema.urdf.inertia import mend_inertias
 
 PAYLOAD_LINK = "funnel_hil_payload"
 _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bus_schema.errors import RobotDescriptionError, did_you_mean
-from bus_schema.urdf_checks import MOVING_TYPES, finite_number, shortened
+from bus_schema.urdf.checks import MOVING_TYPES, finite_number, shortened
 
 
 @dataclass(frozen=True)
