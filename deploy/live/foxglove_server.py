@@ -16,7 +16,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.view.arm_view import ArmView
 from deploy.live.page_server import HOST
-from deploy.processes.live.glimpse import Glimpse
+from deploy.processes.live.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 USUAL_PORT = 8765
@@ -57,16 +57,16 @@ class FoxgloveServer:
         self._server = self._started(setup.scenario.name, port)
         self.url = f"ws://{HOST}:{self._server.port}"
 
-    def publish(self, glimpse: Glimpse) -> None:
+    def publish(self, snapshot: Snapshot) -> None:
         """Send what came, and where the links are by it."""
-        for topic, stamp_ns, payload in glimpse.messages:
+        for topic, stamp_ns, payload in snapshot.messages:
             self._channels[topic.name].log(payload, log_time=stamp_ns)
             if topic is topics.JOINT_STATES:
                 transforms = self._arm.transforms(payload, stamp_ns)
                 if transforms is not None:
                     self._channels[topics.TF.name].log(transforms, log_time=stamp_ns)
             if topic is topics.PLANT_TRUTH:
-                counts = {"ticks": glimpse.ticks, "missed": glimpse.deadlines_missed}
+                counts = {"ticks": snapshot.ticks, "missed": snapshot.deadlines_missed}
                 self._counts.log(counts, log_time=stamp_ns)
 
     def on_subscribe(self, _client: Any, channel: Any) -> None:

@@ -18,7 +18,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.processes.live.glimpse import Glimpse
+from deploy.processes.live.snapshot import Snapshot
 from deploy.reports.figures.arm.motion import skeletons
 from deploy.scenario.setup import Setup
 
@@ -32,7 +32,7 @@ Frame = dict[str, Any]
 
 
 class RunState:
-    """The newest of a run, from glimpses of it; messages that cannot be read are ignored.
+    """The newest of a run, from snapshots of it; messages that cannot be read are ignored.
 
     Args:
         setup: the scenario.
@@ -51,10 +51,10 @@ class RunState:
         self._events: deque[str] = deque(maxlen=_MOST_EVENTS)
         self._ticks = self._missed = 0
 
-    def take(self, glimpse: Glimpse) -> None:
+    def take(self, snapshot: Snapshot) -> None:
         """Something came."""
-        self._ticks, self._missed = glimpse.ticks, glimpse.deadlines_missed
-        for topic, _, payload in glimpse.messages:
+        self._ticks, self._missed = snapshot.ticks, snapshot.deadlines_missed
+        for topic, _, payload in snapshot.messages:
             try:
                 if topic is topics.RUN_EVENTS:
                     self._tell(RunEvent.decode(payload))

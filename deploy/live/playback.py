@@ -1,4 +1,4 @@
-"""A recorded run as a source of glimpses, at the pace at which it happened or another one."""
+"""A recorded run as a source of snapshots, at the pace at which it happened or another one."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
-from deploy.processes.live.glimpse import Glimpse, Message, Sampler
+from deploy.processes.live.snapshot import Message, Sampler, Snapshot
 
 _LOOK_S = 0.02
-"""Between two glimpses, as a recorder has it."""
+"""Between two snapshots, as a recorder has it."""
 
 
 class Playback:
@@ -45,8 +45,8 @@ class Playback:
     def is_over(self) -> bool:
         return self._next is None
 
-    def receive(self, timeout_s: float) -> Glimpse | None:
-        """The next glimpse, when its time has come; None if nothing is to be shown yet."""
+    def receive(self, timeout_s: float) -> Snapshot | None:
+        """The next snapshot, when its time has come; None if nothing is to be shown yet."""
         if self._next is None or not (self._began_s is not None or self._is_watched()):
             time.sleep(timeout_s)
             return None
@@ -58,7 +58,7 @@ class Playback:
         while self._next is not None and self._next.stamp_ns <= until_ns:
             self._sampler.take(self._next)
             self._next = next(self._messages, None)
-        return self._sampler.glimpse()
+        return self._sampler.snapshot()
 
     def close(self) -> None:
         """Nothing is open."""

@@ -1,4 +1,4 @@
-"""The viewer: takes glimpses of a run from a source, and serves them to browsers and Foxglove."""
+"""The viewer: takes snapshots of a run from a source, and serves them to browsers and Foxglove."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deploy.live.figures import WINDOW_S, live_figures
 from deploy.live.foxglove_layout import foxglove_layout
 from deploy.live.frames import Frames, RunState
 from deploy.live.page_server import PageServer
-from deploy.processes.live.glimpse import Glimpse
+from deploy.processes.live.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 _FRAME_S = 0.05
@@ -24,9 +24,9 @@ _LAST_WORDS_S = 0.3
 
 
 class Source(Protocol):
-    """Where glimpses of a run come from."""
+    """Where snapshots of a run come from."""
 
-    def receive(self, timeout_s: float) -> Glimpse | None:
+    def receive(self, timeout_s: float) -> Snapshot | None:
         """The next one; None if none comes in time."""
 
     def close(self) -> None:
@@ -83,9 +83,9 @@ class Viewer:
     def run(self, source: Source, is_over: Callable[[], bool]) -> None:
         """Serve what comes, until it is over."""
         while not is_over():
-            glimpse = source.receive(_WAIT_S)
-            if glimpse is not None:
-                self._take(glimpse)
+            snapshot = source.receive(_WAIT_S)
+            if snapshot is not None:
+                self._take(snapshot)
             if time.monotonic() >= self._frame_due_s:
                 self._show()
         self._show()
@@ -99,11 +99,11 @@ class Viewer:
         if self._foxglove is not None:
             self._foxglove.close()
 
-    def _take(self, glimpse: Glimpse) -> None:
-        self._state.take(glimpse)
+    def _take(self, snapshot: Snapshot) -> None:
+        self._state.take(snapshot)
         self._has_news = True
         if self._foxglove is not None:
-            self._foxglove.publish(glimpse)
+            self._foxglove.publish(snapshot)
 
     def _show(self) -> None:
         """Add a frame, if anything has come since the last one."""

@@ -20,7 +20,7 @@ from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
 from controller import reference_file
 from deploy.processes.live.feed import LiveFeed
-from deploy.processes.live.glimpse import Message
+from deploy.processes.live.snapshot import Message
 from deploy.processes.logged_view import LoggedView
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import DELAY_KEYS, data_files

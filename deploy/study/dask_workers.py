@@ -138,7 +138,7 @@ def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
         )
 
 
-class _Told(logging.Handler):
+class _ForwardingHandler(logging.Handler):
     """Has the command say what a worker logs: their terminal may have half a line written."""
 
     def __init__(self, worker: Worker) -> None:
@@ -158,7 +158,7 @@ def dask_setup(worker: Worker) -> None:
 
     What goes wrong in a run stands in its row, cause first; here nobody would know whose it is.
     """
-    compiled.logger.addHandler(_Told(worker))
+    compiled.logger.addHandler(_ForwardingHandler(worker))
     compiled.logger.propagate = False
     logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
     for number in (signal.SIGINT, signal.SIGHUP):  # which a terminal sends to all processes

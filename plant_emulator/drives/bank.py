@@ -65,11 +65,11 @@ class _Axis:
         else:
             self.drive.inject(fault, now_ns)
 
-    def heal(self, fault: DriveFault, now_ns: int) -> None:
+    def clear(self, fault: DriveFault, now_ns: int) -> None:
         if fault in _OUTSIDE:
             self._set_outside(fault, is_on=False)
         else:
-            self.drive.heal(fault, now_ns)
+            self.drive.clear(fault, now_ns)
 
     def _set_outside(self, fault: DriveFault, *, is_on: bool) -> None:
         if fault is DriveFault.SILENT:
@@ -201,9 +201,9 @@ class DriveBank:
         self._axes[joint].inject(fault, now_ns)
         self._is_stale = True
 
-    def heal(self, joint: int, fault: DriveFault, now_ns: int) -> None:
+    def clear(self, joint: int, fault: DriveFault, now_ns: int) -> None:
         """Take the cause of a fault away."""
-        self._axes[joint].heal(fault, now_ns)
+        self._axes[joint].clear(fault, now_ns)
         self._is_stale = True
 
     def describe(self, frame: CanFrame) -> str:

@@ -203,7 +203,7 @@ class Drive(Protocol):
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         """Let ``DRIVE`` or ``OVER_TEMPERATURE`` happen."""
 
-    def heal(self, fault: DriveFault, now_ns: int) -> None:
+    def clear(self, fault: DriveFault, now_ns: int) -> None:
         """Take a lasting fault's cause away; its consequences stay until they are reset."""
 
     def lose_bus(self, now_ns: int) -> None:

@@ -63,7 +63,7 @@ def schedule_faults(faults: Sequence[PlannedFault], bank: DriveBank) -> FaultSch
         begin = partial(bank.inject, joint, fault)
         begins.append(ScheduledAction(start_ns, f"{fault} injected at node {node}", begin))
         if end_ns is not None:
-            end = partial(bank.heal, joint, fault)
+            end = partial(bank.clear, joint, fault)
             ends.append(ScheduledAction(end_ns, f"{fault} over at node {node}", end))
     return FaultScheduler([*ends, *begins])
 

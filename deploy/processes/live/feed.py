@@ -1,8 +1,8 @@
 """The way from a recorder to viewers: local sockets, in a folder that only this user can enter.
 
 No viewer is on the bus, where one that is frozen would hold up whoever sends. A viewer asks the
-recorder, again and again as long as it looks; the recorder sends it a datagram for each glimpse, if
-there is room for it. One that is slow, frozen or gone holds nobody up.
+recorder, again and again as long as it looks; the recorder sends it a datagram for each snapshot,
+if there is room for it. One that is slow, frozen or gone holds nobody up.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from deploy.processes.live.glimpse import Glimpse, Message, Sampler
+from deploy.processes.live.snapshot import Message, Sampler, Snapshot
 
 _ASK = b"funnel-hil: show me"
 _HELLO = b"funnel-hil: "
@@ -42,7 +42,7 @@ class LiveFeed:
         joint_names: of the robot.
 
     Attributes:
-        dropped: glimpses that a viewer had no room for.
+        dropped: snapshots that a viewer had no room for.
 
     Raises:
         OSError: there is no place for its socket.
@@ -71,9 +71,9 @@ class LiveFeed:
         self._hear()
         if self._sampler is None:
             return
-        glimpse = self._sampler.glimpse()
-        if glimpse is not None:
-            datagram = glimpse.encode()
+        snapshot = self._sampler.snapshot()
+        if snapshot is not None:
+            datagram = snapshot.encode()
             for viewer in list(self._viewers):
                 self._send(datagram, viewer)
         if not self._viewers:
@@ -120,7 +120,7 @@ class FeedReceiver:
     Attributes:
         scenario: file of the scenario in force, once a recorder has told it.
         is_over: the recorder was there, and is no more.
-        garbage: datagrams that were no glimpses.
+        garbage: datagrams that were no snapshots.
 
     Raises:
         OSError: there is no place for its socket.
@@ -135,8 +135,8 @@ class FeedReceiver:
         self.is_over = False
         self.garbage = 0
 
-    def receive(self, timeout_s: float) -> Glimpse | None:
-        """The next glimpse; None if none comes in time."""
+    def receive(self, timeout_s: float) -> Snapshot | None:
+        """The next snapshot; None if none comes in time."""
         if time.monotonic() - self._asked_s >= _ASK_EVERY_S:
             self._ask()
         self._socket.settimeout(timeout_s)
@@ -145,7 +145,7 @@ class FeedReceiver:
             if datagram.startswith(_HELLO):
                 self.scenario = Path(json.loads(datagram[len(_HELLO) :]))
                 return None
-            return Glimpse.decode(datagram)
+            return Snapshot.decode(datagram)
         except TimeoutError:
             return None
         except (ValueError, TypeError):

@@ -183,7 +183,7 @@ class Axis:
         else:
             self._disarm(AxisError.DRV_FAULT)
 
-    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+    def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         """The motor cools down."""
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = False

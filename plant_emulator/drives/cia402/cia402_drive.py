@@ -134,7 +134,7 @@ class Cia402Drive:
         self._errors.note(code, lasting=is_hot)
         self._send_events()
 
-    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+    def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot, self._looked_ns = False, None
             self._errors.cause_gone(ErrorCode.OVER_TEMPERATURE)

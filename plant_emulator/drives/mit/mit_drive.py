@@ -116,7 +116,7 @@ class MitDrive:
         self._error = hot if fault is DriveFault.OVER_TEMPERATURE else short
         self._rest()
 
-    def heal(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+    def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         if fault is DriveFault.OVER_TEMPERATURE:
             self._is_hot = False
 

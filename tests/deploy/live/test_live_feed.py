@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from deploy.processes.live.feed import FeedReceiver, LiveFeed
-from deploy.processes.live.glimpse import Glimpse, Message, Sampler
+from deploy.processes.live.snapshot import Message, Sampler, Snapshot
 
 NAMES = ("base_yaw", "shoulder", "elbow")
 STATES, TRUTH, EVENTS = topics.JOINT_STATES, topics.PLANT_TRUTH, topics.RUN_EVENTS
@@ -59,13 +59,13 @@ def test_the_newest_of_each_topic_is_shown_and_every_event_and_every_deadline_co
         sampler.take(Message(STATES, tick, b"state %d" % tick))
     for number in range(3):
         sampler.take(Message(EVENTS, 99, b"event %d" % number))
-    ticks, missed, messages = sampler.glimpse()
+    ticks, missed, messages = sampler.snapshot()
     assert (ticks, missed) == (99, 10)  # the first is told before any has ended
     assert [(m.topic.name, m.stamp_ns) for m in messages[:2]] == [
         ("plant_truth", 99), ("joint_states", 99),
     ]  # fmt: skip
     assert [m.payload for m in messages[2:]] == [b"event 0", b"event 1", b"event 2"]
-    assert sampler.glimpse() is None
+    assert sampler.snapshot() is None
 
 
 def test_who_asks_is_told_the_scenario_and_gets_what_is_recorded(feed, receiver, tmp_path):
@@ -76,7 +76,7 @@ def test_who_asks_is_told_the_scenario_and_gets_what_is_recorded(feed, receiver,
     for tick in (8, 9):
         feed.take(truth(tick, met=tick == 8))
     feed.send()
-    assert receiver.receive(5.0) == Glimpse(1, 1, (state, truth(9, met=False)))
+    assert receiver.receive(5.0) == Snapshot(1, 1, (state, truth(9, met=False)))
     assert receiver.receive(0.1) is None
 
 
@@ -197,9 +197,9 @@ def test_a_folder_that_others_can_enter_is_not_used(folder):
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_are_a_glimpse_or_refused(datagram):
+def test_any_bytes_are_a_snapshot_or_refused(datagram):
     try:
-        glimpse = Glimpse.decode(datagram)
+        snapshot = Snapshot.decode(datagram)
     except ValueError:
         return
-    assert glimpse.encode() == datagram
+    assert snapshot.encode() == datagram

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from watched import Events, get, glimpses, place, playback, short_run
+from watched import Events, get, place, playback, short_run, snapshots
 
 from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
@@ -141,16 +141,16 @@ class Burst:
     """All of a run at once, as after a stall, and nothing more."""
 
     def __init__(self, run):
-        self._glimpses = list(glimpses(run))
-        self.ticks = self._glimpses[-1].ticks
+        self._snapshots = list(snapshots(run))
+        self.ticks = self._snapshots[-1].ticks
 
     @property
     def is_over(self):
-        return not self._glimpses
+        return not self._snapshots
 
     def receive(self, timeout_s):
-        if self._glimpses:
-            return self._glimpses.pop(0)
+        if self._snapshots:
+            return self._snapshots.pop(0)
         time.sleep(0.01)
         return None
 
@@ -196,11 +196,11 @@ def test_the_arm_ends_where_its_tip_is(name):
     run = short_run(scenario=name)
     model, state = ManipulatorModel(run.setup.robot), RunState(run.setup)
     truth, ends = run.data().tables["plant_truth"], 0
-    for glimpse in glimpses(run):
-        state.take(glimpse)
+    for snapshot in snapshots(run):
+        state.take(snapshot)
         frame = state.frame()
         if frame is not None:
-            position = truth["position"][glimpse.ticks]
+            position = truth["position"][snapshot.ticks]
             tip = [frame["arm"][axis][-1] for axis in "xyz"]
             assert tip == pytest.approx(model.tip_position(position), abs=2e-5)
             ends += 1
@@ -216,8 +216,8 @@ def test_the_space_of_the_arm_is_a_cube_that_holds_what_it_is_to_do(name):
     assert np.ptp(ends, axis=1) == pytest.approx(np.ptp(ends[0]))
     assert list(scene["aspectratio"].values()) == pytest.approx([1.0, 1.0, 1.0])
     state = RunState(run.setup)
-    for glimpse in glimpses(run):
-        state.take(glimpse)
+    for snapshot in snapshots(run):
+        state.take(snapshot)
         points = np.array([state.frame()["reference_arm"][axis] for axis in "xyz"], dtype=float)
         assert (np.nanmin(points, axis=1) > ends[:, 0]).all()
         assert (np.nanmax(points, axis=1) < ends[:, 1]).all()
@@ -226,11 +226,11 @@ def test_the_space_of_the_arm_is_a_cube_that_holds_what_it_is_to_do(name):
 def test_garbage_on_the_bus_is_not_shown():
     run = short_run()
     state, seen = RunState(run.setup), None
-    for glimpse in glimpses(run):
-        spoiled = [m._replace(payload=m.payload[:-9]) for m in glimpse.messages]
-        state.take(glimpse._replace(messages=tuple(spoiled)))
+    for snapshot in snapshots(run):
+        spoiled = [m._replace(payload=m.payload[:-9]) for m in snapshot.messages]
+        state.take(snapshot._replace(messages=tuple(spoiled)))
         assert state.frame() is None
-        seen = glimpse
+        seen = snapshot
     state.take(seen)
     frame = state.frame()
     assert json.dumps(frame, allow_nan=False)

@@ -1,4 +1,4 @@
-"""A short run as glimpses, and clients of the page that shows it."""
+"""A short run as snapshots, and clients of the page that shows it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import cache
 from urllib.parse import urlsplit
 
 from deploy.live.playback import Playback
-from deploy.processes.live.glimpse import Glimpse
+from deploy.processes.live.snapshot import Snapshot
 from deploy.runs.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
 from tests.warm_process import HANG_S
@@ -32,12 +32,12 @@ def playback(run: Simulation, speed: float = 1.0, is_watched=lambda: True) -> Pl
     return Playback(payloads(run), run.setup.robot.joint_names, speed, is_watched)
 
 
-def glimpses(run: Simulation) -> Iterator[Glimpse]:
+def snapshots(run: Simulation) -> Iterator[Snapshot]:
     source = playback(run)
     while not source.is_over:
-        glimpse = source.receive(0.1)
-        if glimpse is not None:
-            yield glimpse
+        snapshot = source.receive(0.1)
+        if snapshot is not None:
+            yield snapshot
 
 
 def get(url: str, method: str = "GET", path: str | None = None, **headers: str):

@@ -107,7 +107,7 @@ def test_a_silent_node_neither_hears_nor_is_heard_nor_awaited(rig):
         rig.target(node, 5.0)
     assert rig.bank.take_targets()
     np.testing.assert_allclose(rig.bank.torque_nm, [5.0, 0.0, 5.0], atol=0.03)
-    rig.bank.heal(1, DriveFault.SILENT, 0)
+    rig.bank.clear(1, DriveFault.SILENT, 0)
     rig.target(2, 5.0)
     assert rig.bank.torque_nm[1] == pytest.approx(5.0, abs=0.03)
 
@@ -142,7 +142,7 @@ def test_a_frozen_encoder_shows_its_last_value_and_no_velocity(rig):
         rows = [np.array(struct.unpack(form, frame.data)) * 2 * np.pi / turn for frame in rig.sent]
     off = 4e-3 if rig.is_mit else 1e-5
     np.testing.assert_allclose(rows, [[0.1, 0.0], [0.5, 1.0], [0.5, 1.0]], atol=off)
-    rig.bank.heal(0, DriveFault.ENCODER_FROZEN, 0)
+    rig.bank.clear(0, DriveFault.ENCODER_FROZEN, 0)
     rig.bank.measure(np.array([0.5, 0.5, 0.5]), np.ones(3), still)
     rig.sent.clear()
     rig.sample()

@@ -181,7 +181,7 @@ def test_faults_disarm_and_are_cleared_when_their_cause_is_gone(axis, fault, err
     assert axis.heartbeat == (error, IDLE, 3, 0)  # DISARMED
     axis.tell(CLEAR if fault is DriveFault.DRIVE else REBOOT, "B", 0)
     assert (axis.heartbeat[0] == 0) == (fault is DriveFault.DRIVE)
-    axis.drive.heal(fault, 0)
+    axis.drive.clear(fault, 0)
     axis.tell(CLEAR, "B", 0)
     axis.arm()
     assert axis.heartbeat == (0, CLOSED_LOOP, 0, 0)

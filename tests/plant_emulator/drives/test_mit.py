@@ -162,7 +162,7 @@ def test_errors_are_told_and_latched_until_motor_mode_is_left():
     assert bench.drive.demand() == AT_REST
     assert list(bench.say(ENTER).data[6:]) == [110 + 40, 1]
     assert bench.say(EXIT).data[7] == 1  # still hot
-    bench.drive.heal(DriveFault.OVER_TEMPERATURE, 0)
+    bench.drive.clear(DriveFault.OVER_TEMPERATURE, 0)
     assert bench.say(EXIT).data[7] == 0
     bench.drive.inject(DriveFault.DRIVE, 0)
     assert bench.say(ENTER).data[7] == 2

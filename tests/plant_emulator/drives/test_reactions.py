@@ -278,7 +278,7 @@ def test_reset_node_forgets_errors_but_not_a_cause_that_is_still_there(enabled):
     enabled.wait(1)
     assert enabled.state == "FAULT"
     assert enabled.read(0x603F) == 0x4310
-    enabled.drive.heal(DriveFault.OVER_TEMPERATURE, enabled.now_ns)
+    enabled.drive.clear(DriveFault.OVER_TEMPERATURE, enabled.now_ns)
     enabled.hear(0, 129, NODE)
     enabled.wait(1)
     assert enabled.state == "SWITCH_ON_DISABLED"

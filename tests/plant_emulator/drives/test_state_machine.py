@@ -70,7 +70,7 @@ def reach(state):
         bench.control(word)
     if "FAULT" in state:
         bench.drive.inject(DriveFault.OVER_TEMPERATURE, bench.now_ns)
-        bench.drive.heal(DriveFault.OVER_TEMPERATURE, bench.now_ns)
+        bench.drive.clear(DriveFault.OVER_TEMPERATURE, bench.now_ns)
     assert bench.state == state
     return bench
 
@@ -132,7 +132,7 @@ def test_fault_reset_waits_for_the_cause_to_be_gone():
     bench.drive.inject(DriveFault.OVER_TEMPERATURE, bench.now_ns)
     bench.control(FAULT_RESET)
     assert bench.state == "FAULT"
-    bench.drive.heal(DriveFault.OVER_TEMPERATURE, bench.now_ns)
+    bench.drive.clear(DriveFault.OVER_TEMPERATURE, bench.now_ns)
     bench.control(0)
     bench.control(FAULT_RESET)
     assert bench.state == "SWITCH_ON_DISABLED"

@@ -27,13 +27,13 @@ class Message(NamedTuple):
     payload: bytes
 
 
-class Glimpse(NamedTuple):
+class Snapshot(NamedTuple):
     """What a viewer gets to see at a time.
 
     Attributes:
         ticks: ticks of the plant that ended so far, as far as they were seen.
         deadlines_missed: how many of their deadlines were missed.
-        messages: the newest of each topic since the last glimpse, and all events.
+        messages: the newest of each topic since the last snapshot, and all events.
     """
 
     ticks: int
@@ -48,7 +48,7 @@ class Glimpse(NamedTuple):
         return b"".join(parts)
 
     @staticmethod
-    def decode(datagram: bytes) -> Glimpse:
+    def decode(datagram: bytes) -> Snapshot:
         """Read the bytes of a datagram.
 
         Raises:
@@ -67,8 +67,8 @@ class Glimpse(NamedTuple):
                 messages.append(Message(topics.TOPICS[index], stamp_ns, payload))
                 position += size
         except (struct.error, IndexError) as error:
-            raise ValueError(f"not a glimpse of a run: {error}") from error
-        return Glimpse(ticks, missed, tuple(messages))
+            raise ValueError(f"not a snapshot of a run: {error}") from error
+        return Snapshot(ticks, missed, tuple(messages))
 
 
 class Sampler:
@@ -99,9 +99,9 @@ class Sampler:
             self._truths += 1
             self._missed += not payload[self._deadline_met_at]
 
-    def glimpse(self) -> Glimpse | None:
+    def snapshot(self) -> Snapshot | None:
         """What came since this was last asked; None for nothing."""
         messages = (*self._newest.values(), *self._events)
         self._newest, self._events = {}, []
         ticks = max(0, self._truths - 1)  # the first is told when a tick begins
-        return Glimpse(ticks, self._missed, messages) if messages else None
+        return Snapshot(ticks, self._missed, messages) if messages else None
