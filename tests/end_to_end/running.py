@@ -23,6 +23,7 @@ from numpy.lib.recfunctions import repack_fields
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.runtime.modes import Mode
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy import cli
 from deploy.processes.network.free_ports import free_ports
@@ -37,6 +38,7 @@ from tests.warm_process import (
     no_report,
 )
 
+PERIOD_S = 0.001
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
 _ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400"}
 
@@ -84,6 +86,11 @@ def settings(**values: Any) -> list[str]:
         for name, value in values.items()
         for word in ("--set", f"{name.replace('__', '.')}={json.dumps(value)}")
     ]
+
+
+ENDLESS = settings(duration_s=3600.0, reference__x__velocity_m_s=0.0)
+"""Of paper_arm: a run to act upon that the test ends, and that no machine is too slow for. The path
+of the scenario itself leaves the arm's reach after 97 s."""
 
 
 def funnel_hil(*words: str, out: Path | None, with_report: bool = False) -> Finished:
@@ -195,6 +202,30 @@ class Watcher:
     def _hear(self, delivery: Delivery) -> None:
         stamp_ns = stamp_of(delivery.payload)
         self.last_stamp_ns = max(self.last_stamp_ns, -1 if stamp_ns is None else stamp_ns)
+
+
+def assert_as_simulated(run: Finished, until_s: float, out: Path, *names: str) -> None:
+    """Up to then a run in lockstep that somebody ended is its simulation, bit for bit."""
+    so_long = settings(duration_s=round(until_s, 3), metrics__from_s=0)
+    scenario = str(run.folder / "scenario.yaml")
+    alone = funnel_hil_here("simulate", scenario, *so_long, out=out)
+    for name in names:
+        expected = bits(alone.log, name)[: round(1e3 * until_s) - 10]  # without how it ends
+        assert len(expected) > 100
+        assert bits(run.log, name)[: len(expected)] == expected
+
+
+def assert_stopped_in_time(run: Finished, timeout_s: float) -> None:
+    """In the first tick for which the last command is too old, however late that tick comes."""
+    truth, times_s = run.data.tables[topics.PLANT_TRUTH.name], run.data.times_s(topics.PLANT_TRUTH)
+    stopped = np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))
+    assert stopped[-1]
+    assert (np.diff(stopped.astype(int)) >= 0).all()  # there is no way back
+    last_s = times_s[truth["round_trip_ns"] >= 0][-1]
+    first = int(np.argmax(stopped))
+    assert times_s[first] > last_s
+    assert times_s[first - 1] - last_s <= timeout_s + PERIOD_S + 1e-9
+    assert "safe stop" in " ".join(run.summary["faults"])
 
 
 def processes_of(folder: Path) -> dict[str, int]:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from running import (
+    ENDLESS,
+    HANG_S,
     Watcher,
     await_true,
     funnel_hil,
@@ -24,7 +26,8 @@ from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 SLOW_DOWN_S = 0.3
-PATIENT = settings(link__reply_timeout_s=20, link__connect_timeout_s=60)
+PATIENT = settings(link__reply_timeout_s=HANG_S, link__connect_timeout_s=HANG_S)
+ANSWER_TIMEOUT_S = 60
 
 
 def free_port() -> int:
@@ -34,7 +37,10 @@ def free_port() -> int:
 
 
 def on_free_port() -> list[str]:
-    return [*PATIENT, *settings(link__can__port=free_port(), link__can__answer_timeout_s=20)]
+    return [
+        *PATIENT,
+        *settings(link__can__port=free_port(), link__can__answer_timeout_s=ANSWER_TIMEOUT_S),
+    ]
 
 
 def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> None:
@@ -50,7 +56,7 @@ def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> 
 
 def test_runs_at_once_do_not_meet(tmp_path: Path) -> None:
     """Of a scenario as it is shipped, and of what such a run leaves to be run again."""
-    words = [*PATIENT, *settings(duration_s=0.5, link__can__answer_timeout_s=20)]
+    words = [*PATIENT, *settings(duration_s=0.5, link__can__answer_timeout_s=ANSWER_TIMEOUT_S)]
     first, again = tmp_path / "first", tmp_path / "again"
     with started("run", "paper_arm_can", *words, out=first) as one:
         other = funnel_hil("run", "paper_arm_can", *words, out=tmp_path / "second")
@@ -74,7 +80,7 @@ def test_interrupted_run_blames_no_drive(tmp_path: Path, clock: str) -> None:
         link__can__command_timeout_ms=30_000,
         link__can__heartbeat_timeout_ms=30_000,
     )
-    words = ["run", "paper_arm_can", *on_free_port(), *settings(duration_s=90, clock=clock)]
+    words = ["run", "paper_arm_can", *on_free_port(), *ENDLESS, *settings(clock=clock)]
     with started(*words, *patient, out=tmp_path / "run") as run:
         log = run.folder / "can.log"
         await_true(lambda: log.is_file() and log.stat().st_size > 50_000, "the drives follow")
@@ -89,8 +95,8 @@ def test_one_silent_drive_in_real_time_is_the_first_that_is_named(tmp_path: Path
     """The others get no torques without its states, and say so; the plant blames them all."""
     timeouts = settings(
         plant__command_timeout_ms=30_000.0,
-        link__can__command_timeout_ms=3000,
-        link__can__heartbeat_timeout_ms=4000,
+        link__can__command_timeout_ms=6000,
+        link__can__heartbeat_timeout_ms=7000,
     )
     silent = settings(link__can__faults__drives=["silent:2@200ms"])
     in_real_time = settings(duration_s=90, clock="realtime", controller__law="smc")
@@ -112,7 +118,7 @@ def test_recording_in_real_time_is_not_replayed(tmp_path: Path) -> None:
 
 
 def test_all_axes_come_to_rest_when_the_master_is_killed(tmp_path: Path) -> None:
-    words = ["run", "paper_arm_can", *on_free_port(), *settings(duration_s=40)]
+    words = ["run", "paper_arm_can", *on_free_port(), *ENDLESS]
     with started(*words, out=tmp_path / "run") as run:
         with Watcher(run.plant_endpoint()) as watcher:
             watcher.await_time(0.5, run)

@@ -17,13 +17,13 @@ from running import Finished, free_endpoint, funnel_hil_here, settings
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
 from deploy.processes.network.keys import create_authority, issue
-from tests.warm_process import WarmProcess
+from tests.warm_process import HANG_S, WarmProcess
 
 CLIENTS = Path(__file__).resolve().parents[2] / "bus_schema" / "clients"
 TICKS = 500
 SHORT = settings(
     clock="lockstep", duration_s=TICKS / 1000, link__publish_reference=True,
-    link__connect_timeout_s=20,
+    link__connect_timeout_s=HANG_S,
 )  # fmt: skip
 
 
@@ -38,7 +38,7 @@ def run_with(command: list[str], folder: Path, plant: str, controller: str) -> F
     try:
         outputs = [process.communicate()[0] for process in processes]
         assert [process.returncode for process in processes] == [0, 0], outputs
-        assert client.wait(60) == 0
+        assert client.wait(HANG_S) == 0
     finally:
         client.kill()
         client.wait()

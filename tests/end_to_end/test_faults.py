@@ -14,14 +14,15 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 from running import (
+    ENDLESS,
     HANG_S,
     ROOT,
     Finished,
     Running,
     Watcher,
+    assert_stopped_in_time,
     await_true,
     free_endpoint,
     funnel_hil,
@@ -33,13 +34,14 @@ from running import (
 
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.recording.mcap_log import read_log
-from bus_schema.runtime.modes import Mode
 
 DISRUPTED_AT_S = 0.5
-PERIOD_S = 0.001
 # In real time a busy machine may well hold up a loop for the 200 ms that are the default.
-COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 1.0}
-LONG = settings(duration_s=90, link__reply_timeout_s=1, link__connect_timeout_s=60)
+COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 3.0}
+PATIENT = settings(link__reply_timeout_s=HANG_S, link__connect_timeout_s=HANG_S)
+LONG = [*ENDLESS, *PATIENT]
+SOON = settings(link__reply_timeout_s=5)
+ON_DISK_B = 200_000
 ROLES = {"controller", "plant", "recorder"}
 
 both_clocks = pytest.mark.parametrize(
@@ -72,9 +74,12 @@ class DisruptedRun:
 
 def disrupt(
     tmp_path: Path, clock: str, number: signal.Signals, role: str | None, *more: str,
-    at_s: float = DISRUPTED_AT_S, with_report: bool = False,
+    on_disk_b: int = 0, with_report: bool = False,
 ) -> DisruptedRun:  # fmt: skip
-    """Send a signal to a process of a run, or to the run itself, in the middle of it."""
+    """Send a signal to a process of a run, or to the run itself, in the middle of it.
+
+    So much of the recording must be on the disk by then.
+    """
     timeout_ms = 1e3 * COMMAND_TIMEOUT_S[clock]
     plant = settings(clock=clock, plant__command_timeout_ms=timeout_ms)
     words = ["run", "paper_arm", *LONG, *plant, *more]
@@ -82,7 +87,9 @@ def disrupt(
         started(*words, out=tmp_path / "run", with_report=with_report) as run,
         Watcher(run.plant_endpoint()) as watcher,
     ):
-        watcher.await_time(at_s, run)
+        watcher.await_time(DISRUPTED_AT_S, run)
+        recording = run.folder / "run.partial.mcap"
+        await_true(lambda: recording.stat().st_size >= on_disk_b, "so much is on the disk")
         disrupted_s = watcher.last_stamp_ns * 1e-9
         run.send(number, role)
         ended = run.end()
@@ -103,7 +110,7 @@ def disrupt(
 def test_arm_is_stopped_when_the_controller_falls_silent(
     tmp_path: Path, clock: str, number: signal.Signals, fate: str
 ) -> None:
-    disrupted = disrupt(tmp_path, clock, number, "controller")
+    disrupted = disrupt(tmp_path, clock, number, "controller", *SOON)
     assert disrupted.run.code == 1
     assert disrupted.causes == [fate]
     assert fate in disrupted.run.summary["faults"]
@@ -115,19 +122,7 @@ def test_arm_is_stopped_when_the_controller_falls_silent(
 
 def allowed_gap_s(clock: str) -> float:
     """In lockstep nothing may be missing; in real time a loop rather drops a message than waits."""
-    return 1e-9 if clock == "lockstep" else 1.0
-
-
-def assert_stopped_in_time(run: Finished, timeout_s: float) -> None:
-    """From the last command to the stop: the timeout, and a tick to see it at either end."""
-    truth, times_s = run.data.tables[PLANT_TRUTH.name], run.data.times_s(PLANT_TRUTH)
-    stopped = np.isin(truth["mode"], (Mode.STOPPING, Mode.FAULT))
-    commanded = truth["round_trip_ns"] >= 0
-    assert stopped[-1]
-    assert (np.diff(stopped.astype(int)) >= 0).all()  # there is no way back
-    silence_s = times_s[stopped][0] - times_s[commanded][-1]
-    assert 0.0 < silence_s <= timeout_s + 2.0 * PERIOD_S + 1e-9
-    assert "safe stop" in " ".join(run.summary["faults"])
+    return 1e-9 if clock == "lockstep" else 3.0
 
 
 @both_clocks
@@ -137,12 +132,12 @@ def test_run_ends_when_the_plant_is_killed(tmp_path: Path, clock: str) -> None:
     assert disrupted.causes == ["the plant was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
     assert disrupted.run.data.complete  # the recorder finished its file
-    assert disrupted.unrecorded_s <= 1.0
+    assert disrupted.unrecorded_s <= max(1.0, allowed_gap_s(clock))  # it took along what waited
 
 
 @both_clocks
 def test_run_ends_when_the_recorder_is_killed(tmp_path: Path, clock: str) -> None:
-    disrupted = disrupt(tmp_path, clock, signal.SIGKILL, "recorder", at_s=1.5)
+    disrupted = disrupt(tmp_path, clock, signal.SIGKILL, "recorder", on_disk_b=ON_DISK_B)
     assert disrupted.run.code == 1
     assert disrupted.causes == ["the recorder was killed by SIGKILL"]
     assert not disrupted.run.summary["completed"]
@@ -195,7 +190,7 @@ def test_folder_that_is_gone_is_told_by_the_recorder(tmp_path: Path) -> None:
 def test_interrupted_run_leaves_complete_files(
     tmp_path: Path, clock: str, number: signal.Signals
 ) -> None:
-    patient = settings(plant__command_timeout_ms=5000)  # a busy machine is another matter
+    patient = settings(plant__command_timeout_ms=20_000)  # a busy machine is another matter
     disrupted = disrupt(tmp_path, clock, number, None, *patient, with_report=True)
     assert disrupted.run.code == 130
     assert disrupted.run.summary["completed"] is False
@@ -266,7 +261,7 @@ def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path, frozen: str |
         await_true(lambda: not processes_of(run.folder), "the others follow")
         run.end()
     ticks = len(read_log(run.folder / "run.mcap").payloads[PLANT_TRUTH.name])
-    assert ticks < 30_000  # of 40,000: they left, and did not just come to their end
+    assert ticks < 3_000_000  # of 3,600,000: they left, and did not just come to their end
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from running import (
+    ENDLESS,
+    HANG_S,
     Watcher,
     await_true,
     free_endpoint,
@@ -21,7 +23,7 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.zenoh.session import Delivery
 from tests.warm_process import WarmProcess
 
-LONG = settings(clock="lockstep", duration_s=90, link__connect_timeout_s=60)
+LONG = [*ENDLESS, *settings(clock="lockstep", link__connect_timeout_s=HANG_S)]
 
 
 @contextmanager

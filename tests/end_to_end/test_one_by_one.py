@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from running import await_true, free_endpoint, settings, started
+from running import ENDLESS, HANG_S, await_true, free_endpoint, settings, started
 
 from tests.warm_process import WarmProcess
 
@@ -28,7 +28,7 @@ def start_both(plant: list[str], controller: list[str], *, at: list[str]) -> lis
 def endpoints() -> list[str]:
     return settings(link__plant_endpoint=free_endpoint(),
                     link__controller_endpoint=free_endpoint(),
-                    link__connect_timeout_s=60)  # fmt: skip
+                    link__connect_timeout_s=HANG_S)  # fmt: skip
 
 
 def outputs_of(processes: list[WarmProcess]) -> list[str]:
@@ -92,7 +92,9 @@ def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(endpoints: l
 
 def test_a_plant_alone_says_so_and_never_runs(endpoints: list[str]) -> None:
     """It waits for longer than it would give a foreign client that has announced nothing."""
-    patience = [word.replace("connect_timeout_s=60", "connect_timeout_s=2") for word in endpoints]
+    patience = [
+        word.replace(f"connect_timeout_s={HANG_S}", "connect_timeout_s=2") for word in endpoints
+    ]
     plant = WarmProcess("plant", "paper_arm", *SHORT, *patience)
     (output,) = outputs_of([plant])
     assert "the controller is silent: no sign of life within 2 s" in output
@@ -129,7 +131,7 @@ def test_a_controller_that_waits_is_stopped_with_130(
 
 def test_a_controller_in_the_middle_of_a_run_is_stopped_with_130(endpoints: list[str]) -> None:
     """Its plant, which goes on without it, makes a safe stop: that is a fault there."""
-    long = settings(clock="lockstep", duration_s=90)
+    long = [*ENDLESS, *settings(clock="lockstep")]
     plant = WarmProcess("plant", "paper_arm", *long, *endpoints)
     controller = WarmProcess("controller", "paper_arm", *long, *endpoints)
     try:

