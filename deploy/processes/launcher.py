@@ -222,6 +222,13 @@ class Launcher:
     def _clear_up(self) -> None:
         """No process is left over, and each one's end is accounted for."""
         early = self._relay if self._relay_has_gone() else None  # it is to outlast the others
+        frozen = self._ask_all_to_stop()
+        for child in self._all_children():
+            failure = _end(child, was_frozen=child in frozen, is_early=child is early)
+            self._note_failure(failure)
+
+    def _ask_all_to_stop(self) -> list[ChildProcess]:
+        """Give the children that still run time to stop; which of them are frozen and cannot."""
         stuck = [child for child in self._all_children() if child.is_running()]
         frozen = [child for child in stuck if child.is_frozen()]
         for child in stuck:
@@ -231,20 +238,7 @@ class Launcher:
             if time.monotonic() > give_up_s:
                 break
             time.sleep(_POLL_S)
-        for child in self._all_children():
-            was_running = child.is_running()
-            child.kill()
-            if child in frozen:
-                text = f"the {child.role} was frozen (stopped by a signal)"
-                self._note_failure(Failure(text, is_cause=True))
-            elif was_running and not isinstance(child, Program):
-                text = f"the {child.role} did not end and was killed"
-                self._note_failure(Failure(text, is_cause=False))
-            else:
-                self._note_failure(child.failure())
-                if child is early and not child.failure():
-                    text = f"the {child.role} ended before the run did"
-                    self._note_failure(Failure(text, is_cause=True))
+        return frozen
 
     def _note_what_program_said(self) -> None:
         """Where a run failed or never began, a program may be the cause all the same."""
@@ -277,6 +271,20 @@ class Launcher:
                 self._injector.request(message.process_action())
                 self._children[Role(message.role)].confirm()
             on_message(message)
+
+
+def _end(child: ChildProcess, *, was_frozen: bool, is_early: bool) -> Failure | None:
+    """Kill a child if it still runs; what is to be said of its end."""
+    was_running = child.is_running()
+    child.kill()
+    if was_frozen:
+        return Failure(f"the {child.role} was frozen (stopped by a signal)", is_cause=True)
+    if was_running and not isinstance(child, Program):
+        return Failure(f"the {child.role} did not end and was killed", is_cause=False)
+    failure = child.failure()
+    if failure is None and is_early:
+        return Failure(f"the {child.role} ended before the run did", is_cause=True)
+    return failure
 
 
 def _numbered(path: Path, number: int) -> Path:

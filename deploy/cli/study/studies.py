@@ -41,7 +41,7 @@ from deploy.reports.terminal import print_conditions, print_table
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.stop_signals import on_stop
-from deploy.study.conduct import carry_out, retrace
+from deploy.study.conduct import Workers, carry_out, retrace
 from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
 from deploy.study.study import SHIPPED, Study, is_sweep
@@ -148,10 +148,10 @@ def _conduct(
     if scheduler is None:  # else it has to be on the hosts of the cluster
         for base in study.bases:
             require_program(base)
-    from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
+    from deploy.study.dask_workers import DaskWorkers  # heavy
 
     say_oddities(*study.bases)
-    stop, console, lost = threading.Event(), Console(), None
+    console = Console()
     path = None if overwrite else find_folder(study, out)
     with DaskWorkers(workers, scheduler, study.laws) as team:
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
@@ -161,21 +161,35 @@ def _conduct(
         folder.lock()
         with folder:
             folder.become()
-            on_stop(stop.set)
-            name = study.definition.name
-            with CommandProgress(console, name, study.expected, "runs") as progress:
-                try:
-                    carry_out(study, team, folder, RunCounter(progress), stop)
-                except ClusterLostError as error:
-                    lost = error
-                finally:
-                    folder.flush()
+            lost = _carry_out(study, team, folder, console)
             completed = _conclude(study, folder, console)
     if completed:
         raise typer.Exit(FINISHED if _has_results(folder) else FAULT)
     reason = f"{lost}; the" if lost else "The"
     console.print(f"{reason} same command goes on from here.", markup=False)
     raise typer.Exit(FAULT if lost else INTERRUPTED)
+
+
+def _carry_out(
+    study: Study, team: Workers, folder: StudyFolder, console: Console
+) -> Exception | None:
+    """Do the runs that are not done yet, or as many as come before a request to stop.
+
+    Returns:
+        How the cluster was lost; None if it was not.
+    """
+    from deploy.study.dask_workers import ClusterLostError  # heavy
+
+    stop = threading.Event()
+    on_stop(stop.set)
+    with CommandProgress(console, study.definition.name, study.expected, "runs") as progress:
+        try:
+            carry_out(study, team, folder, RunCounter(progress), stop)
+        except ClusterLostError as error:
+            return error
+        finally:
+            folder.flush()
+    return None
 
 
 def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
