@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.cli.study import experiments
+from deploy.cli.study import replay
 from deploy.cli.terminal.closed_output import outlive_readers
 from deploy.stop_signals import STOPS
 
@@ -33,7 +33,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
         os.kill(os.getpid(), number)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiments, "load_run", be_signalled)
+        patch.setattr(replay, "load_run", be_signalled)
         patch.setattr(sys, "argv", ["funnel-hil", "replay", str(tmp_path)])
         with pytest.raises(SystemExit) as ended:
             cli.main()
