@@ -36,6 +36,11 @@ def bundle_key_expression(domain: int, role: str = "*") -> str:
     return f"funnel_hil/{domain}/bundles/{role}"
 
 
+def missed_key_expression(domain: int) -> str:
+    """Key of the messages by which recorders ask for bundles that never came to them."""
+    return f"funnel_hil/{domain}/missed"
+
+
 def bundling_key_expression(domain: int, role: str = "*", session: str = "*") -> str:
     """Liveliness token by which a loop tells that it bundles all it sends."""
     return f"funnel_hil/{domain}/bundling/{role}/{session}"
@@ -89,7 +94,8 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
     allowed = {
         "put": [topic.key_expression(domain) for topic in topics_of(speaker)],
         "declare_subscriber": [
-            f"{domain}/**", progress_key_expression(domain), bundle_key_expression(domain)
+            f"{domain}/**", progress_key_expression(domain), bundle_key_expression(domain),
+            missed_key_expression(domain),
         ],
         "liveliness_token": [
             node_tokens(domain, speaker), scenario_key_expression(domain, speaker)
@@ -100,7 +106,7 @@ def _rules(name: str, flow: str, speaker: Role, domain: int) -> list[dict[str, A
         ],
     }  # fmt: skip
     if speaker is Role.RECORDER:
-        allowed["put"].append(progress_key_expression(domain))
+        allowed["put"] += [progress_key_expression(domain), missed_key_expression(domain)]
         allowed["liveliness_token"].append(recorded_key_expression(domain))
     else:
         allowed["put"].append(bundle_key_expression(domain, speaker))

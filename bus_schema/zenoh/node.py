@@ -18,7 +18,8 @@ from bus_schema.zenoh.access import (
     scenario_key_expression,
     secure_settings,
 )
-from bus_schema.zenoh.bundles import BundleMailbox, Bundler
+from bus_schema.zenoh.bundle_mailbox import BundleMailbox
+from bus_schema.zenoh.bundles import Bundler
 from bus_schema.zenoh.diagnosis import SilenceWatch
 from bus_schema.zenoh.flow_control import FlowControl
 from bus_schema.zenoh.outbox import Outbox
@@ -209,6 +210,8 @@ class ZenohNode:
         while self.sees(Role.RECORDER) and time.monotonic() < give_up_s:
             if self._acknowledged.wait(POLL_S):
                 return
+            if self._bundler is not None:
+                self._bundler.tell()
 
     def close(self) -> None:
         """Leave the bus. What is still on its way to a slow peer is lost."""

@@ -44,6 +44,7 @@ _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
 _MOST_COMMANDS = 1 << 40
+_MOST_STREAMS = 10_000  # whoever makes up an id for each message fills no memory
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
@@ -104,6 +105,8 @@ class GapCounter:
         """
         stream = topic, sender
         last = self._last_sequence.get(stream, 0)
+        if not last and len(self._last_sequence) >= _MOST_STREAMS:
+            return
         if sequence > last:
             self._last_sequence[stream] = sequence
             if sequence > last + 1:
@@ -206,6 +209,7 @@ class Recorder:
         give_up_s = time.monotonic() + _CLOSE_TIMEOUT_S
         while time.monotonic() < give_up_s and self._write_what_came():
             pass
+        self._write(self._mailbox.let_go())
         for topic, _, sequence, _, gid in chain.from_iterable(iter(self._mailbox.take, None)):
             self._gaps.note(topic.name, gid, sequence)
             self._gaps.missed[topic.name] += 1

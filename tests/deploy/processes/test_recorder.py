@@ -23,6 +23,8 @@ from bus_schema.messages.topics import (
 )
 from bus_schema.recording.atomic_files import RecordFile
 from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.zenoh.access import bundle_key_expression
+from bus_schema.zenoh.bundles import HEAD, Span
 from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
 from deploy.processes import recorder as recorder_module
@@ -131,6 +133,33 @@ def test_message_without_a_number_is_recorded_and_counts_as_no_loss(bench: Bench
     log = bench.leave()
     assert bench.recorder.lost == {}
     assert log.sequences["joint_states"] == [0, 0, 0]
+
+
+def test_what_waits_for_a_bundle_that_never_comes_is_recorded_in_the_end(bench: Bench) -> None:
+    bundles = bench.session.publisher(bundle_key_expression(0, Role.PLANT))
+
+    def send(bundle: int, sequence: int) -> None:
+        """Nobody keeps it: whoever asks gets no answer."""
+        name, attachment, payload = b"joint_states", number(sequence), state(sequence)
+        head = HEAD.pack(len(name), len(attachment), len(payload))
+        bundles.put(head + name + attachment + payload, Span(1, bundle, OURS).encode())
+
+    send(1, sequence=1)
+    bench.await_messages(1)
+    send(4, sequence=5)
+    send(3, sequence=4)
+    log = bench.leave()
+    assert log.sequences["joint_states"] == [1, 4, 5]
+    assert bench.recorder.lost == {"joint_states": 2}
+
+
+def test_made_up_ids_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder_module, "_MOST_STREAMS", 2)
+    gaps = recorder_module.GapCounter()
+    for sender, sequence in ((b"1", 1), (b"2", 1), (b"3", 5), (b"4", 7), (b"2", 3)):
+        gaps.note("joint_states", sender, sequence)
+    assert gaps.missed == {"joint_states": 1}
+    assert len(gaps._last_sequence) == 2
 
 
 @pytest.mark.parametrize("gid", [b"", FOREIGN], ids=["without numbers", "numbered"])

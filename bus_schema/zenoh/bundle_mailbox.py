@@ -1,0 +1,185 @@
+"""All that is said in a domain, as a recorder takes it: from bundles, the rest by itself."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role, topics_of
+from bus_schema.zenoh.access import (
+    bundle_key_expression,
+    bundling_key_expression,
+    missed_key_expression,
+)
+from bus_schema.zenoh.bundle_order import BundleOrder
+from bus_schema.zenoh.bundles import UNKNOWN, Received, Span, unbundled
+from bus_schema.zenoh.ros_graph import (
+    Attachment,
+    Entity,
+    EntityKind,
+    endpoint_gid,
+    graph_key_expression,
+)
+from bus_schema.zenoh.session import Delivery, Mailbox, ZenohSession
+
+_TYPICAL_MESSAGES = 100  # in a bundle
+_MOST_SENDERS = 10_000  # whoever makes up an id for each message fills no memory
+_BUNDLED = {
+    Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
+    Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
+}
+"""What the bundles of each loop hold; nobody says more in another's name."""
+
+
+class BundleMailbox:
+    """All messages on our topics in a domain, each once, as ordered as their sender sent them.
+
+    What a session that bundles says by itself comes in a bundle too, and is taken from there.
+
+    Args:
+        session: of the recorder.
+        domain: ROS domain.
+        capacity: messages to keep.
+        lossless: once there are more, senders wait; or else the oldest make room.
+        speakers: gives the sessions that have announced that they send on our topics.
+    """
+
+    def __init__(
+        self,
+        session: ZenohSession,
+        domain: int,
+        capacity: int,
+        *,
+        lossless: bool,
+        speakers: Callable[[], set[str]],
+    ) -> None:
+        self._session, self._domain = session, domain
+        self._capacity, self._lossless = capacity, lossless
+        self._speakers = speakers
+        self._bundling: dict[str, str] = {}  # role by session
+        self._left: set[str] = set()  # of these sessions
+        self._publishers: dict[bytes, str] = {}  # session by id
+        self._lock = threading.Lock()
+        self._topics = {topic.key_expression(domain): topic for topic in TOPICS}
+        self._bundled_topics = {
+            bundle_key_expression(domain, role): {
+                topic.name.encode(): topic for topic in of_role if topic in TOPICS
+            }
+            for role, of_role in _BUNDLED.items()
+        }
+        self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
+        self._waits = True
+        self._missed = session.publisher(missed_key_expression(domain))
+        self._bundles = session.mailbox(
+            bundle_key_expression(domain), -(-capacity // _TYPICAL_MESSAGES), lossless=lossless
+        )
+        self._direct: Mailbox | None = None
+        self._listen()
+        session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
+        session.watch_tokens(graph_key_expression(domain), self._on_publisher)
+
+    def take(self) -> list[Received] | None:
+        """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
+        bundle = self._bundles.take()
+        if bundle is not None:
+            return self._unbundle(*bundle)
+        left = self._left.copy()
+        delivery = self._direct.take() if self._direct is not None else None
+        if delivery is None:
+            self._forget(left)
+            self._listen()
+            return self._look_for_missed()
+        key, (payload, attachment) = delivery
+        topic = self._topics.get(key)
+        if topic is None:
+            return []
+        message = (topic, payload, *(Attachment.decode(attachment) or UNKNOWN))
+        return [] if self._is_bundled(message) else [message]
+
+    def let_go(self) -> list[Received]:
+        """Wait for no missing bundle any more; the messages of those that have waited."""
+        self._waits = False
+        return self._all_of(lambda order: order.rest())
+
+    def _unbundle(self, key: str, bundle: Delivery) -> list[Received]:
+        """The messages of a bundle and of those that waited for it; none before its turn."""
+        topics = self._bundled_topics.get(key, {})
+        span = Span.decode(bundle.attachment)
+        if span is None:
+            return unbundled(bundle.payload, topics)
+        order = self._orders.get((key, span.sender))
+        if order is None:
+            if len(self._orders) >= _MOST_SENDERS:
+                return unbundled(bundle.payload, topics)
+            order = self._orders[key, span.sender] = BundleOrder(span.sender)
+        ready = order.take_in(span, bundle.payload)
+        if not self._waits:
+            ready += order.rest()
+        return [message for payload in ready for message in unbundled(payload, topics)]
+
+    def _look_for_missed(self) -> list[Received] | None:
+        """Ask for bundles that are missing, and wait no longer for those asked for in vain."""
+        now_s = time.monotonic()
+        for order in self._orders.values():
+            missed = order.missed(now_s)
+            if missed is not None:
+                self._missed.put(missed.encode(), b"")
+        return self._all_of(lambda order: order.overdue()) or None
+
+    def _all_of(self, bundles_of: Callable[[BundleOrder], list[bytes]]) -> list[Received]:
+        return [
+            message
+            for (key, _), order in self._orders.items()
+            for bundle in bundles_of(order)
+            for message in unbundled(bundle, self._bundled_topics.get(key, {}))
+        ]
+
+    def _is_bundled(self, message: Received) -> bool:
+        """Whether a message that has come by itself comes in a bundle too."""
+        topic, _, _, _, gid = message
+        if topic is JOINT_COMMANDS and Role.PLANT in self._bundling.values():
+            return True
+        return self._publishers.get(gid) in self._bundling
+
+    def _listen(self) -> None:
+        """Listen to all that is sent, unless all of it comes in bundles."""
+        if (
+            set(self._bundling.values()) != set(_BUNDLED)
+            or not self._speakers() <= self._bundling.keys()
+        ):
+            if self._direct is None:
+                key = f"{self._domain}/**"
+                self._direct = self._session.mailbox(key, self._capacity, lossless=self._lossless)
+        elif self._direct is not None:
+            self._direct.close()
+            self._direct = None
+
+    def _on_bundling(self, token: str, alive: bool) -> None:
+        *_, role, session = token.split("/")
+        with self._lock:
+            if alive:
+                self._bundling[session] = role
+                self._left.discard(session)
+            else:
+                self._left.add(session)
+
+    def _on_publisher(self, token: str, alive: bool) -> None:
+        """Remember whose it is; of those who bundle until all that they said is taken."""
+        entity = Entity.from_token(token)
+        if entity is None or entity.kind != EntityKind.PUBLISHER:
+            return
+        with self._lock:
+            if alive and len(self._publishers) < _MOST_SENDERS:
+                self._publishers[endpoint_gid(token)] = entity.session
+            elif not alive and entity.session not in self._bundling:
+                self._publishers.pop(endpoint_gid(token), None)
+
+    def _forget(self, left: set[str]) -> None:
+        """Sessions have left, and all that came by itself before was held against their bundles."""
+        with self._lock:
+            for session in left & self._left:
+                self._left.discard(session)
+                self._bundling.pop(session, None)
+                for gid in [gid for gid, of in self._publishers.items() if of == session]:
+                    del self._publishers[gid]

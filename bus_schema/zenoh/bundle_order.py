@@ -1,0 +1,74 @@
+"""The bundles of one sender in the order of their numbers, each once, whenever they come."""
+
+from __future__ import annotations
+
+from bus_schema.zenoh.bundles import Span
+
+_MOST_WAITING = 256
+_AGAIN_S = 0.1
+_MOST_ASKED = 100
+"""So often in vain, for ten seconds, and what is missing counts as lost."""
+
+
+class BundleOrder:
+    """What comes before what is missing waits for it, and what is missing is asked for.
+
+    Args:
+        sender: who sends them.
+    """
+
+    def __init__(self, sender: bytes) -> None:
+        self._sender = sender
+        self._next = 1
+        self._last = 0  # the newest that is known to have been sent
+        self._waiting: dict[int, bytes] = {}
+        self._asked_for = self._asked = 0
+        self._asked_s = 0.0
+
+    def take_in(self, span: Span, bundle: bytes) -> list[bytes]:
+        """A bundle came; those whose turn it is now.
+
+        Args:
+            span: what stood beside it: those before its first nobody has any more.
+            bundle: its bytes; empty where its number is only told of.
+        """
+        if bundle and span.last >= self._next:
+            self._waiting[span.last] = bundle
+        self._last = max(self._last, span.last)
+        if len(self._waiting) > _MOST_WAITING:
+            return self._from(self._first_waiting())
+        return self._from(span.first)
+
+    def missed(self, now_s: float) -> Span | None:
+        """What to ask the sender for at this time; None for nothing, or not yet."""
+        if self._next > self._last:
+            return None
+        if self._asked_for != self._next:
+            self._asked_for, self._asked = self._next, 0
+        elif now_s - self._asked_s < _AGAIN_S:
+            return None
+        self._asked += 1
+        self._asked_s = now_s
+        return Span(self._next, self._first_waiting() - 1, self._sender)
+
+    def overdue(self) -> list[bytes]:
+        """Those that have waited for long enough for what is asked for in vain."""
+        is_in_vain = self._asked_for == self._next and self._asked >= _MOST_ASKED
+        return self._from(self._first_waiting()) if is_in_vain else []
+
+    def rest(self) -> list[bytes]:
+        """All that wait, whatever is missing."""
+        return self._from(self._last + 1)
+
+    def _first_waiting(self) -> int:
+        return min(self._waiting, default=self._last + 1)
+
+    def _from(self, first: int) -> list[bytes]:
+        """Those before the `first` as they are, and from there on those that follow one another."""
+        before = sorted(number for number in self._waiting if number < first)
+        ready = [self._waiting.pop(number) for number in before]
+        self._next = max(self._next, first)
+        while (bundle := self._waiting.pop(self._next, None)) is not None:
+            ready.append(bundle)
+            self._next += 1
+        return ready

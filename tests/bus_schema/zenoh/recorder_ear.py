@@ -1,0 +1,82 @@
+"""What a recorder hears of both loops, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role, Topic
+from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
+from bus_schema.zenoh.node import ZenohNode
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, state, status
+
+CAPACITY = 10_000
+
+
+class Ear:
+    """A recorder's: numbers and payloads of what it took, by topic."""
+
+    def __init__(self, link: LinkConfiguration) -> None:
+        self.node = ZenohNode(link, Role.RECORDER, lossless=True)
+        self.mailbox = self.node.listen_to_all(CAPACITY, lossless=True)
+        self.node.announce()
+        self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in topics.TOPICS}
+
+    def take_all(self) -> None:
+        for messages in iter(self.mailbox.take, None):
+            for topic, payload, number, _, _ in messages:
+                self.heard[topic.name].append((number, payload))
+
+    def await_heard(self, topic: Topic, count: int) -> None:
+        self.await_true(lambda: len(self.heard[topic.name]) >= count)
+
+    def await_true(self, condition: Callable[[], bool]) -> None:
+        def holds() -> bool:
+            self.take_all()
+            return condition()
+
+        await_true(holds)
+
+
+@contextmanager
+def ear_on(link: LinkConfiguration, *loops: ZenohNode) -> Iterator[Ear]:
+    """A recorder that loops know of: what they send from now on comes there."""
+    ear = Ear(link)
+    try:
+        for loop in loops:
+            loop.await_recorder(HANG_S)
+        yield ear
+    finally:
+        ear.node.close()
+
+
+def exchange(
+    plant: ZenohPlantLink, controller: ZenohControllerLink, ticks: range
+) -> dict[str, list[tuple[int, bytes]]]:
+    """Ticks of both loops; what a recorder is to have of them."""
+    await_true(lambda: controller.sees(Role.PLANT))
+    for tick in ticks:
+        plant.send_state(state(tick), status())
+        controller.publish(topics.JOINT_COMMANDS, state(tick))
+        assert plant.await_command(HANG_S)
+        plant.take_commands()
+        plant.publish(topics.PLANT_TRUTH, b"truth %d" % tick)
+        controller.publish(topics.CONTROL_STATUS, b"control %d" % tick)
+    for link, role in ((plant, Role.PLANT), (controller, Role.CONTROLLER)):
+        link.publish(topics.RUN_EVENTS, RunEvent(0, role, EventKind.ENDED, "").encode())
+    numbered = [(tick + 1, tick) for tick in ticks]
+    return {
+        "joint_states": [(number, state(tick)) for number, tick in numbered],
+        "joint_commands": [(number, state(tick)) for number, tick in numbered],
+        "plant_status": [(number, status()) for number, _ in numbered],
+        "plant_truth": [(number, b"truth %d" % tick) for number, tick in numbered],
+        "control_status": [(number, b"control %d" % tick) for number, tick in numbered],
+    }
+
+
+def assert_heard(ear: Ear, *sent: dict[str, list[tuple[int, bytes]]]) -> None:
+    for name in sent[0]:
+        assert ear.heard[name] == [message for part in sent for message in part[name]], name
