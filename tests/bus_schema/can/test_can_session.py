@@ -19,6 +19,7 @@ from bus_schema.can.frame_table import frame_table
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
+from tests.multicast import own_place
 
 HAS_SOCKETCAN = Path("/proc/net/can").exists()
 
@@ -27,8 +28,14 @@ def virtual() -> CanConfiguration:
     return CanConfiguration(interface="virtual", channel=str(uuid.uuid4()))
 
 
-def multicast() -> CanConfiguration:
-    return CanConfiguration(interface="udp_multicast", port=43_555, fd=True)
+def multicast(**values: object) -> CanConfiguration:
+    group, port = own_place()
+    place = {"interface": "udp_multicast", "channel": group, "port": port}
+    return CanConfiguration.model_validate({**place, **values})
+
+
+def multicast_fd() -> CanConfiguration:
+    return multicast(fd=True)
 
 
 FRAMES = [
@@ -40,7 +47,7 @@ FRAMES = [
 ]
 
 
-@pytest.mark.parametrize("configure", [virtual, multicast])
+@pytest.mark.parametrize("configure", [virtual, multicast_fd])
 def test_frames_reach_the_others_in_order_and_never_their_sender(configure: object) -> None:
     configuration = configure()  # type: ignore[operator]
     ours, theirs = open_can_bus(configuration), open_can_bus(configuration)
@@ -56,7 +63,7 @@ def test_frames_reach_the_others_in_order_and_never_their_sender(configure: obje
 
 
 def test_frames_that_nobody_was_in_time_for_are_counted() -> None:
-    configuration = CanConfiguration(interface="udp_multicast", port=43_558)
+    configuration = multicast()
     sender, slow = open_can_bus(configuration), open_can_bus(configuration)
     try:
         assert slow.dropped() == 0
@@ -73,7 +80,6 @@ def test_frames_that_nobody_was_in_time_for_are_counted() -> None:
     assert open_can_bus(virtual()).dropped() is None
 
 
-GROUP = "239.74.163.2"
 _ALL_PROTOCOLS = 3  # ETH_P_ALL: what goes out is shown to no other
 
 
@@ -83,14 +89,17 @@ def test_frames_leave_the_machine_only_if_they_are_to(hop_limit: int, leaves: bo
         wire = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(_ALL_PROTOCOLS))
     except PermissionError:
         pytest.skip("watching the network takes CAP_NET_RAW")
-    configuration = CanConfiguration(interface="udp_multicast", port=43_556, hop_limit=hop_limit)
+    configuration = multicast(hop_limit=hop_limit)
     bus, witness = open_can_bus(configuration), open_can_bus(configuration)
     with wire:
         wire.settimeout(0.3)
         try:
             bus.send(FRAMES[0])
             assert witness.receive(1.0) == FRAMES[0]
-            assert bool(list(_sent_to_network(wire, socket.inet_aton(GROUP)))) == leaves
+            assert (
+                bool(list(_sent_to_network(wire, socket.inet_aton(configuration.resolved_channel))))
+                == leaves
+            )
         finally:
             _close(bus, witness)
 
@@ -99,12 +108,14 @@ def test_frames_leave_the_machine_only_if_they_are_to(hop_limit: int, leaves: bo
 def test_what_is_not_sent_to_the_group_by_this_machine_is_not_heard(
     hop_limit: int, is_heard: bool
 ) -> None:
-    configuration = CanConfiguration(interface="udp_multicast", port=43_557, hop_limit=hop_limit)
+    configuration = multicast(hop_limit=hop_limit)
     bus, sender = open_can_bus(configuration), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     with sender:
         try:
             message = can.Message(arbitration_id=0x123, data=b"x", is_extended_id=False)
-            sender.sendto(pack_message(message), ("127.0.0.1", 43_557))  # as from another machine
+            sender.sendto(
+                pack_message(message), ("127.0.0.1", configuration.port)
+            )  # as from another machine
             assert (bus.receive(0.3) is not None) == is_heard
         finally:
             _close(bus)

@@ -15,13 +15,10 @@ from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.can.session import open_can_bus
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
-from deploy.processes.network.free_ports import free_ports
+from tests.multicast import own_place
 
-PORT = free_ports(1)[0]
-GROUP = f"239.74.{PORT >> 8}.{1 + PORT % 250}"
-"""Nobody else's, be it another worker that runs tests of this file."""
-
-WAIT_S = 20.0
+GROUP, PORT = own_place()
+WAIT_S = 60.0
 standard = st.integers(0, 0x7FF)
 frames = st.one_of(
     st.tuples(standard, st.binary(max_size=8)).map(lambda given: CanFrame(*given)),

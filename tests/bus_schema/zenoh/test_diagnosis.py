@@ -19,6 +19,14 @@ from bus_schema.zenoh.link import ZenohPlantLink
 from deploy.processes.network.free_ports import free_ports
 from deploy.processes.network.keys import create_authority, issue
 
+PATIENT_S = 60.0
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever answers is waited for, on a busy machine too."""
+    monkeypatch.setattr(silence, "_PROBE_S", PATIENT_S)
+
 
 def make_link(port: int, folder: Path | None = None) -> LinkConfiguration:
     security = SecurityConfiguration(enabled=folder is not None, folder=str(folder or "/nowhere"))
@@ -113,7 +121,10 @@ def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
     assert "the certificate there is for the role 'plant'" in said
 
 
-def test_nothing_wrong_to_be_found(folders: tuple[Path, Path, Path]) -> None:
+def test_nothing_wrong_to_be_found(
+    folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(silence, "_PROBE_S", 3.0)  # so long no refusal comes
     port = free_ports(1)[0]
     with plant_at(make_link(port, folders[0])):
         said = explain_silence(make_link(port, folders[0]), Role.CONTROLLER, Role.PLANT)

@@ -64,8 +64,9 @@ say(hash=hash_)
 for line in sys.stdin:
     order = json.loads(line)
     if order == "look around":
-        info = get_topic_info("/joint_states", 0, "127.0.0.1", port, verbose=True)
-        say(topics=dict(get_topic_names_and_types(0, "127.0.0.1", port)),
+        patient = {"timeout": 60.0}  # it ends with the last answer; by default in half a second
+        info = get_topic_info("/joint_states", 0, "127.0.0.1", port, verbose=True, **patient)
+        say(topics=dict(get_topic_names_and_types(0, "127.0.0.1", port, **patient)),
             publishers=[vars(endpoint) for endpoint in info.publishers] if info else [])
     else:
         import numpy as np

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import resource
 import signal
-import threading
 import time
 
 import pytest
@@ -15,6 +13,7 @@ import typer
 from rich.console import Console
 
 from deploy.cli.common import judging
+from deploy.reports import run_report
 from deploy.runs.new_folder import FolderLock
 from deploy.runs.run_folder import ResultFolder
 
@@ -113,15 +112,6 @@ def test_so_it_is_of_a_study(funnel_hil, tmp_path):
     assert not json.loads((out / "summary.json").read_text())["completed"]
 
 
-@pytest.fixture
-def no_collection_hooks():
-    """Hypothesis's would swallow what is raised in them: there, the request to stop."""
-    hooks = list(gc.callbacks)
-    gc.callbacks.clear()
-    yield
-    gc.callbacks.extend(hooks)
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_request_to_stop_that_python_swallows_is_heard_in_the_end(tmp_path):
     class Finalized:
@@ -134,21 +124,21 @@ def test_a_request_to_stop_that_python_swallows_is_heard_in_the_end(tmp_path):
     assert ended.value.exit_code == 130
 
 
-@pytest.mark.usefixtures("no_collection_hooks", "heeded_signals")
+@pytest.mark.usefixtures("heeded_signals")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_judging_stops_when_asked_to_and_can_be_done_again(funnel_hil, tmp_path, number):
-    over = threading.Event()
+def test_judging_stops_when_asked_to_and_can_be_done_again(
+    funnel_hil, tmp_path, monkeypatch, number
+):
+    draw = run_report.write_report
 
-    def stop_while_judging():
-        while not (tmp_path / "summary.json").exists() and not over.is_set():
-            time.sleep(1e-3)
-        os.kill(os.getpid(), number)
+    def be_stopped_and_draw(*words):
+        assert (tmp_path / "summary.json").exists()
+        signal.raise_signal(number)
+        draw(*words)
 
-    killer = threading.Thread(target=stop_while_judging)
-    killer.start()
-    code, output = funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)
-    over.set()
-    killer.join()
+    with monkeypatch.context() as patch:
+        patch.setattr(run_report, "write_report", be_stopped_and_draw)
+        code, output = funnel_hil(*COMMANDS["simulate"], "--out", tmp_path)
     assert code == 130
     assert f"funnel-hil report {tmp_path}" in output
     assert not (tmp_path / "report.html").exists()

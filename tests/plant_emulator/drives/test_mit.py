@@ -240,7 +240,7 @@ def test_a_client_that_knows_nothing_of_us_pushes_a_joint(node_id):
 
 def test_a_client_that_knows_nothing_of_us_holds_a_joint():
     """The loop is the drive's: the client says the same all the time, then nothing any more."""
-    with Rig("mit", mit=ARM_OPTIONS, command_timeout_ms=50) as rig:
+    with Rig("mit", mit=ARM_OPTIONS, command_timeout_ms=1000) as rig:
         client = Client(rig.channel, 1)
         try:
             client.say(ENTER)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 
 import cantools
@@ -17,7 +18,7 @@ from bus_schema.can.cia402.master import MASTER_NODE
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
 from bus_schema.can.session import open_can_bus
-from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
+from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
@@ -26,6 +27,7 @@ from deploy.scenario.scenario import load_setup
 from plant_emulator.arm.arm_plant import Mode
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from tests.eds_decoding import EdsDecoder
+from tests.multicast import own_bus
 
 VIRTUAL = ["link.can.interface=virtual", "link.can.answer_timeout_s=20"]
 STRUCK_S = 0.5
@@ -205,8 +207,7 @@ def test_drives_that_answer_late_are_not_left_while_they_move(
     monkeypatch.setattr(CanMaster, "begin_stop", tell_and_begin_stop)
     monkeypatch.setattr(DrivesOnBus, "_send", hold_and_send)
     run = run_over_can(
-        tmp_path, "duration_s=2", "link.can.faults.drives=['over-temperature:3@500ms']",
-        "link.can.interface=udp_multicast",
+        tmp_path, "duration_s=2", "link.can.faults.drives=['over-temperature:3@500ms']", *own_bus(),
     )  # fmt: skip
     assert stopping.is_set()
     assert "node 3: over-temperature" in run.faults
@@ -227,10 +228,13 @@ def test_axes_stop_when_the_masters_heartbeat_stops(tmp_path: Path) -> None:
     assert run.at_rest_from_s() <= 0.07 + SLOW_DOWN_S + 4 * TICK_S
 
 
-def test_hostile_frames_are_counted_and_change_nothing(cia402: CanRun, tmp_path: Path) -> None:
-    """A stranger fills the bus with what is malformed, oversized, unknown or for other nodes."""
-    channel = CanConfiguration(interface="udp_multicast", port=43_777, fd=True)
-    over = threading.Event()
+def test_hostile_frames_are_counted_and_change_nothing(
+    cia402: CanRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stranger sends what is malformed, oversized, unknown or for other nodes, now and then."""
+    place, sample, ticks = own_bus(), CanMaster.sample, count()
+    setup = load_setup("paper_arm_can", [*place, "link.can.fd=true"])
+    stranger = open_can_bus(setup.scenario.link.can)
     rubbish = [
         CanFrame(0x201, b"\x0f\x00\xff"),  # an RPDO that is too short
         CanFrame(0x202, b"\x0f\x00\xff\x7f\x00"),  # too long
@@ -245,23 +249,15 @@ def test_hostile_frames_are_counted_and_change_nothing(cia402: CanRun, tmp_path:
         CanFrame(0x20000040, bytes(8), is_error=True),
     ]
 
-    def send_rubbish() -> None:
-        bus = open_can_bus(channel)
-        while not over.wait(0.02):
+    def sample_in_rubbish(master: CanMaster, now_ns: int) -> None:
+        if next(ticks) % 50 == 0:
             for frame in rubbish:
-                bus.send(frame)
-        bus.close()
+                stranger.send(frame)
+        sample(master, now_ns)
 
-    stranger = threading.Thread(target=send_rubbish)
-    stranger.start()
-    try:
-        run = run_over_can(
-            tmp_path, "duration_s=1", "link.can.interface=udp_multicast", "link.can.port=43777",
-            "link.can.fd=true",
-        )  # fmt: skip
-    finally:
-        over.set()
-        stranger.join()
+    monkeypatch.setattr(CanMaster, "sample", sample_in_rubbish)
+    run = run_over_can(tmp_path, "duration_s=1", *place, "link.can.fd=true")
+    stranger.close()
     assert run.faults == ""
     assert run.data.digest == cia402.data.digest
     rejected = summarise(run.data)["transport"]["can"]["rejected"]

@@ -17,6 +17,7 @@ from deploy.scenario.oddities import oddities
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.drives.mit.wire import MitRanges, Special, command_of, reply_of, special
+from tests.multicast import own_bus
 
 VIRTUAL = ("link.can.interface=virtual", "controller.law=fixed_time_neural")
 FEEDBACK = "controller.drive_feedback.enabled=true"
@@ -69,7 +70,7 @@ def test_a_cycle_is_a_request_a_command_and_two_replies_for_each_drive(
 
 
 def test_same_run_gives_the_same_bits_on_another_interface(plain: RunData) -> None:
-    again = run("duration_s=0.6", "link.can.interface=udp_multicast", "link.can.port=43787")
+    again = run("duration_s=0.6", "link.can.answer_timeout_s=60", *own_bus())
     assert again.digest == plain.digest
 
 

@@ -17,6 +17,7 @@ from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.multicast import own_bus
 
 TURN = 2 * np.pi
 FEEDBACK = "controller.drive_feedback.enabled=true"
@@ -25,7 +26,6 @@ PROTOCOLS = {
     "cia402": (),
     "cansimple": ("link.can.protocol=cansimple", "link.can.cansimple.input_torque_scale=40"),
 }
-PORTS = {"cia402": 43_791, "cansimple": 43_792}
 
 
 def run(*overrides: str, log: Path | None = None) -> RunData:
@@ -90,9 +90,7 @@ def test_frames_carry_reference_and_torque_and_the_drives_were_given_the_gains(d
 
 def test_same_run_gives_the_same_bits_on_another_interface(done) -> None:  # type: ignore[no-untyped-def]
     protocol, data, _ = done
-    # A port for each: tests that run at once must not meet.
-    place = ("link.can.interface=udp_multicast", f"link.can.port={PORTS[protocol]}")
-    again = run("duration_s=0.6", *PROTOCOLS[protocol], *place)
+    again = run("duration_s=0.6", *PROTOCOLS[protocol], *own_bus())
     assert again.digest == data.digest
 
 
