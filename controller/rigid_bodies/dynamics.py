@@ -133,15 +133,23 @@ def _place_inertia(own: Vector, frame: Matrix, o: Vec, i: int, placed: _Placed) 
 
 
 @compiled
-def _angular_momentum(second: Vector, first: Vec, turning: Vec, velocity: Vec) -> Vec:
-    """About the base's origin, of a body with this twist."""
+def _momentum(placed: _Placed, i: int, turning: Vec, moving: Vec) -> tuple[Vec, Vec]:
+    """Linear, and angular about the base's origin, of body i with this twist."""
     x, y, z = turning
+    first, second = get(placed.first, i), placed.second[i]
     spin = (
         second[0] * x + second[1] * y + second[3] * z,
         second[1] * x + second[2] * y + second[4] * z,
         second[3] * x + second[4] * y + second[5] * z,
     )
-    return add(spin, cross(first, velocity))
+    linear = add(scaled(placed.masses[i], moving), cross(turning, first))
+    return linear, add(spin, cross(first, moving))
+
+
+@compiled
+def _along(placed: _Placed, i: int, linear: Vec, angular: Vec) -> float:
+    """The share of a force and a torque, or of a momentum, that joint i has along its axis."""
+    return dot(get(placed.axes, i), angular) + dot(get(placed.moments, i), linear)
 
 
 @compiled
@@ -188,16 +196,13 @@ def _recursive_newton_euler(
         put(twists[1], i, moving)
         put(rates[0], i, d_turning)
         put(rates[1], i, d_moving)
-        mass, first, second = placed.masses[i], get(placed.first, i), placed.second[i]
-        momentum = add(scaled(mass, moving), cross(turning, first))
-        spin = _angular_momentum(second, first, turning, moving)
-        force = add(scaled(mass, d_moving), cross(d_turning, first))
-        torque = _angular_momentum(second, first, d_turning, d_moving)
+        momentum, spin = _momentum(placed, i, turning, moving)
+        force, torque = _momentum(placed, i, d_turning, d_moving)
         put(forces[0], i, add(force, cross(turning, momentum)))
         put(forces[1], i, add(torque, add(cross(turning, spin), cross(moving, momentum))))
     for i in bodies.outwards[::-1]:
         force, torque = get(forces[0], i), get(forces[1], i)
-        out[i] = dot(get(placed.axes, i), torque) + dot(get(placed.moments, i), force)
+        out[i] = _along(placed, i, force, torque)
         parent = bodies.parents[i]
         if parent >= 0:
             put(forces[0], parent, add(get(forces[0], parent), force))
@@ -229,14 +234,10 @@ def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) 
     """M(q) into `mass`; leaves in `placed` each body together with all that it carries."""
     mass[:] = 0.0
     for i in bodies.outwards[::-1]:
-        first, second = get(placed.first, i), placed.second[i]
-        z, s = get(placed.axes, i), get(placed.moments, i)
-        momentum = add(scaled(placed.masses[i], s), cross(z, first))
-        spin = _angular_momentum(second, first, z, s)
+        momentum, spin = _momentum(placed, i, get(placed.axes, i), get(placed.moments, i))
         j = i
         while j >= 0:
-            along = dot(get(placed.axes, j), spin) + dot(get(placed.moments, j), momentum)
-            mass[i, j] = mass[j, i] = along
+            mass[i, j] = mass[j, i] = _along(placed, j, momentum, spin)
             j = bodies.parents[j]
         parent = bodies.parents[i]
         if parent >= 0:
