@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from itertools import chain
 
 from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role, topics_of
 from bus_schema.zenoh.access import (
@@ -13,6 +15,7 @@ from bus_schema.zenoh.access import (
     missed_key_expression,
 )
 from bus_schema.zenoh.bundle_order import BundleOrder
+from bus_schema.zenoh.bundled_ticks import Messages, parts_of
 from bus_schema.zenoh.bundles import UNKNOWN, Received, Span, unbundled
 from bus_schema.zenoh.ros_graph import (
     Attachment,
@@ -69,6 +72,7 @@ class BundleMailbox:
             for role, of_role in _BUNDLED.items()
         }
         self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
+        self._ready: deque[Messages] = deque()  # of bundles that were taken
         self._waits = True
         self._missed = session.publisher(missed_key_expression(domain))
         self._bundles = session.mailbox(
@@ -79,11 +83,14 @@ class BundleMailbox:
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
         session.watch_tokens(graph_key_expression(domain), self._on_publisher)
 
-    def take(self) -> list[Received] | None:
+    def take(self) -> Messages | None:
         """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
+        if self._ready:
+            return self._ready.popleft()
         bundle = self._bundles.take()
         if bundle is not None:
-            return self._unbundle(*bundle)
+            self._unbundle(*bundle)
+            return self._ready.popleft() if self._ready else []
         left = self._left.copy()
         delivery = self._direct.take() if self._direct is not None else None
         if delivery is None:
@@ -100,25 +107,30 @@ class BundleMailbox:
     def let_go(self) -> list[Received]:
         """Wait for no missing bundle any more; the messages of those that have waited."""
         self._waits = False
-        return self._all_of(lambda order: order.rest())
+        ready = list(chain.from_iterable(self._ready))
+        self._ready.clear()
+        return ready + self._all_of(lambda order: order.rest())
 
-    def _unbundle(self, key: str, bundle: Delivery) -> list[Received]:
-        """The messages of a bundle and of those that waited for it; none before its turn."""
+    def _unbundle(self, key: str, bundle: Delivery) -> None:
+        """Have ready what a bundle and those that waited for it hold; nothing before its turn."""
         topics = self._bundled_topics.get(key, {})
+        for payload in self._in_turn(key, bundle):
+            self._ready += parts_of(payload, topics)
+
+    def _in_turn(self, key: str, bundle: Delivery) -> list[bytes]:
+        """The bundles whose turn it is now that this one came."""
         span = Span.decode(bundle.attachment)
         if span is None:
-            return unbundled(bundle.payload, topics)
+            return [bundle.payload]
         order = self._orders.get((key, span.sender))
         if order is None:
             if len(self._orders) >= _MOST_SENDERS:
-                return unbundled(bundle.payload, topics)
+                return [bundle.payload]
             order = self._orders[key, span.sender] = BundleOrder(span.sender)
         ready = order.take_in(span, bundle.payload)
-        if not self._waits:
-            ready += order.rest()
-        return [message for payload in ready for message in unbundled(payload, topics)]
+        return ready if self._waits else ready + order.rest()
 
-    def _look_for_missed(self) -> list[Received] | None:
+    def _look_for_missed(self) -> Messages | None:
         """Ask for bundles that are missing, and wait no longer for those asked for in vain."""
         now_s = time.monotonic()
         for order in self._orders.values():
