@@ -88,6 +88,8 @@ def settings(**values: Any) -> list[str]:
     ]
 
 
+PATIENT = settings(link__reply_timeout_s=60, link__connect_timeout_s=HANG_S)
+"""What every run has that is not given others: no busy machine holds up a process for so long."""
 ENDLESS = settings(duration_s=3600.0, reference__x__velocity_m_s=0.0)
 """Of paper_arm: a run to act upon that the test ends, and that no machine is too slow for. The path
 of the scenario itself leaves the arm's reach after 97 s."""
@@ -260,4 +262,6 @@ def _process(*words: str, out: Path | None, with_report: bool) -> WarmProcess:
 
 
 def _command(*words: str, out: Path | None) -> list[str]:
-    return list(words) if out is None else [*words, "--out", str(out)]
+    verb, *rest = words
+    patience = PATIENT if verb == "run" else []
+    return [verb, *patience, *rest, *([] if out is None else ["--out", str(out)])]

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from running import (
     ENDLESS,
-    HANG_S,
     Watcher,
     await_true,
     funnel_hil,
@@ -26,7 +25,6 @@ from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 SLOW_DOWN_S = 0.3
-PATIENT = settings(link__reply_timeout_s=HANG_S, link__connect_timeout_s=HANG_S)
 ANSWER_TIMEOUT_S = 60
 
 
@@ -37,10 +35,7 @@ def free_port() -> int:
 
 
 def on_free_port() -> list[str]:
-    return [
-        *PATIENT,
-        *settings(link__can__port=free_port(), link__can__answer_timeout_s=ANSWER_TIMEOUT_S),
-    ]
+    return settings(link__can__port=free_port(), link__can__answer_timeout_s=ANSWER_TIMEOUT_S)
 
 
 def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> None:
@@ -56,7 +51,7 @@ def test_run_gives_the_digest_of_the_virtual_bus_and_replays(tmp_path: Path) -> 
 
 def test_runs_at_once_do_not_meet(tmp_path: Path) -> None:
     """Of a scenario as it is shipped, and of what such a run leaves to be run again."""
-    words = [*PATIENT, *settings(duration_s=0.5, link__can__answer_timeout_s=ANSWER_TIMEOUT_S)]
+    words = settings(duration_s=0.5, link__can__answer_timeout_s=ANSWER_TIMEOUT_S)
     first, again = tmp_path / "first", tmp_path / "again"
     with started("run", "paper_arm_can", *words, out=first) as one:
         other = funnel_hil("run", "paper_arm_can", *words, out=tmp_path / "second")

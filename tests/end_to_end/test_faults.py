@@ -18,6 +18,7 @@ import pytest
 from running import (
     ENDLESS,
     HANG_S,
+    PATIENT,
     ROOT,
     Finished,
     Running,
@@ -38,8 +39,6 @@ from bus_schema.recording.mcap_log import read_log
 DISRUPTED_AT_S = 0.5
 # In real time a busy machine may well hold up a loop for the 200 ms that are the default.
 COMMAND_TIMEOUT_S = {"lockstep": 0.1, "realtime": 3.0}
-PATIENT = settings(link__reply_timeout_s=HANG_S, link__connect_timeout_s=HANG_S)
-LONG = [*ENDLESS, *PATIENT]
 SOON = settings(link__reply_timeout_s=5)
 ON_DISK_B = 200_000
 ROLES = {"controller", "plant", "recorder"}
@@ -82,7 +81,7 @@ def disrupt(
     """
     timeout_ms = 1e3 * COMMAND_TIMEOUT_S[clock]
     plant = settings(clock=clock, plant__command_timeout_ms=timeout_ms)
-    words = ["run", "paper_arm", *LONG, *plant, *more]
+    words = ["run", "paper_arm", *ENDLESS, *plant, *more]
     with (
         started(*words, out=tmp_path / "run", with_report=with_report) as run,
         Watcher(run.plant_endpoint()) as watcher,
@@ -207,7 +206,7 @@ def test_run_can_be_interrupted_before_it_begins(tmp_path: Path, moment: str) ->
             return (run.folder / "run.partial.mcap").is_file()
         return processes_of(run.folder).keys() >= ROLES
 
-    words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]
+    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
     with started(*words, out=tmp_path / "run") as run:
         await_true(lambda: has_come(run), moment)
         run.send(signal.SIGINT)
@@ -227,7 +226,8 @@ def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path, moment
     """
     folder, temporary = tmp_path / "run", tmp_path / ("of_a_job" * 12)
     temporary.mkdir()
-    words = ["run", "paper_arm", *LONG, *settings(clock="lockstep"), "--out", str(folder)]
+    words = ["run", "paper_arm", *PATIENT, *ENDLESS, *settings(clock="lockstep")]
+    words += ["--out", str(folder)]
     with subprocess.Popen(
         [sys.executable, "-m", "deploy.cli", *words],
         cwd=ROOT, env={**os.environ, "TMPDIR": str(temporary)},
@@ -252,7 +252,7 @@ def test_signal_to_a_whole_process_group_interrupts_a_run(tmp_path: Path, moment
 
 @pytest.mark.parametrize("frozen", [None, "recorder", "plant"])
 def test_no_process_outlives_a_run_that_was_killed(tmp_path: Path, frozen: str | None) -> None:
-    words = ["run", "paper_arm", *LONG, *settings(clock="lockstep")]
+    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
     with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
         watcher.await_time(0.1, run)
         if frozen is not None:

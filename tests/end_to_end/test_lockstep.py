@@ -13,7 +13,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from running import Finished, bits, funnel_hil_here, settings
+from running import PATIENT, Finished, bits, funnel_hil_here, settings
 
 from deploy.cli import main
 from deploy.runs.replay import replay
@@ -33,7 +33,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     """The command as a user starts it: from nothing, and with its report."""
     out = tmp_path_factory.mktemp("lockstep") / "run"
     ended = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", "run", "paper_arm", *LOCKSTEP, "--out", str(out)],
+        [sys.executable, "-m", "deploy.cli", "run", "paper_arm", *PATIENT, *LOCKSTEP,
+         "--out", str(out)],
         cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "400"}, text=True,
         capture_output=True, timeout=HANG_S, check=False,
     )  # fmt: skip
@@ -157,7 +158,6 @@ def test_run_with_a_loop_at_the_drives_equals_simulation_and_replay_bit_for_bit(
         duration_s=0.6, clock="lockstep", controller__drive_feedback__enabled=True,
         controller__delay_compensation__enabled=True, link__uplink={"delay_ms": 5, "loss": 0.1},
         plant__drive_feedback__encoder__velocity_noise_rad_s=0.001,
-        link__connect_timeout_s=120,  # where kernels have to be compiled first, on a busy machine
     )  # fmt: skip
     run = funnel_hil_here("run", "paper_arm", *looped, out=tmp_path / "run")
     assert run.code == 0, run.output

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time
 from pathlib import Path
@@ -78,14 +79,22 @@ def test_what_is_up_to_each_host_may_differ(endpoints: list[str]) -> None:
     assert all("another scenario" not in output for output in outputs)
 
 
-def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(endpoints: list[str]) -> None:
+def test_a_plant_waits_for_a_controller_that_is_there_but_not_ready(
+    endpoints: list[str], tmp_path: Path
+) -> None:
     """It takes longer to load than a plant waits for a foreign client to become known."""
-    patient = settings(clock="realtime", duration_s=1.5, plant__command_timeout_ms=1000)
-    plant = WarmProcess("plant", "paper_arm", *patient, *endpoints)
+    plant = WarmProcess("plant", "paper_arm", *SHORT, *endpoints)
     controller = WarmProcess(
-        "controller", "paper_arm", *patient, *endpoints, main="tests.end_to_end.slow:main"
-    )
-    outputs = outputs_of([plant, controller])
+        "controller", "paper_arm", *SHORT, *endpoints,
+        main="tests.end_to_end.slow:main", environment={**os.environ, "GATE": str(tmp_path)},
+    )  # fmt: skip
+    try:
+        await_true((tmp_path / "waits").exists, "the controller is there")
+        time.sleep(_LONGER_THAN_GRACE_S)
+        assert "ticks" not in plant.said()  # of a run that is over by now, had it begun
+    finally:
+        (tmp_path / "open").touch()
+        outputs = outputs_of([plant, controller])
     assert "no valid command" not in outputs[0], outputs
     assert [plant.returncode, controller.returncode] == [0, 0], outputs
 

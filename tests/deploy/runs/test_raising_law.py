@@ -82,7 +82,7 @@ def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tic
 def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, told):
     words = ["run", "mine.yaml", *SHORT, "--set", "clock=lockstep", "--out", "out", "--set",
              f"controller.gains.custom={{at_tick: {at_tick}}}", "--set",
-             "link.reply_timeout_s=1"]  # fmt: skip
+             "link.reply_timeout_s=60"]  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
         env={**os.environ, "COLUMNS": "400"}, timeout=120,
