@@ -26,6 +26,7 @@ from deploy.scenario.scenario import load_setup
 
 SLOW_DOWN_S = 0.3
 ANSWER_TIMEOUT_S = 60
+ATTEMPTS = 4
 
 
 def free_port() -> int:
@@ -87,7 +88,10 @@ def test_interrupted_run_blames_no_drive(tmp_path: Path, clock: str) -> None:
 
 
 def test_one_silent_drive_in_real_time_is_the_first_that_is_named(tmp_path: Path) -> None:
-    """The others get no torques without its states, and say so; the plant blames them all."""
+    """The others get no torques without its states, and say so; the plant blames them all.
+
+    Where the machine stood still just then, all fall silent at once: that is no such run.
+    """
     timeouts = settings(
         plant__command_timeout_ms=30_000.0,
         link__can__command_timeout_ms=6000,
@@ -96,10 +100,14 @@ def test_one_silent_drive_in_real_time_is_the_first_that_is_named(tmp_path: Path
     silent = settings(link__can__faults__drives=["silent:2@200ms"])
     in_real_time = settings(duration_s=90, clock="realtime", controller__law="smc")
     words = ["run", "paper_arm_can", *on_free_port(), *in_real_time, *timeouts, *silent]
-    ended = funnel_hil_here(*words, out=tmp_path / "run")
+    cause = "the controller failed: SilentDriveError: drive 2: no state for"
+    for attempt in range(ATTEMPTS):
+        ended = funnel_hil_here(*words, out=tmp_path / f"run{attempt}")
+        first, *others = ended.summary["faults"]
+        if first.startswith(cause) or "this host was late" not in first:
+            break
     assert ended.code == 1, ended.output
-    first, *others = ended.summary["faults"]
-    assert first.startswith("the controller failed: SilentDriveError: drive 2: no state for"), first
+    assert first.startswith(cause), first
     assert any("node 1: no RPDO within its event time" in fault for fault in others), others
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from running import Finished, free_endpoint, funnel_hil_here, settings, started
+from running import HANG_S, Finished, free_endpoint, funnel_hil_here, settings, started
 
 from deploy.processes.program import program_variables
 from deploy.runs.run_data import FOREIGN
@@ -137,7 +137,7 @@ def test_a_controller_from_elsewhere_is_awaited_at_the_given_endpoints(
 ) -> None:
     at, start = client_from_elsewhere
     given = settings(**LOCKSTEP, **{f"link__{key}": value for key, value in at.items()},
-                     link__connect_timeout_s=100)  # fmt: skip
+                     link__connect_timeout_s=HANG_S)  # fmt: skip
     words = ["run", "paper_arm", *given, "--await-controller"]
     with started(*words, out=tmp_path / "run") as running:
         assert running.plant_endpoint() == at["plant_endpoint"]
@@ -151,11 +151,11 @@ def test_a_controller_from_elsewhere_is_awaited_at_the_given_endpoints(
 
 
 def test_nobody_came(tmp_path: Path) -> None:
-    given = {**LOCKSTEP, "link__connect_timeout_s": 3, "link__plant_endpoint": free_endpoint(),
+    given = {**LOCKSTEP, "link__connect_timeout_s": 8, "link__plant_endpoint": free_endpoint(),
              "link__controller_endpoint": free_endpoint()}  # fmt: skip
     ended = run(tmp_path / "run", "--await-controller", **given)
     assert ended.code == 1
-    first = "the controller is silent: no sign of life within 3 s"
+    first = "the controller is silent: no sign of life within 8 s"
     assert first in ended.output
     assert ended.summary["faults"][0] == f"the plant failed: {first}"
 

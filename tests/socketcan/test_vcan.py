@@ -41,10 +41,12 @@ def stranger_listening() -> Iterator[list[CanFrame]]:
     bus, over = open_can_bus(VCAN), threading.Event()
 
     def listen() -> None:
-        while not over.is_set():
+        while True:
             frame = bus.receive(0.1)
             if frame is not None:
                 heard.append(frame)
+            elif over.is_set():  # and all that was sent before has been read
+                return
 
     thread = threading.Thread(target=listen)
     thread.start()

@@ -53,7 +53,8 @@ def test_refusal_comes_before_any_run(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.serial
 def test_row_of_one_short_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (row,) = rows("paper_arm", COMPENSATED, [8.0], 1, tmp_path)
+    patient = [*COMPENSATED, "plant.command_timeout_ms=20000"]  # a busy machine may stand still
+    (row,) = rows("paper_arm", patient, [8.0], 1, tmp_path)
     assert row.virtual.kept
     assert row.real[0].round_trip_ms["p50"] >= 8.0
     assert (tmp_path / "8-ms-1" / "run.mcap").is_file()
