@@ -135,7 +135,7 @@ def test_what_was_said_while_the_connection_was_down_is_heard_in_its_turn() -> N
 
 
 def test_last_words_are_told_again_to_a_recorder_that_missed_them() -> None:
-    link = fresh_link()
+    link = fresh_link().model_copy(update={"reply_timeout_s": HANG_S})
     with (
         plant_on(link) as plant,
         controller_on(link) as controller,
@@ -151,6 +151,9 @@ def test_last_words_are_told_again_to_a_recorder_that_missed_them() -> None:
         leaving.start()
         ear.await_heard(topics.RUN_EVENTS, 1)
         assert ear.heard["run_events"] == [(1, ENDED)]
+        gid = controller._outbox.gid_of(topics.RUN_EVENTS)
+        assert gid is not None
+        ear.node.acknowledge(gid)
         leaving.join()
 
 
