@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from itertools import chain
 
-from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role, topics_of
+from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role
 from bus_schema.zenoh.access import (
     bundle_key_expression,
     bundling_key_expression,
@@ -16,7 +16,7 @@ from bus_schema.zenoh.access import (
 )
 from bus_schema.zenoh.bundle_order import BundleOrder
 from bus_schema.zenoh.bundled_ticks import Messages, parts_of
-from bus_schema.zenoh.bundles import UNKNOWN, Received, Span, unbundled
+from bus_schema.zenoh.bundles import BUNDLED, UNKNOWN, Received, Span, unbundled
 from bus_schema.zenoh.ros_graph import (
     Attachment,
     Entity,
@@ -28,11 +28,6 @@ from bus_schema.zenoh.session import Delivery, Mailbox, ZenohSession
 
 _TYPICAL_MESSAGES = 100  # in a bundle
 _MOST_SENDERS = 10_000  # whoever makes up an id for each message fills no memory
-_BUNDLED = {
-    Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
-    Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
-}
-"""What the bundles of each loop hold; nobody says more in another's name."""
 
 
 class BundleMailbox:
@@ -69,7 +64,7 @@ class BundleMailbox:
             bundle_key_expression(domain, role): {
                 topic.name.encode(): topic for topic in of_role if topic in TOPICS
             }
-            for role, of_role in _BUNDLED.items()
+            for role, of_role in BUNDLED.items()
         }
         self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
         self._ready: deque[Messages] = deque()  # of bundles that were taken
@@ -157,7 +152,7 @@ class BundleMailbox:
     def _listen(self) -> None:
         """Listen to all that is sent, unless all of it comes in bundles."""
         if (
-            set(self._bundling.values()) != set(_BUNDLED)
+            set(self._bundling.values()) != set(BUNDLED)
             or not self._speakers() <= self._bundling.keys()
         ):
             if self._direct is None:

@@ -18,7 +18,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from bus_schema.messages.topics import Role, Topic
+from bus_schema.messages.topics import JOINT_COMMANDS, Role, Topic, topics_of
 from bus_schema.zenoh.access import (
     bundle_key_expression,
     bundling_key_expression,
@@ -27,15 +27,21 @@ from bus_schema.zenoh.access import (
 from bus_schema.zenoh.ros_graph import ATTACHMENT, GID_BYTES, Attachment, endpoint_gid
 from bus_schema.zenoh.session import MAX_MESSAGE_BYTES, Delivery, ZenohPublisher, ZenohSession
 
-_LARGEST_BYTES = 1 << 16
+_FULL_BYTES = 1 << 16
 _MOST_MESSAGES = 256
-_KEPT_BYTES = 1 << 22
-"""Of a plant at 1 kHz some four seconds: a connection is up again by then."""
+_MOST_KEPT = 64
+"""Of a plant at 1 kHz two seconds, in which a connection is up again. Few, as a loop waits for
+memory that the system has yet to give."""
+_LARGEST_KEPT_BYTES = MAX_MESSAGE_BYTES // 2
 _AGAIN_BYTES = 1 << 17
 """Sent at once to whoever lacks it: more would hold up a loop, and fill its queue to a recorder."""
-_LARGEST_KEPT_BYTES = MAX_MESSAGE_BYTES // 2
 HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
 _SPAN = struct.Struct(f"<QQ{GID_BYTES}s")
+BUNDLED = {
+    Role.PLANT: [*topics_of(Role.PLANT), JOINT_COMMANDS],
+    Role.CONTROLLER: [topic for topic in topics_of(Role.CONTROLLER) if topic is not JOINT_COMMANDS],
+}
+"""What the bundles of each loop hold; nobody says more in another's name."""
 Received = tuple[Topic, bytes, int, int, bytes]
 """A message as a recorder takes it: topic, payload, and what its attachment says of it: number,
 when it was sent (Unix time, ns) and id of its sender; `UNKNOWN` where it has none."""
@@ -74,15 +80,19 @@ class Bundler:
         session: of the loop.
         domain: ROS domain.
         role: which loop it is.
+
+    Attributes:
+        topics: what is to be added; to the plant's, commands as it takes them in.
     """
 
     def __init__(self, session: ZenohSession, domain: int, role: Role) -> None:
         token = bundling_key_expression(domain, role, session.identifier)
+        self.topics = BUNDLED[role]
         self._sender = endpoint_gid(token)
         self._publisher: ZenohPublisher = session.publisher(bundle_key_expression(domain, role))
         self._waiting: deque[bytes] = deque()
-        self._sent: deque[bytes] = deque()
-        self._last = self._sent_bytes = 0  # number of the newest bundle; size of those kept
+        self._kept: deque[bytes] = deque(maxlen=_MOST_KEPT)
+        self._last = 0  # number of the newest bundle
         self._lock = threading.Lock()
         session.subscribe(missed_key_expression(domain), self._on_missed)
         session.announce(token)
@@ -91,7 +101,7 @@ class Bundler:
         """Add a message; those that are many or large enough are sent."""
         head = HEAD.pack(len(topic), len(attachment), len(payload))
         self._waiting.append(head + topic + attachment + payload)
-        if len(self._waiting) >= _MOST_MESSAGES or len(payload) >= _LARGEST_BYTES:
+        if len(self._waiting) >= _MOST_MESSAGES or len(payload) >= _FULL_BYTES:
             self.send()
 
     def send(self) -> None:
@@ -105,7 +115,7 @@ class Bundler:
             for _ in range(len(self._waiting)):  # in a flood there are always more
                 message = self._waiting.popleft()
                 size += len(message)
-                if bundle and size > _LARGEST_BYTES:
+                if bundle and size > _FULL_BYTES:
                     self._send(b"".join(bundle))
                     bundle, size = [], len(message)
                 bundle.append(message)
@@ -116,25 +126,19 @@ class Bundler:
         """Tell how many bundles there are, to recorders that may lack the last ones."""
         with self._lock:
             if self._last:
-                self._publisher.put(b"", self._span(self._last))
+                self._put(b"", self._last)
 
     def _send(self, bundle: bytes) -> None:
         if len(bundle) > _LARGEST_KEPT_BYTES:  # nobody is to wait for what may never pass
             self._publisher.put(bundle, b"")
             return
         self._last += 1
-        self._sent.append(bundle)
-        self._sent_bytes += len(bundle)
-        while self._sent_bytes > _KEPT_BYTES:
-            self._sent_bytes -= len(self._sent.popleft())
-        self._publisher.put(bundle, self._span(self._last))
+        self._kept.append(bundle)
+        self._put(bundle, self._last)
 
-    def _span(self, number: int) -> bytes:
-        return Span(self._first, number, self._sender).encode()
-
-    @property
-    def _first(self) -> int:
-        return self._last - len(self._sent) + 1
+    def _put(self, bundle: bytes, number: int) -> None:
+        first = self._last - len(self._kept) + 1
+        self._publisher.put(bundle, _SPAN.pack(first, number, self._sender))
 
     def _on_missed(self, delivery: Delivery) -> None:
         """Send again what a recorder lacks; the rest of it once he asks for that."""
@@ -142,13 +146,13 @@ class Bundler:
         if missed is None or missed.sender != self._sender:
             return
         with self._lock:
-            size = 0
-            for number in range(max(missed.first, self._first), min(missed.last, self._last) + 1):
-                bundle = self._sent[number - self._first]
+            first, size = self._last - len(self._kept) + 1, 0
+            for number in range(max(missed.first, first), min(missed.last, self._last) + 1):
+                bundle = self._kept[number - first]
                 size += len(bundle)
                 if size > _AGAIN_BYTES and size > len(bundle):
                     return
-                self._publisher.put(bundle, self._span(number))
+                self._put(bundle, number)
 
 
 def unbundled(bundle: bytes, topics: Mapping[bytes, Topic]) -> list[Received]:

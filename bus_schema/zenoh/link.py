@@ -228,7 +228,7 @@ def open_telemetry(
     Raises:
         SessionError: an endpoint cannot be served.
     """
-    node = ZenohNode(link, role, lossless=lossless, agreement=agreement)
+    node = ZenohNode(link, role, lossless=lossless, agreement=agreement, bundles=True)
     for topic in (*topics.TOPICS, topics.CLOCK):
         # Commands are told of by the plant's side, since it is there that they take effect.
         sender = Role.PLANT if topic is topics.JOINT_COMMANDS else topic.sender

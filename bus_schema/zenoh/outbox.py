@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 
-from bus_schema.messages.topics import JOINT_COMMANDS, Rate, Topic
+from bus_schema.messages.topics import Rate, Topic
 from bus_schema.zenoh.bundles import Bundler
 from bus_schema.zenoh.flow_control import OVERHEAD_BYTES, FlowControl
 from bus_schema.zenoh.ros_graph import Attachment
@@ -23,14 +23,17 @@ class Stream:
         topic: their topic.
         publisher: sends them.
         gid: id of the publisher in the ROS graph.
+        is_bundled: whether they go into bundles too.
     """
 
-    def __init__(self, topic: Topic, publisher: ZenohPublisher, gid: bytes) -> None:
+    def __init__(
+        self, topic: Topic, publisher: ZenohPublisher, gid: bytes, *, is_bundled: bool
+    ) -> None:
         self.publisher, self.gid = publisher, gid
         self.name = topic.name.encode()
         self.is_urgent, self.paces = topic.urgent, topic.paces
         self.is_event = topic.rate is Rate.EVENT
-        self.is_bundled = topic is not JOINT_COMMANDS  # the plant bundles those that it takes in
+        self.is_bundled = is_bundled
         self.sequence = 0
 
 
@@ -55,7 +58,8 @@ class Outbox:
 
     def add(self, topic: Topic, publisher: ZenohPublisher, gid: bytes) -> None:
         """From now on send a topic too."""
-        self._streams[topic.name] = Stream(topic, publisher, gid)
+        is_bundled = self._bundler is not None and topic in self._bundler.topics
+        self._streams[topic.name] = Stream(topic, publisher, gid, is_bundled=is_bundled)
 
     def has(self, topic: Topic) -> bool:
         """Whether a topic can be sent."""

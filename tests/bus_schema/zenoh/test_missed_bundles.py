@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 
 import pytest
 
@@ -17,7 +17,7 @@ from bus_schema.zenoh import bundles
 from bus_schema.zenoh.access import missed_key_expression
 from bus_schema.zenoh.bundle_order import _AGAIN_S, _MOST_ASKED, _MOST_WAITING, BundleOrder
 from bus_schema.zenoh.bundles import Bundler, Span
-from bus_schema.zenoh.link import ZenohControllerLink
+from bus_schema.zenoh.link import ZenohControllerLink, open_telemetry
 from bus_schema.zenoh.session import ZenohSession
 from tests.bus_schema.zenoh.recorder_ear import Ear, assert_heard, ear_on, exchange
 from tests.bus_schema.zenoh.zenoh_pair import (
@@ -111,6 +111,30 @@ def test_what_was_said_before_the_recorder_came_is_heard_first() -> None:
             after = exchange(plant, controller, range(50, 100))
             ear.await_heard(topics.RUN_EVENTS, 4)
             assert_heard(ear, before, after)
+
+
+def test_so_is_what_was_said_where_states_and_torques_go_another_way() -> None:
+    link = fresh_link()
+    with (
+        closing(open_telemetry(link, Role.PLANT, lossless=True)) as plant,
+        closing(open_telemetry(link, Role.CONTROLLER, lossless=True)) as controller,
+    ):
+        for number in range(1, 4):
+            plant.publish(topics.JOINT_STATES, b"state %d" % number)
+            plant.publish(topics.JOINT_COMMANDS, b"command %d" % number)
+            controller.publish(topics.CONTROL_STATUS, b"control %d" % number)
+        for loop in (plant, controller):
+            loop.publish(topics.RUN_EVENTS, ENDED)
+        with ear_on(link, plant, controller) as ear:
+            for loop in (plant, controller):
+                loop.publish(topics.RUN_EVENTS, ENDED)
+            ear.await_heard(topics.RUN_EVENTS, 4)
+            for topic, name in (
+                (topics.JOINT_STATES, b"state"),
+                (topics.JOINT_COMMANDS, b"command"),
+                (topics.CONTROL_STATUS, b"control"),
+            ):
+                assert ear.heard[topic.name] == [(n, name + b" %d" % n) for n in range(1, 4)]
 
 
 def test_what_was_said_while_the_connection_was_down_is_heard_in_its_turn() -> None:
@@ -221,7 +245,7 @@ def test_no_more_than_so_many_wait_for_one_that_never_comes() -> None:
 def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(bundles, "_KEPT_BYTES", 3500)
+    monkeypatch.setattr(bundles, "_MOST_KEPT", 3)
     monkeypatch.setattr(bundles, "_AGAIN_BYTES", 2500)
     session, again = ZenohSession([], [], low_latency=False), []
     bundler = Bundler(session, 0, Role.PLANT)
