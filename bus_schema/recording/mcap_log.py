@@ -9,15 +9,13 @@ from __future__ import annotations
 import logging
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, cast
 
-import numpy as np
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema, Statistics
-from numpy.typing import NDArray
 
 from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
@@ -25,7 +23,6 @@ from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, 
 from bus_schema.recording.checked_records import CheckedRecords
 from bus_schema.recording.mcap_writer import QuickWriter
 from bus_schema.recording.older_messages import Translate, translation
-from bus_schema.recording.packed_messages import PackedMessages
 
 logger = logging.getLogger(__name__)
 
@@ -111,34 +108,6 @@ class McapLog:
         if self._writer.add_message(channel, stamp_ns, payload, source_time_ns, number):
             self._attempt(self._writer.flush, closes_chunk=True)
 
-    def packed(
-        self,
-        topics: Sequence[Topic],
-        sequences: NDArray[np.int64],
-        stamps_ns: NDArray[np.int64],
-        source_times_ns: NDArray[np.int64],
-        payloads: Sequence[NDArray[np.uint8]],
-    ) -> PackedMessages | None:
-        """Messages of some ticks for `write_packed`: as many of each topic, of one size.
-
-        Numbers and times are what `write` takes, none negative, shape (ticks, topics); payloads are
-        of shape (ticks, bytes) for each topic. None while `write` has to write a topic first.
-        """
-        channels = tuple(self._channels.get(topic.name, 0) for topic in topics)
-        if 0 in channels or self.failure is not None:
-            return None
-        return PackedMessages(channels, sequences, stamps_ns, source_times_ns, payloads)
-
-    def write_packed(self, messages: PackedMessages, first: int, end: int) -> None:
-        """Write those messages from the first up to the end, as `write` does one by one."""
-        while first < end and self.failure is None:
-            first, is_full = self._writer.add_packed(messages, first, end)
-            if is_full:
-                self._attempt(self._writer.flush, closes_chunk=True)
-        names = {channel: name for name, channel in self._channels.items()}
-        for channel in messages.entries[first:end, 0].tolist():
-            self.lost[names[channel]] += 1
-
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file."""
         self._attempt(lambda: self._writer.add_attachment(0, 0, name, media_type, data))
@@ -179,8 +148,8 @@ class McapLog:
 
     def _in_open_chunk(self) -> Counter[str]:
         """Messages that wait for the end of their chunk, by topic."""
-        channels, waiting = list(self._channels.items()), self._writer.waiting()
-        return Counter({topic: waiting.get(channel, 0) for topic, channel in channels})
+        channels = list(self._channels.items())
+        return Counter({topic: self._writer.waiting(channel) for topic, channel in channels})
 
     def _register(self, topic: Topic) -> None:
         schema = self._writer.register_schema(

@@ -1,28 +1,25 @@
 """mcap's writer, at a third of the time for what there are thousands of a second.
 
 The file is the same, byte for byte. mcap packs messages and their entries in indices field by
-field; here each message's head, and all entries of an index, are packed at once, and messages of
-many ticks may come as one. All else is left to mcap.
+field; here each message's head, and all entries of an index, are packed at once. All else is left
+to mcap.
 """
 
 from __future__ import annotations
 
 import struct
-from array import array
-from bisect import bisect_right
-from collections.abc import Iterator
+from collections import defaultdict
 from typing import IO
 
-import numpy as np
 from mcap._chunk_builder import ChunkBuilder
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, MessageIndex, Schema, Statistics
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 
-from bus_schema.recording.packed_messages import COUNTED_BYTES, HEAD, IS_MESSAGE, PackedMessages
-
+_MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
+_IS_MESSAGE = int(Opcode.MESSAGE)
+_MESSAGE_BYTES = struct.calcsize("<HIQQ")  # of its content, but for the payload
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of all entries
 _INDEX_BYTES = struct.calcsize("<HI")
 
@@ -56,37 +53,19 @@ class QuickWriter(Writer):
         Raises:
             struct.error: a number that MCAP has no room for.
         """
-        length = len(data) + COUNTED_BYTES
-        head = HEAD.pack(IS_MESSAGE, length, channel_id, sequence, log_time, publish_time)
+        length = len(data) + _MESSAGE_BYTES
+        head = _MESSAGE.pack(_IS_MESSAGE, length, channel_id, sequence, log_time, publish_time)
         chunk = self._chunk
-        content = chunk.content
-        chunk.entries.extend((channel_id, log_time, len(content)))
+        content, entries = chunk.content, chunk.entries[channel_id]
+        entries += (log_time, len(content))
         content += head
         content += data
         chunk.num_messages += 1
         return len(content) > self._chunk_bytes
 
-    def add_packed(self, messages: PackedMessages, first: int, end: int) -> tuple[int, bool]:
-        """Add messages from the first up to the end, or until the chunk is full.
-
-        Which is the next one to add, and whether the chunk is as large now as one should be.
-        """
-        chunk = self._chunk
-        content, ends = chunk.content, messages.ends
-        begin = ends[first - 1] if first else 0
-        room = begin + self._chunk_bytes - len(content)
-        end = min(end, bisect_right(ends, room) + 1)  # the last one makes it full
-        entries = messages.entries[first:end].copy()
-        entries[:, 2] += len(content) - begin
-        chunk.entries.frombytes(entries.tobytes())
-        content += messages.content[begin : ends[end - 1]]
-        chunk.num_messages += end - first
-        return end, len(content) > self._chunk_bytes
-
-    def waiting(self) -> dict[int, int]:
-        """How many messages of each channel wait in the chunk."""
-        counts = np.bincount(self._chunk.table()[:, 0].astype(np.intp))
-        return dict(enumerate(counts.tolist()))
+    def waiting(self, channel_id: int) -> int:
+        """How many messages of a channel wait in the chunk."""
+        return len(self._chunk.entries.get(channel_id, ())) // 2
 
 
 class _QuickChunk(ChunkBuilder):
@@ -94,22 +73,18 @@ class _QuickChunk(ChunkBuilder):
 
     Attributes:
         content: its bytes so far.
-        entries: channel, log time and place of each message in turn.
+        entries: log time and place of each message in turn, by channel.
     """
 
     def __init__(self, statistics: Statistics) -> None:
         super().__init__()
         self._statistics = statistics
         self.content = bytearray()
-        self.entries = array("Q")
+        self.entries: defaultdict[int, list[int]] = defaultdict(list)
 
     @property
     def count(self) -> int:
         return len(self.content)
-
-    def table(self) -> NDArray[np.uint64]:
-        """The entries, shape (messages, 3): a copy, or nothing could be added meanwhile."""
-        return np.frombuffer(self.entries.tobytes(), np.uint64).reshape(-1, 3)
 
     def add_schema(self, schema: Schema) -> None:
         super().add_schema(schema)
@@ -120,10 +95,10 @@ class _QuickChunk(ChunkBuilder):
         self._keep_record()
 
     def end(self) -> bytearray:
-        table = self.table()
-        self.message_start_time = int(table[:, 1].min())
-        self.message_end_time = int(table[:, 1].max())
-        for channel, entries in _by_channel(table):
+        times_ns = [entries[::2] for entries in self.entries.values()]
+        self.message_start_time = min(map(min, times_ns))
+        self.message_end_time = max(map(max, times_ns))
+        for channel, entries in self.entries.items():
             self.message_indices[channel] = _QuickIndex(channel, entries)  # type: ignore[arg-type]
         return self.content
 
@@ -131,7 +106,7 @@ class _QuickChunk(ChunkBuilder):
         """Begin the next one: this one is in the file."""
         self._count()
         super().reset()  # type: ignore[no-untyped-call]
-        self.content, self.entries = bytearray(), array("Q")
+        self.content, self.entries = bytearray(), defaultdict(list)
 
     def _keep_record(self) -> None:
         self.content += self.record_writer.end()  # type: ignore[no-untyped-call]
@@ -142,22 +117,15 @@ class _QuickChunk(ChunkBuilder):
         counts.message_start_time = min(start_ns, self.message_start_time)
         counts.message_end_time = max(counts.message_end_time, self.message_end_time)
         counts.message_count += self.num_messages
-        for channel, index in self.message_indices.items():
-            counts.channel_message_counts[channel] += len(index.records)
-
-
-def _by_channel(table: NDArray[np.uint64]) -> Iterator[tuple[int, NDArray[np.uint64]]]:
-    """Each channel with log times and places of its messages, in the order of their first ones."""
-    channels = table[:, 0]
-    for channel in dict.fromkeys(channels.tolist()):
-        yield channel, table[channels == channel, 1:]
+        for channel, entries in self.entries.items():
+            counts.channel_message_counts[channel] += len(entries) // 2
 
 
 class _QuickIndex(MessageIndex):
-    """An index whose entries are one array: log time and place of each."""
+    """An index whose entries are one list: log time and place of each in turn."""
 
     def write(self, stream: RecordBuilder) -> None:
-        entries = np.asarray(self.records, "<u8").tobytes()
+        entries = struct.pack(f"<{len(self.records)}Q", *self.records)
         size = len(entries)
         stream.write(_INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_BYTES + size, self.channel_id, size))
         stream.write(entries)

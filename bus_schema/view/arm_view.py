@@ -50,14 +50,6 @@ class ArmView:
             (TF_STATIC, static.encode(0, self._poses.fixed_poses)),
         ]
 
-    def next_due(self, stamps_ns: list[int], first: int = 0) -> int | None:
-        """The next of these joint states at which a picture is due, from the first one on."""
-        last_ns = self._last_ns
-        for place in range(first, len(stamps_ns)):
-            if last_ns is None or abs(stamps_ns[place] - last_ns) >= _PERIOD_NS:
-                return place
-        return None
-
     def transforms(self, state: bytes, stamp_ns: int) -> bytes | None:
         """The transforms to send on `TF` with a joint state; None where no picture is due.
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from itertools import chain
 
 from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role
 from bus_schema.zenoh.access import (
@@ -15,7 +13,6 @@ from bus_schema.zenoh.access import (
     missed_key_expression,
 )
 from bus_schema.zenoh.bundle_order import BundleOrder
-from bus_schema.zenoh.bundled_ticks import Messages, parts_of
 from bus_schema.zenoh.bundles import BUNDLED, UNKNOWN, Received, Span, unbundled
 from bus_schema.zenoh.ros_graph import (
     Attachment,
@@ -67,7 +64,6 @@ class BundleMailbox:
             for role, of_role in BUNDLED.items()
         }
         self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
-        self._ready: deque[Messages] = deque()  # of bundles that were taken
         self._waits = True
         self._missed = session.publisher(missed_key_expression(domain))
         self._bundles = session.mailbox(
@@ -78,14 +74,11 @@ class BundleMailbox:
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
         session.watch_tokens(graph_key_expression(domain), self._on_publisher)
 
-    def take(self) -> Messages | None:
+    def take(self) -> list[Received] | None:
         """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
-        if self._ready:
-            return self._ready.popleft()
         bundle = self._bundles.take()
         if bundle is not None:
-            self._unbundle(*bundle)
-            return self._ready.popleft() if self._ready else []
+            return self._unbundle(*bundle)
         left = self._left.copy()
         delivery = self._direct.take() if self._direct is not None else None
         if delivery is None:
@@ -102,30 +95,25 @@ class BundleMailbox:
     def let_go(self) -> list[Received]:
         """Wait for no missing bundle any more; the messages of those that have waited."""
         self._waits = False
-        ready = list(chain.from_iterable(self._ready))
-        self._ready.clear()
-        return ready + self._all_of(lambda order: order.rest())
+        return self._all_of(lambda order: order.rest())
 
-    def _unbundle(self, key: str, bundle: Delivery) -> None:
-        """Have ready what a bundle and those that waited for it hold; nothing before its turn."""
+    def _unbundle(self, key: str, bundle: Delivery) -> list[Received]:
+        """The messages of a bundle and of those that waited for it; none before its turn."""
         topics = self._bundled_topics.get(key, {})
-        for payload in self._in_turn(key, bundle):
-            self._ready += parts_of(payload, topics)
-
-    def _in_turn(self, key: str, bundle: Delivery) -> list[bytes]:
-        """The bundles whose turn it is now that this one came."""
         span = Span.decode(bundle.attachment)
         if span is None:
-            return [bundle.payload]
+            return unbundled(bundle.payload, topics)
         order = self._orders.get((key, span.sender))
         if order is None:
             if len(self._orders) >= _MOST_SENDERS:
-                return [bundle.payload]
+                return unbundled(bundle.payload, topics)
             order = self._orders[key, span.sender] = BundleOrder(span.sender)
         ready = order.take_in(span, bundle.payload)
-        return ready if self._waits else ready + order.rest()
+        if not self._waits:
+            ready += order.rest()
+        return [message for payload in ready for message in unbundled(payload, topics)]
 
-    def _look_for_missed(self) -> Messages | None:
+    def _look_for_missed(self) -> list[Received] | None:
         """Ask for bundles that are missing, and wait no longer for those asked for in vain."""
         now_s = time.monotonic()
         for order in self._orders.values():

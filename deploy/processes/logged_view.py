@@ -33,10 +33,6 @@ class LoggedView:
         for topic, payload in self._view.first():
             self._write(topic, payload, 0, sent_ns)
 
-    def next_due(self, stamps_ns: list[int], first: int) -> int | None:
-        """The next of joint states with these stamps that is to be shown, from the first one on."""
-        return self._view.next_due(stamps_ns, first)
-
     def show(self, state: bytes, stamp_ns: int, sent_ns: int) -> None:
         """Tell where the links are at a joint state, as often as a viewer draws."""
         transforms = self._view.transforms(state, stamp_ns)

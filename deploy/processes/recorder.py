@@ -6,7 +6,8 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 
 from bus_schema.errors import InvalidMessageError, PeerSilentError
@@ -15,14 +16,12 @@ from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.recording.mcap_log import McapLog
-from bus_schema.zenoh.bundled_ticks import Messages, Ticks
 from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
 from controller import reference_file
 from deploy.processes.live.feed import LiveFeed
 from deploy.processes.live.snapshot import Message
 from deploy.processes.logged_view import LoggedView
-from deploy.processes.ticks_at_once import write_ticks
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import DELAY_KEYS, data_files
 from deploy.scenario.setup import Setup
@@ -112,13 +111,6 @@ class GapCounter:
             self._last_sequence[stream] = sequence
             if sequence > last + 1:
                 self.missed[topic] += sequence - last - 1
-
-    def note_run(self, topic: str, sender: bytes, first: int, last: int) -> None:
-        """Messages came with all numbers from the first to the last, in order."""
-        self.note(topic, sender, max(first, 1))
-        stream = topic, sender
-        if stream in self._last_sequence:
-            self._last_sequence[stream] = max(last, self._last_sequence[stream])
 
     def expect(self, topic: str, count: int, came: int) -> int:
         """Somebody else got `count` messages, of which `came` came here too.
@@ -218,10 +210,9 @@ class Recorder:
         while time.monotonic() < give_up_s and self._write_what_came():
             pass
         self._write(self._mailbox.let_go())
-        while (messages := self._mailbox.take()) is not None:
-            for topic, _, sequence, _, gid in messages:
-                self._gaps.note(topic.name, gid, sequence)
-                self._gaps.missed[topic.name] += 1
+        for topic, _, sequence, _, gid in chain.from_iterable(iter(self._mailbox.take, None)):
+            self._gaps.note(topic.name, gid, sequence)
+            self._gaps.missed[topic.name] += 1
         self._compare_with_the_plant()
         close_log(self._log, self._gaps.missed)
         self._node.close()
@@ -240,14 +231,10 @@ class Recorder:
             self._feed.send()
         return written > 0
 
-    def _write(self, messages: Messages) -> None:
+    def _write(self, messages: list[Received]) -> None:
         """Write messages, which is what the recorder spends its time on."""
-        feed = self._feed if self._feed is not None and self._feed.is_watched else None
-        if feed is not None or not isinstance(messages, Ticks) or not self._write_ticks(messages):
-            self._write_each(messages, feed)
-
-    def _write_each(self, messages: Iterable[Received], feed: LiveFeed | None) -> None:
         stamp_ns = self._last_stamp_ns
+        feed = self._feed if self._feed is not None and self._feed.is_watched else None
         for topic, payload, sequence, source_time_ns, gid in messages:
             self._gaps.note(topic.name, gid, sequence)
             told_ns = stamp_of(payload)
@@ -265,20 +252,6 @@ class Recorder:
             if feed is not None:
                 feed.take(Message(topic, stamp_ns, payload))
         self._last_stamp_ns = stamp_ns
-
-    def _write_ticks(self, ticks: Ticks) -> bool:
-        """Write as `_write_each` does, but at once; whether that could be."""
-        sent_ns = ticks.stamps_ns if self._is_virtual else ticks.source_times_ns
-        if not write_ticks(ticks, sent_ns, self._log, self._view):
-            return False
-        firsts, lasts = ticks.sequences[0].tolist(), ticks.sequences[-1].tolist()
-        streams = zip(ticks.topics, ticks.gids, firsts, lasts, strict=True)
-        for topic, gid, first, last in streams:
-            self._gaps.note_run(topic.name, gid, first, last)
-            if topic.name in self._pacing:
-                self._progress[gid] = last
-        self._last_stamp_ns = int(ticks.stamps_ns[-1, -1])
-        return True
 
     def _read_event(self, payload: bytes, gid: bytes) -> None:
         """Tell a process whose last message this is that all of its messages are recorded."""
