@@ -53,7 +53,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         lockstep: bool,
         agreement: Agreement | None = None,
     ) -> None:
-        super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement, bundles=True)
+        super().__init__(link, Role.PLANT, lossless=lockstep, agreement=agreement)
         self._commander_was_seen = False
         self._states = self.advertise(topics.JOINT_STATES)
         for topic in (topics.PLANT_STATUS, topics.PLANT_TRUTH, topics.RUN_EVENTS):
@@ -160,9 +160,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
     def __init__(
         self, link: LinkConfiguration, *, lossless: bool, agreement: Agreement | None = None
     ) -> None:
-        super().__init__(
-            link, Role.CONTROLLER, lossless=lossless, agreement=agreement, bundles=True
-        )
+        super().__init__(link, Role.CONTROLLER, lossless=lossless, agreement=agreement)
         self._on_state: StateHandler | None = None
         for topic in (topics.CONTROL_STATUS, topics.RUN_EVENTS):
             self.advertise(topic)
@@ -228,7 +226,7 @@ def open_telemetry(
     Raises:
         SessionError: an endpoint cannot be served.
     """
-    node = ZenohNode(link, role, lossless=lossless, agreement=agreement, bundles=True)
+    node = ZenohNode(link, role, lossless=lossless, agreement=agreement)
     for topic in (*topics.TOPICS, topics.CLOCK):
         # Commands are told of by the plant's side, since it is there that they take effect.
         sender = Role.PLANT if topic is topics.JOINT_COMMANDS else topic.sender

@@ -52,10 +52,9 @@ class ZenohNode:
 
     Args:
         link: section ``link`` of the scenario.
-        role: what this node is.
+        role: what this node is; the loops put all they send into bundles too, for recorders.
         lossless: rather wait for a slow recorder than go on without it.
         agreement: what others must agree on; None asks nobody.
-        bundles: send everything in bundles too, for recorders.
     """
 
     def __init__(
@@ -65,14 +64,14 @@ class ZenohNode:
         *,
         lossless: bool,
         agreement: Agreement | None = None,
-        bundles: bool = False,
     ) -> None:
         listen, connect = _endpoints(link, role)
+        is_loop = role is not Role.RECORDER
         # A recorder may fall behind, and must not hold up the loop when it does.
         self._session = ZenohSession(
             listen,
             connect,
-            low_latency=role is not Role.RECORDER,
+            low_latency=is_loop,
             patience_s=_PATIENCE_S if lossless else 0.0,
             lease_s=_LEASE_S if lossless else _REALTIME_LEASE_S,
             gossip=link.router_endpoint is not None,
@@ -89,7 +88,7 @@ class ZenohNode:
         self._offered: set[str] = set()  # topics of which others announced publishers, ever
         self._senders = Senders()
         self._acknowledged = threading.Event()
-        self._flow = FlowControl() if lossless and role is not Role.RECORDER else None
+        self._flow = FlowControl() if lossless and is_loop else None
         self._progress: ZenohPublisher | None = None
         self._agreement = agreement
         self._differences: dict[str, list[str]] = {}
@@ -98,7 +97,7 @@ class ZenohNode:
         if agreement is not None:
             own = (role.value, self._session.identifier, agreement.encode())
             self._session.announce(scenario_key_expression(link.domain, *own))
-        self._bundler = Bundler(self._session, link.domain, role) if bundles else None
+        self._bundler = Bundler(self._session, link.domain, role) if is_loop else None
         self._outbox = Outbox(self._bundler, self._flow)
         if self._flow is not None:
             self._session.subscribe(progress_key_expression(link.domain), self._on_progress)
@@ -116,7 +115,7 @@ class ZenohNode:
         self._session.announce(node_token(self._domain, self._session.identifier, self._node))
 
     def advertise(self, topic: Topic) -> ZenohPublisher:
-        """Declare a publisher and announce it, which is after `sends_on` has become true."""
+        """Declare a publisher, then announce it."""
         kept = topic.depth if topic.latched else 0
         publisher = self._session.publisher(topic.key_expression(self._domain), kept)
         token = self._token(EntityKind.PUBLISHER, topic)
@@ -143,10 +142,6 @@ class ZenohNode:
     def publish(self, topic: Topic, payload: bytes, beside: bytes = b"") -> int:
         """Send a message; its sequence number. What goes `beside` it follows the attachment."""
         return self._outbox.send(topic, payload, beside)
-
-    def sends_on(self, topic: Topic) -> bool:
-        """Whether this node has a publisher of a topic."""
-        return self._outbox.has(topic)
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether another session has announced that it sends on a topic."""

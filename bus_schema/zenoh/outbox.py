@@ -61,10 +61,6 @@ class Outbox:
         is_bundled = self._bundler is not None and topic in self._bundler.topics
         self._streams[topic.name] = Stream(topic, publisher, gid, is_bundled=is_bundled)
 
-    def has(self, topic: Topic) -> bool:
-        """Whether a topic can be sent."""
-        return topic.name in self._streams
-
     def gids(self) -> set[bytes]:
         """Ids of the publishers."""
         return {stream.gid for stream in list(self._streams.values())}
