@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from bus_schema.zenoh.bundles import Span
+from bus_schema.zenoh.bundles import MOST_AT_ONCE, Span
 
 _MOST_WAITING = 256
 _AGAIN_S = 0.1
-_MOST_ASKED = 100
-"""So often in vain, for ten seconds, and what is missing counts as lost."""
+_MOST_ASKED = 7
+"""So often in vain, each time after twice as long, 13 s in all, and what is missing is lost."""
 
 
 class BundleOrder:
@@ -22,8 +22,8 @@ class BundleOrder:
         self._next = 1
         self._last = 0  # the newest that is known to have been sent
         self._waiting: dict[int, bytes] = {}
-        self._asked_for = self._asked = 0
-        self._asked_s = 0.0
+        self._asked_for = self._asked_to = self._asked = 0
+        self._since_s = 0.0  # when something was asked for, or came of it
 
     def take_in(self, span: Span, bundle: bytes) -> list[bytes]:
         """A bundle came; those whose turn it is now.
@@ -40,16 +40,24 @@ class BundleOrder:
         return self._from(span.first)
 
     def missed(self, now_s: float) -> Span | None:
-        """What to ask the sender for at this time; None for nothing, or not yet."""
+        """What to ask the sender for at this time; None for nothing, or not yet.
+
+        As little at a time as he sends at once, and no more while that is on its way: a slow
+        connection would be full of what was asked for again.
+        """
         if self._next > self._last:
             return None
         if self._asked_for != self._next:
             self._asked_for, self._asked = self._next, 0
-        elif now_s - self._asked_s < _AGAIN_S:
+            if self._next <= self._asked_to:
+                self._since_s = now_s
+                return None
+        elif now_s - self._since_s < _AGAIN_S * 2**self._asked:
             return None
         self._asked += 1
-        self._asked_s = now_s
-        return Span(self._next, self._first_waiting() - 1, self._sender)
+        self._since_s = now_s
+        self._asked_to = min(self._next + MOST_AT_ONCE, self._first_waiting()) - 1
+        return Span(self._next, self._asked_to, self._sender)
 
     def overdue(self) -> list[bytes]:
         """Those that have waited for long enough for what is asked for in vain."""

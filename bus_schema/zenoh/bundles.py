@@ -29,12 +29,12 @@ from bus_schema.zenoh.session import MAX_MESSAGE_BYTES, Delivery, ZenohPublisher
 
 _FULL_BYTES = 1 << 16
 _MOST_MESSAGES = 256
-_MOST_KEPT = 64
-"""Of a plant at 1 kHz two seconds, in which a connection is up again. Few, as a loop waits for
-memory that the system has yet to give."""
+_MOST_KEPT = 512
+_KEPT_BYTES = 1 << 22
+"""Of a plant at 1 kHz some three seconds, of a controller ten: a connection is up again by then."""
 _LARGEST_KEPT_BYTES = MAX_MESSAGE_BYTES // 2
-_AGAIN_BYTES = 1 << 17
-"""Sent at once to whoever lacks it: more would hold up a loop, and fill its queue to a recorder."""
+MOST_AT_ONCE = 4
+"""Bundles that are sent again at once: more would fill a loop's queue to a recorder."""
 HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
 _SPAN = struct.Struct(f"<QQ{GID_BYTES}s")
 BUNDLED = {
@@ -91,8 +91,8 @@ class Bundler:
         self._sender = endpoint_gid(token)
         self._publisher: ZenohPublisher = session.publisher(bundle_key_expression(domain, role))
         self._waiting: deque[bytes] = deque()
-        self._kept: deque[bytes] = deque(maxlen=_MOST_KEPT)
-        self._last = 0  # number of the newest bundle
+        self._kept: deque[bytes] = deque()
+        self._last = self._kept_bytes = 0  # number of the newest bundle; size of those kept
         self._lock = threading.Lock()
         session.subscribe(missed_key_expression(domain), self._on_missed)
         session.announce(token)
@@ -126,7 +126,7 @@ class Bundler:
         """Tell how many bundles there are, to recorders that may lack the last ones."""
         with self._lock:
             if self._last:
-                self._put(b"", self._last)
+                self._publisher.put(b"", self._span(self._last))
 
     def _send(self, bundle: bytes) -> None:
         if len(bundle) > _LARGEST_KEPT_BYTES:  # nobody is to wait for what may never pass
@@ -134,25 +134,33 @@ class Bundler:
             return
         self._last += 1
         self._kept.append(bundle)
-        self._put(bundle, self._last)
+        self._kept_bytes += len(bundle)
+        while self._kept_bytes > _KEPT_BYTES or len(self._kept) > _MOST_KEPT:
+            self._kept_bytes -= len(self._kept.popleft())
+        self._publisher.put(bundle, self._span(self._last))
 
-    def _put(self, bundle: bytes, number: int) -> None:
-        first = self._last - len(self._kept) + 1
-        self._publisher.put(bundle, _SPAN.pack(first, number, self._sender))
+    def _span(self, number: int) -> bytes:
+        return _SPAN.pack(self._first, number, self._sender)
+
+    @property
+    def _first(self) -> int:
+        """Number of the oldest bundle that is kept."""
+        return self._last - len(self._kept) + 1
 
     def _on_missed(self, delivery: Delivery) -> None:
-        """Send again what a recorder lacks; the rest of it once he asks for that."""
+        """Send again what a recorder lacks, some of it; the loop is not to wait for that."""
         missed = Span.decode(delivery.payload)
         if missed is None or missed.sender != self._sender:
             return
         with self._lock:
-            first, size = self._last - len(self._kept) + 1, 0
-            for number in range(max(missed.first, first), min(missed.last, self._last) + 1):
-                bundle = self._kept[number - first]
-                size += len(bundle)
-                if size > _AGAIN_BYTES and size > len(bundle):
-                    return
-                self._put(bundle, number)
+            first = max(missed.first, self._first)
+            end = min(missed.last + 1, self._last + 1, first + MOST_AT_ONCE)
+            again = [
+                (self._kept[number - self._first], self._span(number))
+                for number in range(first, end)
+            ]
+        for bundle, span in again:
+            self._publisher.put(bundle, span)
 
 
 def unbundled(bundle: bytes, topics: Mapping[bytes, Topic]) -> list[Received]:

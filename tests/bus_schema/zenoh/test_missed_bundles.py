@@ -6,6 +6,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from itertools import count
 
 import pytest
 
@@ -16,7 +17,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.zenoh import bundles
 from bus_schema.zenoh.access import missed_key_expression
 from bus_schema.zenoh.bundle_order import _AGAIN_S, _MOST_ASKED, _MOST_WAITING, BundleOrder
-from bus_schema.zenoh.bundles import Bundler, Span
+from bus_schema.zenoh.bundles import MOST_AT_ONCE, Bundler, Span
 from bus_schema.zenoh.link import ZenohControllerLink, open_telemetry
 from bus_schema.zenoh.session import ZenohSession
 from tests.bus_schema.zenoh.recorder_ear import Ear, assert_heard, ear_on, exchange
@@ -201,11 +202,28 @@ def test_bundles_come_out_in_order_and_once() -> None:
     assert order.missed(0.0) == Span(3, 3, SENDER)
     assert taken_in(order, 3) == numbered(3, 4)
     assert order.missed(0.0) == Span(5, 5, SENDER)
-    assert order.missed(0.5 * _AGAIN_S) is None
-    assert order.missed(1.5 * _AGAIN_S) == Span(5, 5, SENDER)
     assert taken_in(order, 5, 7) == numbered(5, 6, 7)
     assert order.missed(HANG_S) is None
     assert order.rest() == []
+
+
+def test_what_is_on_its_way_is_not_asked_for_again() -> None:
+    order = BundleOrder(SENDER)
+    assert taken_in(order, 100) == []
+    assert order.missed(0.0) == Span(1, MOST_AT_ONCE, SENDER)
+    times_s = count(0.0, 0.9 * _AGAIN_S)  # between two that come over a slow connection
+    for number in range(1, MOST_AT_ONCE):
+        assert taken_in(order, number) == numbered(number)
+        assert order.missed(next(times_s)) is None
+    assert taken_in(order, MOST_AT_ONCE) == numbered(MOST_AT_ONCE)
+    assert order.missed(next(times_s)) == Span(MOST_AT_ONCE + 1, 2 * MOST_AT_ONCE, SENDER)
+
+
+def test_what_does_not_come_is_asked_for_again_after_twice_as_long() -> None:
+    order = BundleOrder(SENDER)
+    assert taken_in(order, 2) == []
+    asked_ms = [ms for ms in range(0, 1000, 30) if order.missed(1e-3 * ms) == Span(1, 1, SENDER)]
+    assert asked_ms == [0, 210, 630]
 
 
 def test_nobody_waits_for_what_its_sender_keeps_no_longer() -> None:
@@ -228,10 +246,10 @@ def test_what_is_asked_for_in_vain_is_waited_for_no_longer() -> None:
     assert taken_in(order, 2, 4) == []
     for time in range(_MOST_ASKED):
         assert order.overdue() == []
-        assert order.missed(float(time)) == Span(1, 1, SENDER)
+        assert order.missed(HANG_S * time) == Span(1, 1, SENDER)
     assert order.overdue() == numbered(2)
     assert order.overdue() == []
-    assert order.missed(HANG_S) == Span(3, 3, SENDER)
+    assert order.missed(HANG_S * _MOST_ASKED) == Span(3, 3, SENDER)
 
 
 def test_no_more_than_so_many_wait_for_one_that_never_comes() -> None:
@@ -245,8 +263,8 @@ def test_no_more_than_so_many_wait_for_one_that_never_comes() -> None:
 def test_a_loop_keeps_its_newest_bundles_and_sends_some_of_them_at_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(bundles, "_MOST_KEPT", 3)
-    monkeypatch.setattr(bundles, "_AGAIN_BYTES", 2500)
+    monkeypatch.setattr(bundles, "_KEPT_BYTES", 3500)
+    monkeypatch.setattr(bundles, "MOST_AT_ONCE", 2)
     session, again = ZenohSession([], [], low_latency=False), []
     bundler = Bundler(session, 0, Role.PLANT)
     for number in range(5):
