@@ -73,6 +73,10 @@ class RobotDescriptionError(BusError, ValueError):
     """A URDF file cannot be used; the message names the file and what is wrong."""
 
 
+class JointNameError(RobotDescriptionError):
+    """A joint that is to be driven is none of the file's that can be."""
+
+
 def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
     """``; did you mean …?`` for what is none of the names but nearly one; else nothing.
 

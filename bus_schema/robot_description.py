@@ -126,7 +126,7 @@ def load_robot(
         robot = _described(path, text, root, driven, repair=repair)
         return replace(robot, warnings=(*left_out, *robot.warnings))
     except RobotDescriptionError as error:
-        raise RobotDescriptionError(f"{path}: {error}") from error
+        raise type(error)(f"{path}: {error}") from error
 
 
 def _described(

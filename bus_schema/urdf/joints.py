@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bus_schema.errors import RobotDescriptionError, did_you_mean
+from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
 from bus_schema.urdf.checks import MOVING_TYPES, finite_number, shortened
 
 
@@ -48,7 +48,8 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
             grippers: joints that slide beside others on the same link.
 
     Raises:
-        RobotDescriptionError: there is none to drive, or a name is no such joint's.
+        RobotDescriptionError: there is none to drive.
+        JointNameError: a name is no such joint's.
     """
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
     moving = {name: j for name, j in joints.items() if j.get("type") in MOVING_TYPES}
@@ -104,7 +105,7 @@ def _check_wanted(wanted: Sequence[str], possible: list[str]) -> None:
         if name not in possible:
             allowed = f"robot.joints must be some of {shortened(', '.join(possible)) or 'none'}"
             hint = did_you_mean(name, possible)
-            raise RobotDescriptionError(f"{allowed}; not {shortened(name)!r}{hint}")
+            raise JointNameError(f"{allowed}; not {shortened(name)!r}{hint}")
 
 
 def _parent(joint: ET.Element) -> str:

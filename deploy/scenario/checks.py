@@ -6,7 +6,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
-from bus_schema.errors import RobotDescriptionError
+from bus_schema.errors import JointNameError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
 from controller.reference import Reference, sample_positions
@@ -37,6 +37,8 @@ def check(scenario: Scenario, origin: Origin) -> Setup:
         try:
             setup = _set_up(scenario, origin)
             _check_sides(setup)
+        except JointNameError as error:
+            raise ConfigurationError("robot.joints", scenario.robot.joints, str(error)) from error
         except RobotDescriptionError as error:
             raise ConfigurationError("robot.urdf", scenario.robot.urdf, str(error)) from error
     return setup

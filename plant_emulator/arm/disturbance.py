@@ -15,6 +15,7 @@ import numpy as np
 
 from bus_schema.arrays import Records, Vector
 from bus_schema.configuration import ConfigurationError
+from bus_schema.errors import did_you_mean
 from bus_schema.runtime.compiled import compiled
 from plant_emulator.configuration import (
     ConstantTerm,
@@ -54,7 +55,8 @@ def disturbance_table(
             raise ConfigurationError(
                 f"plant.disturbance.terms.{index}.joint",
                 term.joint,
-                f"all, or one of {', '.join(joint_names)}",
+                f"must be all, or one of {', '.join(joint_names)}"
+                + did_you_mean(term.joint, ["all", *joint_names]),
             )
         if isinstance(term, NoiseTerm) and term.highest_hz <= term.lowest_hz:
             key = f"plant.disturbance.terms.{index}.highest_hz"

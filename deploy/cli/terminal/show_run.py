@@ -83,7 +83,8 @@ def show_summary(
     if skipped := summary["recording"]["ticks_skipped"]:
         sent = number(summary["transport"]["uplink"]["sent"])
         console.print(
-            f"{skipped:,} ticks skipped, as the plant came too late to measure; states sent: {sent}"
+            f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped, as the plant came too late"
+            f" to measure; states sent: {sent}"
         )
     print_conditions(console, conditions)
 

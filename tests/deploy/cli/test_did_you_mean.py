@@ -47,3 +47,10 @@ def test_no_hint_where_nothing_is_alike(funnel_hil, nothing_starts):
     code, said = funnel_hil("margin", "--quantity", "robot.initial_offset_rad")  # one per joint
     assert code == 2
     assert "did you mean" not in said
+
+
+def test_a_misspelt_joint_is_told_as_what_was_set(funnel_hil, nothing_starts):
+    code, said = funnel_hil("simulate", "--set", "robot.joints=[base_yaw,elbw]")
+    assert code == 2
+    assert said.startswith("error: --set robot.joints=[base_yaw,elbw]: robot.joints = ")
+    assert "paper_arm.yaml" not in said

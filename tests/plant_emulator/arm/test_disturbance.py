@@ -129,8 +129,9 @@ def test_unknown_joint_is_refused_with_what_there_is():
     with pytest.raises(ConfigurationError, match="all, or one of yaw, shoulder, elbow") as caught:
         table_of(
             {"joint": "all", "kind": "constant", "torque_nm": 1.0},
-            {"joint": "wrist", "kind": "constant", "torque_nm": 1.0},
+            {"joint": "ellbow", "kind": "constant", "torque_nm": 1.0},
         )
+    assert caught.value.allowed.endswith("; did you mean elbow?")
     assert caught.value.key == "plant.disturbance.terms.1.joint"
 
 
