@@ -8,3 +8,6 @@ from __future__ import annotations
 import mujoco
 
 __all__ = ["mujoco"]
+
+# By default it appends its warnings to a file in the current folder.
+mujoco.set_mju_user_warning(lambda _: None)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages.run_event import EventKind
 from bus_schema.runtime.modes import COMMANDABLE, mode_event
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import Command, CommandGate

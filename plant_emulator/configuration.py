@@ -133,6 +133,22 @@ class ActuatorConfiguration(StrictModel):
     lag_ms: NonNegative = 0.0
 
 
+Integrator = Literal["semi_implicit_euler", "runge_kutta_4"]
+
+
+class PhysicsConfiguration(StrictModel):
+    """What moves the arm's rigid bodies; `plant_emulator.physics.engines` has the table of engines.
+
+    Attributes:
+        engine: by default Bullet where it is installed, otherwise MuJoCo.
+        integrator: the rule over a physics step, at the start of which torques are evaluated;
+            MuJoCo has both.
+    """
+
+    engine: Literal["bullet", "mujoco"] | None = None
+    integrator: Integrator = "semi_implicit_euler"
+
+
 class DriveFeedbackConfiguration(StrictModel):
     """A loop closed at the drives, around targets that come with the torques.
 
@@ -177,7 +193,7 @@ class PlantConfiguration(StrictModel):
         safe_stop: how it is stopped: by the brakes, by damping torques, or by zero torque.
         stop_damping_nm_s: torque per rad/s of the ``damping`` stop.
         stop_duration_s: time that a run goes on after a safe stop, for the record.
-        gui: open pybullet's window.
+        gui: open the physics engine's window (Bullet has one).
     """
 
     substeps: Annotated[Whole, Field(ge=1, le=100)] = 4
@@ -187,6 +203,7 @@ class PlantConfiguration(StrictModel):
     stop_damping_nm_s: PerJointPositive = Field(default_factory=lambda: np.array([20.0]))
     stop_duration_s: NonNegative = 0.5
     gui: bool = False
+    physics: PhysicsConfiguration = PhysicsConfiguration()
     friction: FrictionConfiguration = FrictionConfiguration()
     disturbance: DisturbanceConfiguration = DisturbanceConfiguration()
     encoder: EncoderConfiguration = EncoderConfiguration()

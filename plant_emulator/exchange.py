@@ -9,7 +9,7 @@ from bus_schema.link.interface import PlantLink
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock
 from bus_schema.runtime.modes import COMMANDABLE
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.command_gate import CommandGate
 from plant_emulator.command_path import CommandPath

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.compiled import copying
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.command_path import CommandPath
 
 

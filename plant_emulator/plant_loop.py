@@ -18,7 +18,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock
 from bus_schema.runtime.modes import COMMANDABLE
 from bus_schema.runtime.realtime import stolen_ms
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate

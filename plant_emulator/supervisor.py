@@ -9,7 +9,7 @@ from bus_schema.limits import LimitCounts, name_of
 from bus_schema.messages.run_event import EventKind
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import COMMANDABLE, Mode, mode_event
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.telemetry import PlantTelemetry
 

@@ -13,7 +13,7 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.compiled import copying
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 
 _NO_CYCLE_NS = -1
 

@@ -4,11 +4,67 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from bus_schema.drive_feedback import no_drive_feedback
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.runtime.clock import TickGrid
+from plant_emulator.arm.joint_torques import JointTorques
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.physics.engine import ArmSpecification
+from plant_emulator.physics.engines import ENGINES
+
 ARMS = (
     "paper_arm",
     "pybullet_data:kuka_iiwa/model.urdf",
     "pybullet_data:franka_panda/panda.urdf",
 )
+INSTALLED = [name for name, engine in ENGINES.items() if engine.is_installed]
+"""Names of the physics engines that this Python has."""
+
+
+class FreeArm:
+    """An arm on a physics engine; by default nothing acts on it but the torques of a test.
+
+    Args:
+        robot: its description.
+        engine: name of the engine.
+        step_s: length of a substep.
+        plant: what else acts on its joints.
+        specification: further values of `ArmSpecification`.
+    """
+
+    def __init__(self, robot, engine="mujoco", step_s=1e-3, plant=None, **specification):
+        grid, plant = TickGrid(1.0 / step_s, 1), plant or PlantConfiguration()
+        self.torques = JointTorques(
+            plant, robot, step_s, np.random.default_rng(0), LimitsConfiguration(),
+            no_drive_feedback(robot.joints),
+        )  # fmt: skip
+        kind = ENGINES[engine].arm_type
+        self.arm = kind(ArmSpecification(robot, grid, self.torques, **specification))
+        self.position, self.velocity = self.arm.position, self.arm.velocity
+        self.place, self.close = self.arm.place, self.arm.close
+        self._step_s, self._substeps = step_s, 0
+
+    def push(self, torque_nm, substeps=1):
+        """Apply joint torques for some substeps."""
+        self.torques.asked[:] = torque_nm
+        self.arm.advance(self._substeps, self._substeps + substeps)
+        self._substeps += substeps
+
+    def acceleration(self, position, torque_nm):
+        """Acceleration from rest, rad/s², shape (joints,)."""
+        self.place(position)
+        self.push(torque_nm)
+        return self.velocity / self._step_s
+
+    def mass_matrix(self, position):
+        """M(q), shape (joints, joints), from what each torque adds to the acceleration."""
+        joints = position.size
+        falling = self.acceleration(position, np.zeros(joints))
+        return np.linalg.inv(
+            np.array([self.acceleration(position, row) - falling for row in np.eye(joints)])
+        )
 
 
 def listed_from_the_tip(urdf: Path, folder: Path) -> Path:

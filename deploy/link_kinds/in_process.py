@@ -9,7 +9,7 @@ from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.runtime.clock import Clock
 from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 
 
 class InProcessKind(LinkKind[ArmPlant]):

@@ -15,7 +15,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.in_process import InProcessBus
 from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.runtime.clock import Clock
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.plant_task import PlantTask
 
 Arm = TypeVar("Arm", bound=ArmPlant)

@@ -8,7 +8,7 @@ from bus_schema.runtime.clock import Clock
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
 from deploy.link_kinds.in_process import InProcessKind
 from deploy.link_kinds.kind import LinkRun
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 
 
 class ZenohKind(InProcessKind):

@@ -17,7 +17,7 @@ from deploy.scenario.referenced_files import find_delay_files, find_reference_fi
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import naming, plain
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.protocol import PROTOCOLS
 from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import check_faults

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,7 @@ from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
 from deploy.scenario.explanation import Origin
-from plant_emulator.arm.arm_plant import ArmPlant
-from plant_emulator.arm.bullet_arm import BulletArm
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.faults.scheduler import ScheduledAction
 from plant_emulator.plant_task import PlantTask
@@ -38,7 +36,6 @@ class Setup:
         governing_inertia_kg_m2: nominal inertia by which gains are sized, shape (joints,).
         overrides: what was set beside the file, as ``dotted.key=value``.
         given_by: what they were set with.
-        bodies: makes the arm's rigid bodies: Bullet's, or what a check sets in their place.
     """
 
     scenario: Scenario
@@ -52,7 +49,6 @@ class Setup:
     grid: TickGrid
     overrides: tuple[str, ...] = ()
     given_by: str = "--set"
-    bodies: Callable[..., Any] = BulletArm
 
     @property
     def origin(self) -> Origin:
@@ -145,6 +141,5 @@ class Setup:
             self.scenario.limits,
             plant_faults(self.scenario.faults),
             self.drive,
-            self.bodies,
         )
         return arm

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bus_schema.can.frame import CanBus, CanFrame
 from bus_schema.runtime.clock import Clock, TickGrid
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
 

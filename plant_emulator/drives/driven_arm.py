@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 
 

@@ -1,10 +1,9 @@
-"""What a control step costs beside a step of bare physics, and how both grow with joints."""
+"""What a control step costs beside a step of physics, and how both grow with joints."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,10 +12,10 @@ import numpy as np
 from controller.control_law import Tracking
 from controller.torque_guard import TorqueGuard
 from deploy.benchmarks.costs.long_arm import write_long_arm
+from deploy.benchmarks.costs.loop import physics_us
 from deploy.benchmarks.measure import Section, cost_us, interleave, ratio
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from plant_emulator.arm.pybullet_arm import PybulletArm
 
 _LAW = "fixed_time_neural"
 _LONG_JOINTS = 14
@@ -75,10 +74,8 @@ class _StepBench:
         return cost_us(self._step, self._steps)
 
     def physics_us(self) -> float:
-        """Cost of a bare step of physics."""
-        with closing(PybulletArm(self._setup.robot, self._setup.grid.substep_s)) as arm:
-            arm.place(self._setup.start_position_rad)
-            return cost_us(arm.advance, self._steps)
+        """Cost of a step of physics."""
+        return physics_us(self._setup, 1, self._steps)
 
     def _step(self) -> None:
         tracking, task = self._tracking, self._task
@@ -92,4 +89,4 @@ def _step(setup: Setup) -> str:
 
 
 def _physics(setup: Setup) -> str:
-    return f"bare stepSimulation, {setup.robot.joints} joints"
+    return f"step of physics, {setup.robot.joints} joints"

@@ -1,10 +1,14 @@
-"""What a tick costs: bare physics, simulation, and the loop over Zenoh in lockstep."""
+"""What a tick costs: physics, simulation on each engine, and the loop over Zenoh in lockstep."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import numpy as np
 
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
@@ -17,15 +21,15 @@ from deploy.runs.run_folder import RunFolder, load_run
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from plant_emulator.arm.pybullet_arm import PybulletArm
+from plant_emulator.physics.engines import ENGINES
 
-BARE_PHYSICS = "bare pybullet calls of a tick"
 SIMULATE = "tick of simulate"
 PING_PONG = "bare Zenoh ping-pong"
 LOCKSTEP = "tick of run in lockstep"
 _EXCHANGES = 1000
 _PAIRS = 8
 """Simulations and bare physics take no time to start, so that more of them can be compared."""
+_ENGINES_COMPARED_ON = "iiwa"
 
 
 def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Section:
@@ -38,10 +42,8 @@ def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Secti
     """
     overrides = [f"duration_s={seconds}", "clock=lockstep", "plant.gui=false"]
     setup = with_free_endpoints(load_setup(scenario, overrides))
-    alone = interleave(
-        {BARE_PHYSICS: lambda: bare_physics_us(setup), SIMULATE: lambda: simulate_us(setup)},
-        _PAIRS * repetitions,
-    )
+    section = _engines(scenario, overrides, _PAIRS * repetitions)
+    other = _engines(_ENGINES_COMPARED_ON, overrides, _PAIRS * repetitions)
     with EchoPair("zenoh", setup.robot.joint_names, realtime=False) as pair:
         exchanging = interleave(
             {
@@ -52,18 +54,43 @@ def measure_loop_costs(scenario: str, seconds: float, repetitions: int) -> Secti
             repetitions,
         )
     ratios = [
-        ratio(alone, SIMULATE, BARE_PHYSICS),
+        *section.ratios,
+        *other.ratios,
         ratio(exchanging, LOCKSTEP, (PING_PONG, SIMULATE)),
     ]
-    return Section(f"Ticks of {setup.scenario.name}", exchanging | alone, ratios)
+    costs = exchanging | section.costs_us | other.costs_us
+    return Section(f"Ticks of {setup.scenario.name}", costs, ratios)
 
 
-def bare_physics_us(setup: Setup) -> float:
-    """Cost of the pybullet calls of one tick: set torques, step and read, for each substep."""
-    torque, substeps = [0.0] * setup.robot.joints, setup.grid.substeps
-    with closing(PybulletArm(setup.robot, setup.grid.substep_s)) as arm:
-        arm.place(setup.start_position_rad)
-        return substeps * cost_us(lambda: arm.step_bare(torque), setup.ticks * substeps)
+def _engines(scenario: str, overrides: list[str], repetitions: int) -> Section:
+    """A scenario on every engine that is installed: simulated, and its physics alone."""
+    setups = {
+        f"{scenario} on {engine.title}": load_setup(
+            scenario, [*overrides, f"plant.physics.engine={name}"]
+        )
+        for name, engine in ENGINES.items()
+        if engine.is_installed
+    }
+    candidates: dict[str, Callable[[], float]] = {}
+    for name, setup in setups.items():
+        candidates[f"{SIMULATE}, {name}"] = partial(simulate_us, setup)
+        candidates[f"physics of a tick, {name}"] = partial(
+            physics_us, setup, setup.grid.substeps, setup.ticks
+        )
+    costs = interleave(candidates, repetitions)
+    ratios = [ratio(costs, f"{SIMULATE}, {name}", f"physics of a tick, {name}") for name in setups]
+    first, *others = setups
+    for kind in (SIMULATE, "physics of a tick"):
+        ratios += [ratio(costs, f"{kind}, {other}", f"{kind}, {first}") for other in others]
+    return Section(scenario, costs, ratios)
+
+
+def physics_us(setup: Setup, substeps: int, calls: int) -> float:
+    """Cost of so many substeps of an arm that falls, with all torques at its joints."""
+    with closing(setup.arm()) as arm:
+        arm.begin()
+        arm.command(np.zeros(setup.robot.joints))
+        return cost_us(lambda: arm.advance(0, substeps), calls)
 
 
 def simulate_us(setup: Setup) -> float:

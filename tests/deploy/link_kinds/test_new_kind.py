@@ -20,7 +20,7 @@ from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 
 LARGEST_COUNT = 40
 SHORT = ["duration_s=0.05", "link.kind=loopback"]

@@ -30,7 +30,7 @@ from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from plant_emulator.arm.arm_camera import ArmCamera
+from plant_emulator.physics.bullet.camera import ArmCamera
 
 FIGURES = ("timeline", "error-in-funnel", "error-first-second", "transformed-error", "torques",
            "tip-path", "tip-error", "arm-motion", "arm", "network-output",

@@ -12,7 +12,7 @@ from deploy.experiments.runge_kutta_arm import RungeKuttaArm
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from plant_emulator.arm.bullet_arm import BulletArm
+from plant_emulator.physics.bullet.arm import BulletArm
 
 SMOOTH = ("fixed_time_neural", "fixed_time_model_based", "pid")
 

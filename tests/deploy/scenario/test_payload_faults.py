@@ -10,8 +10,8 @@ from deploy.reports.figures.network import unknown_dynamics_nm
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.arm.bullet_arm import BulletArm
 from plant_emulator.faults.arm_faults import payload_steps
+from plant_emulator.physics.bullet.arm import BulletArm
 
 PICK_UP, DROP = "kind: payload_picked_up, payload_kg: 1.5", "kind: payload_dropped"
 

@@ -11,8 +11,8 @@ from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import TickGrid
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.referenced_files import find_urdf
-from plant_emulator.arm.arm_plant import ArmPlant
 from plant_emulator.arm.joint_torques import ACTUATOR, WANTED, JointTorques, joint_torques
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.kinds import parse_fault
 

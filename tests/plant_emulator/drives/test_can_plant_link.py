@@ -16,7 +16,7 @@ from deploy.link_kinds import can as can_kind
 from deploy.link_kinds.can import CanKind
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.plant_loop import PlantLoop
 

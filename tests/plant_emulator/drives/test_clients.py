@@ -21,7 +21,7 @@ from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import MonotonicClock, TickGrid
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.referenced_files import find_urdf
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig

@@ -17,7 +17,7 @@ from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
 from deploy.reports.page import Picture
 from deploy.runs.run_data import RunData
-from plant_emulator.arm.arm_camera import ArmCamera
+from plant_emulator.physics.bullet.camera import ArmCamera
 
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _OVERSAMPLING = 1.5

@@ -16,7 +16,7 @@ from deploy.runs.replay import replay
 from deploy.runs.run_data import RunData
 from deploy.runs.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
-from plant_emulator.arm.arm_plant import Mode
+from plant_emulator.arm_plant import Mode
 
 CAN = ("link.can.interface=virtual", "link.can.answer_timeout_s=20")
 ROUND_TRIP_MS = 60.0

@@ -24,7 +24,7 @@ from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from plant_emulator.arm.arm_plant import Mode
+from plant_emulator.arm_plant import Mode
 from plant_emulator.drives.drives_on_bus import DrivesOnBus
 from tests.eds_decoding import EdsDecoder
 from tests.multicast import own_bus

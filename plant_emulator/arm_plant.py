@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,9 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains, no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
-from bus_schema.robot_description import RobotDescription, Shapes
+from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow
-from plant_emulator.arm.bullet_arm import BulletArm
-from plant_emulator.arm.bullet_server import require_loadable
 from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
@@ -25,6 +23,8 @@ from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.arm_faults import PayloadFault
 from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.faulty_arm import ArmFaults
+from plant_emulator.physics.engine import ArmSpecification
+from plant_emulator.physics.engines import engine_in_force
 
 
 class ArmPlant:
@@ -39,7 +39,6 @@ class ArmPlant:
         limits: section ``limits`` of the scenario.
         faults: what breaks, and when.
         drive: what its drives add of their own; None if they follow torques alone.
-        bodies: makes the rigid bodies that the torques move, from what `BulletArm` takes.
 
     Attributes:
         mode: what the arm does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
@@ -61,7 +60,6 @@ class ArmPlant:
         limits: LimitsConfiguration = LimitsConfiguration(),  # noqa: B008 (frozen)
         faults: Sequence[Fault] = (),
         drive: DriveGains | None = None,
-        bodies: Callable[..., BulletArm] = BulletArm,
     ) -> None:
         self._safe_stop = configuration.safe_stop
         self.stops_at = limits.stops_at
@@ -75,10 +73,13 @@ class ArmPlant:
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
-        self._arm = bodies(
-            robot, grid, self.torques, payload_kg=configuration.payload_kg,
-            payload_changes=any(isinstance(fault, PayloadFault) for fault in faults),
-            gui=configuration.gui,
+        self._arm = engine_in_force(configuration).arm_type(
+            ArmSpecification(
+                robot, grid, self.torques, configuration.physics.integrator,
+                configuration.payload_kg,
+                payload_changes=any(isinstance(fault, PayloadFault) for fault in faults),
+                gui=configuration.gui,
+            )
         )  # fmt: skip
         self._faults = (
             ArmFaults(faults, robot.joint_names, randoms[2], self._arm) if faults else None
@@ -103,7 +104,7 @@ class ArmPlant:
 
         Raises:
             ConfigurationError: a value does not fit the arm.
-            RobotDescriptionError: pybullet cannot load the arm.
+            RobotDescriptionError: the physics engine cannot load the arm.
         """
         if configuration.gui and not os.environ.get("DISPLAY"):
             raise ConfigurationError("plant.gui", True, "needs a display, and DISPLAY is not set")
@@ -112,8 +113,9 @@ class ArmPlant:
         gains = no_drive_feedback(robot.joints)
         JointTorques(configuration, robot, grid.substep_s, random, limits, gains)
         Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
-        shapes: Shapes = "drawable" if configuration.gui else "none"
-        require_loadable(robot.path, robot.resolved_urdf(configuration.payload_kg, shapes))
+        engine_in_force(configuration).arm_type.check(
+            robot, configuration.payload_kg, gui=configuration.gui
+        )
 
     def read_encoders(self, now_ns: int = 0) -> None:
         """Bring `measured` up to date; `now_ns` is for faults that come and go."""
@@ -188,7 +190,7 @@ class ArmPlant:
             self._go(number, number + 1)
 
     def close(self) -> None:
-        """Free the physics server."""
+        """Free the physics engine."""
         self._arm.close()
 
     def _clear_command(self) -> None:

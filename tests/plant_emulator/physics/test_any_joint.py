@@ -1,4 +1,4 @@
-"""Joints that slide, and joints that follow others: Bullet against pinocchio."""
+"""Joints that slide, and joints that follow others: every engine against pinocchio."""
 
 from contextlib import closing
 
@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 
 from bus_schema.configuration import ConfigurationError
-from bus_schema.drive_feedback import no_drive_feedback
-from bus_schema.limits import LimitsConfiguration
 from bus_schema.robot_description import load_robot
-from bus_schema.runtime.clock import TickGrid
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies import inverse_dynamics, mass_and_load
-from plant_emulator.arm.bullet_arm import BulletArm
-from plant_emulator.arm.joint_torques import JointTorques
-from plant_emulator.configuration import PlantConfiguration
+from tests.arms import INSTALLED, FreeArm
 
-GRID = TickGrid(1000.0, 10)
 STEP_S = 1e-4
 ROD = """
     <inertial>
@@ -75,40 +69,28 @@ def following(tmp_path):
     )
 
 
-def free_arm(robot):
-    torques = JointTorques(
-        PlantConfiguration(), robot, STEP_S, np.random.default_rng(0), LimitsConfiguration(),
-        no_drive_feedback(robot.joints),
-    )  # fmt: skip
-    return torques, closing(BulletArm(robot, GRID, torques))
-
-
+@pytest.mark.parametrize("engine", INSTALLED)
 @pytest.mark.parametrize("name", ["sliding", "following"])
-def test_bullet_accelerates_as_the_model_does(name, request):
+def test_engine_accelerates_as_the_model_does(name, engine, request):
     robot = request.getfixturevalue(name)
     model, random = ManipulatorModel(robot), np.random.default_rng(3)
-    torques, opened = free_arm(robot)
-    with opened as arm:
+    with closing(FreeArm(robot, engine, STEP_S)) as arm:
         for _ in range(10):
             position = random.uniform(-0.4, 0.4, robot.joints)
             torque = random.uniform(-40, 40, robot.joints)
-            arm.place(position)
-            torques.asked[:] = torque
-            arm.advance(0, 1)
             expected = model.forward_dynamics(position, np.zeros(robot.joints), torque)
-            np.testing.assert_allclose(
-                arm.velocity / STEP_S, expected, rtol=0, atol=1e-3 * np.abs(expected).max()
-            )
+            found = arm.acceleration(position, torque)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
 
 
-def test_a_follower_stays_with_its_leader_and_energy_is_kept(following):
+@pytest.mark.parametrize("engine", INSTALLED)
+def test_a_follower_stays_with_its_leader_and_energy_is_kept(engine, following):
     model = ManipulatorModel(following)
-    _, opened = free_arm(following)
-    with opened as arm:
+    with closing(FreeArm(following, engine, STEP_S)) as arm:
         arm.place(np.array([0.3, 0.2]))
         before = model.energy(arm.position, arm.velocity)
         scale = abs(model.gravity(arm.position)).max()
-        arm.advance(0, 2000)
+        arm.push(np.zeros(2), substeps=2000)
         assert np.abs(arm.velocity).max() > 0.5
         # The swing turns over tens of joules; a follower left behind would not be in the sum.
         assert model.energy(arm.position, arm.velocity) == pytest.approx(before, abs=0.01 * scale)

@@ -8,7 +8,7 @@ from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.referenced_files import find_urdf
-from plant_emulator.arm.arm_plant import ArmPlant
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 
 GRID = TickGrid(1000.0, 4)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.clock import TickGrid
+from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.compiled import bind, compiled
-from plant_emulator.arm.bullet_server import (
+from plant_emulator.arm.joint_torques import TOTAL, TorqueTables, joint_torques
+from plant_emulator.physics.bullet.server import (
     CONTROL_TORQUE,
     BulletServer,
     can_submit,
@@ -21,11 +21,12 @@ from plant_emulator.arm.bullet_server import (
     get_state,
     no_answer,
     request_state,
+    require_loadable,
     set_torque,
     step_simulation,
     submit,
 )
-from plant_emulator.arm.joint_torques import TOTAL, JointTorques, TorqueTables, joint_torques
+from plant_emulator.physics.engine import ArmPhysics, ArmSpecification
 
 _BRAKE_TO_EFFORT = 10.0
 _BRAKE_TORQUE_NM = 10_000.0
@@ -51,96 +52,72 @@ class Handles(NamedTuple):
     pointers: NDArray[np.uintp]
 
 
-class BulletArm(BulletServer):
-    """An arm on a server of its own; substeps are gone through in compiled code, several in a call.
-
-    Args:
-        robot: description of the arm.
-        grid: ticks and physics steps of the run.
-        torques: all that acts on the joints.
-        payload_kg: point mass at the tip.
-        payload_changes: whether there will be another one, see `carry`.
-        gui: open Bullet's window (needs a display).
-
-    Attributes:
-        position: joint positions, rad, shape (joints,).
-        velocity: joint velocities, rad/s, shape (joints,).
-        motion: both as rows, shape (2, joints).
+class BulletArm(ArmPhysics):
+    """An arm on a server of its own; compiled code goes through several substeps in a call.
 
     Raises:
         RobotDescriptionError: Bullet cannot load the arm.
     """
 
-    def __init__(
-        self,
-        robot: RobotDescription,
-        grid: TickGrid,
-        torques: JointTorques,
-        *,
-        payload_kg: float = 0.0,
-        payload_changes: bool = False,
-        gui: bool = False,
-    ) -> None:
-        super().__init__(
-            robot, grid.substep_s, payload_kg=payload_kg, payload_changes=payload_changes, gui=gui,
-            shapes="drawable" if gui else "none",
+    def __init__(self, specification: ArmSpecification) -> None:
+        super().__init__(specification)
+        robot, grid, gui = specification.robot, specification.grid, specification.gui
+        self._server = BulletServer(
+            robot, grid.substep_s, payload_kg=specification.payload_kg,
+            payload_changes=specification.payload_changes, gui=gui, shapes=_shapes(gui=gui),
         )  # fmt: skip
-        self._torques = torques
         limits = robot.effort_limits_nm
         self._brake_torques: Vector = np.where(
             np.isfinite(limits), _BRAKE_TO_EFFORT * limits, _BRAKE_TORQUE_NM
         )
-        positions = [joint.position_index for joint in self.joints]
-        velocities = [joint.velocity_index for joint in self.joints]
-        self.motion: Matrix = np.zeros((2, robot.joints))
-        self.position: Vector = self.motion[0]
-        self.velocity: Vector = self.motion[1]
-        indices = np.array([positions, velocities])
-        handles = Handles(self.handle, self.body, gui, indices, np.zeros(2, np.uintp))
+        places = [(joint.position_index, joint.velocity_index) for joint in self._server.joints]
+        handles = Handles(
+            self._server.handle, self._server.body, gui, np.array(places).T.copy(),
+            np.zeros(2, np.uintp),
+        )  # fmt: skip
         arm = (handles, self.motion)
         self._read = bind(_read, *arm)
         self._advance_braked = bind(_advance_braked, *arm, free=["int64"])
         self._advance = bind(
-            _advance, *arm, grid.period_ns, grid.substeps, torques.tables, free=["int64", "int64"]
-        )
+            _advance, *arm, grid.period_ns, grid.substeps, self._torques.tables,
+            free=["int64", "int64"],
+        )  # fmt: skip
         self.set_brakes(engaged=False)
 
+    @staticmethod
+    def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:
+        """Check that Bullet can load an arm; what it could load before, it need not load again."""
+        require_loadable(robot.path, robot.resolved_urdf(payload_kg, _shapes(gui=gui)))
+
     def place(self, position: Vector) -> None:
-        super().place(position)
+        self._server.place(position)
         if not self._read():
             raise no_answer()
 
-    def set_brakes(self, *, engaged: bool) -> None:
-        """Engage or release brakes that hold every joint against ten times its largest torque."""
-        self.hold([engaged] * self._brake_torques.size)
-
     def hold(self, joints: Sequence[bool]) -> None:
-        """Engage the brakes of some joints, shape (joints,), and release those of the others."""
-        self.hold_with(np.where(joints, self._brake_torques, 0.0).tolist())
+        """Brakes hold against ten times the joint's largest torque."""
+        self._server.hold_with(np.where(joints, self._brake_torques, 0.0).tolist())
+
+    def carry(self, payload_kg: float) -> None:
+        super().carry(payload_kg)
+        self._server.carry(payload_kg)
 
     def advance(self, first: int, end: int) -> None:
-        """Go through substeps under the torque that is asked for, and read the joints after each.
-
-        Args:
-            first: number of the first substep in the run.
-            end: number of the first one not to go through.
-
-        Raises:
-            ConnectionError: Bullet's physics server is gone, as when its window was closed.
-        """
         is_done, saturated, hits = self._advance(first, end)
         self._torques.note(saturated=saturated, hits=hits)
         if not is_done:
             raise no_answer()
 
     def advance_braked(self, substeps: int) -> None:
-        """Go through substeps with the brakes engaged and no other torque.
-
-        Raises:
-            ConnectionError: Bullet's physics server is gone.
-        """
         if not self._advance_braked(substeps):
             raise no_answer()
+
+    def close(self) -> None:
+        self._server.close()
+
+
+def _shapes(*, gui: bool) -> Shapes:
+    return "drawable" if gui else "none"
 
 
 @compiled

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
-from plant_emulator.arm.bullet_library import INT, POINTER, function, setter
-from plant_emulator.arm.bullet_server import BulletServer
+from plant_emulator.physics.bullet.library import INT, POINTER, function, setter
+from plant_emulator.physics.bullet.server import BulletServer
 
 _CAMERA_FROM = np.array([0.55, -0.75, 0.36])
 _FIELD_OF_VIEW_DEG = 35.0

@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Callable
 
 from bus_schema.urdf.joints import Follower
-from plant_emulator.arm.bullet_library import DOUBLE, INT, POINTER, JointInfo, function, setter
+from plant_emulator.physics.bullet.library import DOUBLE, INT, POINTER, JointInfo, function, setter
 
 _GEAR = 6
 _LARGEST_FORCE = 1e9

@@ -1,7 +1,7 @@
 """Bullet's C interface, as pybullet's library carries it: a physics server with one arm.
 
 pybullet's Python functions build lists, tuples and dictionaries around each of these calls, and
-Python has to call them in every substep; these can be called from compiled code, as `bullet_arm.py`
+Python has to call them in every substep; these can be called from compiled code, as `arm.py`
 does. Both end in the same functions, so they give the same bits.
 """
 
@@ -20,8 +20,8 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.compiled import c_function, compiled
 from bus_schema.urdf.resolved import PAYLOAD_LINK
-from plant_emulator.arm.bullet_gears import tie
-from plant_emulator.arm.bullet_library import (
+from plant_emulator.physics.bullet.gears import tie
+from plant_emulator.physics.bullet.library import (
     DOUBLE,
     INT,
     LIBRARY,
@@ -30,7 +30,7 @@ from plant_emulator.arm.bullet_library import (
     function,
     setter,
 )
-from plant_emulator.arm.quiet import quiet
+from plant_emulator.physics.bullet.quiet import quiet
 
 GRAVITY_M_S2 = 9.81
 CONTROL_VELOCITY, CONTROL_TORQUE = 0, 1
@@ -131,7 +131,6 @@ class BulletServer:
         shapes: of the links; physics needs none.
 
     Attributes:
-        payload_kg: point mass at the tip, as of now.
         handle: the server, as Bullet's functions take it.
         body: the arm, as Bullet's functions take it.
         joints: the arm's joints, in the order of `RobotDescription.joint_names`.
@@ -164,7 +163,6 @@ class BulletServer:
         self._payload_links = [
             joint.link for joint, link_name in names.values() if link_name == PAYLOAD_LINK
         ]
-        self.payload_kg = payload_kg
         if at_first_kg != payload_kg:
             self.carry(payload_kg)
         self._set_up_world(substep_s, len(names), iterates=bool(robot.followers))
@@ -204,7 +202,6 @@ class BulletServer:
 
         It comes with the velocity of the tip: those of the joints stay as they are.
         """
-        self.payload_kg = payload_kg
         for link in self._payload_links:
             change = _dynamics(self.handle)
             _set_mass(change, self.body, link, payload_kg)

@@ -1,0 +1,1 @@
+"""Rigid bodies under joint torques: physics engines, one of which a scenario names."""

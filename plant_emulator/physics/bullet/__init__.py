@@ -1,0 +1,1 @@
+"""Bullet as a physics engine: its C functions, an arm on them, and pictures."""

@@ -1,0 +1,105 @@
+"""The rigid bodies of an arm as the plant needs them, whichever physics engine moves them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.clock import TickGrid
+from plant_emulator.arm.joint_torques import JointTorques
+from plant_emulator.configuration import Integrator
+
+
+@dataclass(frozen=True)
+class ArmSpecification:
+    """What an engine makes an arm of.
+
+    Attributes:
+        robot: description of the arm.
+        grid: ticks and physics steps of the run.
+        torques: all that acts on the joints.
+        integrator: the rule that integrates motion over a substep.
+        payload_kg: point mass at the tip.
+        payload_changes: whether there will be another one, see `ArmPhysics.carry`.
+        gui: open the engine's window.
+    """
+
+    robot: RobotDescription
+    grid: TickGrid
+    torques: JointTorques
+    integrator: Integrator = "semi_implicit_euler"
+    payload_kg: float = 0.0
+    payload_changes: bool = False
+    gui: bool = False
+
+
+class ArmPhysics(ABC):
+    """An arm on a fixed base, moved by the torques at its joints.
+
+    Attributes:
+        payload_kg: point mass at the tip, as of now.
+        motion: joint positions, rad, and velocities, rad/s, as rows, shape (2, joints).
+        position: the first row.
+        velocity: the second row.
+    """
+
+    def __init__(self, specification: ArmSpecification) -> None:
+        self._torques = specification.torques
+        self.payload_kg = specification.payload_kg
+        self.motion: Matrix = np.zeros((2, specification.robot.joints))
+        self.position: Vector = self.motion[0]
+        self.velocity: Vector = self.motion[1]
+
+    @staticmethod
+    @abstractmethod
+    def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:
+        """Check that the engine can load an arm.
+
+        Raises:
+            RobotDescriptionError: it cannot.
+        """
+
+    @abstractmethod
+    def place(self, position: Vector) -> None:
+        """Put the joints at `position` (rad, shape (joints,)), at rest."""
+
+    def set_brakes(self, *, engaged: bool) -> None:
+        """Engage or release the brakes of all joints."""
+        self.hold([engaged] * self.position.size)
+
+    @abstractmethod
+    def hold(self, joints: Sequence[bool]) -> None:
+        """Engage the brakes of some joints, shape (joints,), and release those of the others."""
+
+    def carry(self, payload_kg: float) -> None:
+        """Carry this point mass at the tip from now on; joint velocities stay as they are."""
+        self.payload_kg = payload_kg
+
+    @abstractmethod
+    def advance(self, first: int, end: int) -> None:
+        """Go through substeps under the torque that is asked for, and read the joints after each.
+
+        Args:
+            first: number of the first substep in the run.
+            end: number of the first one not to go through.
+
+        Raises:
+            ConnectionError: the engine is gone, as when its window was closed.
+        """
+
+    @abstractmethod
+    def advance_braked(self, substeps: int) -> None:
+        """Go through substeps with all brakes engaged and no other torque.
+
+        Raises:
+            ConnectionError: as `advance`.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what the engine holds."""

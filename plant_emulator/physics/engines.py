@@ -1,0 +1,94 @@
+"""The table of physics engines.
+
+A new engine is one class after `ArmPhysics`, one line here, and its name in
+`PhysicsConfiguration.engine`. It is imported when a scenario uses it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module, metadata
+from importlib.util import find_spec
+from typing import cast
+
+from bus_schema.configuration import ConfigurationError
+from plant_emulator.configuration import Integrator, PlantConfiguration
+from plant_emulator.physics.engine import ArmPhysics
+
+_KEY = "plant.physics.engine"
+
+
+@dataclass(frozen=True)
+class PhysicsEngine:
+    """A physics engine, installed or not.
+
+    Attributes:
+        title: its name in sentences.
+        distribution: the Python package that brings it; the module is called the same.
+        place: its arm, as ``module:class``.
+        integrators: the rules by which it integrates motion.
+        has_window: whether it can show the arm while it moves.
+    """
+
+    title: str
+    distribution: str
+    place: str
+    integrators: tuple[Integrator, ...]
+    has_window: bool = False
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether this Python has the engine, which is not imported for that."""
+        return find_spec(self.distribution) is not None
+
+    @property
+    def version(self) -> str:
+        return metadata.version(self.distribution)
+
+    @property
+    def arm_type(self) -> type[ArmPhysics]:
+        """The class of its arms."""
+        module, name = self.place.split(":")
+        return cast("type[ArmPhysics]", getattr(import_module(module), name))
+
+
+ENGINES = {
+    "bullet": PhysicsEngine(
+        "Bullet", "pybullet", "plant_emulator.physics.bullet.arm:BulletArm",
+        ("semi_implicit_euler",), has_window=True,
+    ),
+    "mujoco": PhysicsEngine(
+        "MuJoCo", "mujoco", "plant_emulator.physics.mujoco_arm:MujocoArm",
+        ("semi_implicit_euler", "runge_kutta_4"),
+    ),
+}  # fmt: skip
+DEFAULT_ENGINE = "bullet"
+
+
+def engine_name(plant: PlantConfiguration) -> str:
+    """Name of the engine in force: where a scenario names none, Bullet if it is installed."""
+    is_there = ENGINES[DEFAULT_ENGINE].is_installed
+    return plant.physics.engine or (DEFAULT_ENGINE if is_there else "mujoco")
+
+
+def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
+    """The engine of a scenario's plant, installed and able to do what the scenario asks of it.
+
+    Raises:
+        ConfigurationError: it is not installed, or has no such integrator or no window.
+    """
+    name = engine_name(plant)
+    engine, integrator = ENGINES[name], plant.physics.integrator
+    if not engine.is_installed:
+        installed = [other for other, each in ENGINES.items() if each.is_installed]
+        allowed = (
+            f"{engine.title} is not installed (pip install {engine.distribution}); installed:"
+            f" {', '.join(installed) or 'no engine'}"
+        )
+        raise ConfigurationError(_KEY, name, allowed)
+    if integrator not in engine.integrators:
+        allowed = f"must be {' or '.join(engine.integrators)} with {engine.title}"
+        raise ConfigurationError("plant.physics.integrator", integrator, allowed, [_KEY])
+    if plant.gui and not engine.has_window:
+        raise ConfigurationError("plant.gui", True, f"{engine.title} has no window here", [_KEY])
+    return engine

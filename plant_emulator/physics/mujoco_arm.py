@@ -1,0 +1,244 @@
+"""MuJoCo as a physics engine: an arm that compiled code steps by MuJoCo's C function."""
+
+from __future__ import annotations
+
+import ctypes
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.mujoco_library import mujoco
+from bus_schema.robot_description import RobotDescription
+from bus_schema.runtime.compiled import bind, c_function, compiled
+from bus_schema.urdf.joints import Follower
+from bus_schema.urdf.resolved import PAYLOAD_LINK
+from plant_emulator.arm.joint_torques import TOTAL, TorqueTables, joint_torques
+from plant_emulator.physics.engine import ArmPhysics, ArmSpecification
+
+_INTEGRATORS = {
+    "semi_implicit_euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "runge_kutta_4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+_SWITCHED_OFF = ("CONTACT", "LIMIT", "EULERDAMP", "AUTORESET", "SENSOR", "ACTUATION")
+_HELD_KG_M2 = 1e12
+"""Inertia of a joint that its brake holds: no torque moves it by as much as rounding does."""
+_ANY_PAYLOAD_KG = 1.0
+_HARDEST = 0.9999
+"""The hardest constraint that MuJoCo takes."""
+
+
+def _step_function() -> Any:
+    """``mj_step`` for compiled code; None where MuJoCo's package is laid out otherwise."""
+    found = sorted(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+    if not (found and hasattr(mujoco.MjModel, "_address") and hasattr(mujoco.MjData, "_address")):
+        return None
+    return c_function(ctypes.CDLL(str(found[0])), "mj_step", "void", "uintp", "uintp")
+
+
+step = _step_function()
+
+
+class Bodies(NamedTuple):
+    """How compiled code gets at an arm.
+
+    Attributes:
+        model: address of MuJoCo's model.
+        data: address of its state.
+        places: place of each joint in MuJoCo's lists, shape (joints,).
+        positions: MuJoCo's own, rad; these four of shape (joints and mimic joints,).
+        velocities: rad/s.
+        torques: N m.
+        held: `_HELD_KG_M2` where a brake holds the joint, otherwise 0.
+    """
+
+    model: int
+    data: int
+    places: NDArray[np.int64]
+    positions: Vector
+    velocities: Vector
+    torques: Vector
+    held: Vector
+
+
+class MujocoArm(ArmPhysics):
+    """An arm in a world of its own, without contacts, joint limits or damping of MuJoCo's own.
+
+    Brakes are ideal: a joint that they hold stops at once, and does not slip.
+
+    Raises:
+        RobotDescriptionError: MuJoCo cannot load the arm.
+    """
+
+    def __init__(self, specification: ArmSpecification) -> None:
+        super().__init__(specification)
+        robot, grid = specification.robot, specification.grid
+        loaded_kg = self.payload_kg
+        if specification.payload_changes:  # what is picked up needs a body from the start
+            loaded_kg = loaded_kg or _ANY_PAYLOAD_KG
+        model = _compiled_model(robot, loaded_kg)
+        model.opt.timestep = grid.substep_s
+        model.opt.integrator = _INTEGRATORS[specification.integrator]
+        self._model, self._data = model, mujoco.MjData(model)
+        self._followers = [
+            (model.joint(each.name).id, robot.joint_names.index(each.leader), each)
+            for each in robot.followers
+        ]
+        places = np.array([model.joint(name).id for name in robot.joint_names])
+        data = self._data
+        model_at, data_at = (0, 0) if step is None else (model._address, data._address)
+        self._bodies = Bodies(
+            model_at, data_at, places, data.qpos, data.qvel, data.qfrc_applied, model.dof_armature
+        )
+        tables, period_ns = self._torques.tables, grid.period_ns
+        fixed = (self._bodies, self.motion, period_ns, grid.substeps, tables)
+        self._advance: Callable[[int, int], tuple[bool, int]] = (
+            partial(_advance_slowly, model, data, *fixed)
+            if step is None
+            else bind(_advance, *fixed, free=["int64", "int64"])
+        )
+        if loaded_kg != self.payload_kg:
+            self.carry(self.payload_kg)
+
+    @staticmethod
+    def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:  # noqa: ARG004
+        """Check that MuJoCo can load an arm."""
+        _compiled_model(robot, payload_kg)
+
+    def place(self, position: Vector) -> None:
+        bodies = self._bodies
+        bodies.positions[bodies.places] = position
+        for place, leader, follower in self._followers:
+            bodies.positions[place] = follower.multiplier * position[leader] + follower.offset
+        self._rest()
+        _read(bodies, self.motion)
+
+    def hold(self, joints: Sequence[bool]) -> None:
+        bodies = self._bodies
+        bodies.held[bodies.places] = np.where(joints, _HELD_KG_M2, 0.0)
+
+    def carry(self, payload_kg: float) -> None:
+        super().carry(payload_kg)
+        self._model.body(_renamed(PAYLOAD_LINK)).mass = payload_kg
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
+    def advance(self, first: int, end: int) -> None:
+        saturated, hits = self._advance(first, end)
+        self._torques.note(saturated=saturated, hits=hits)
+
+    def advance_braked(self, substeps: int) -> None:  # noqa: ARG002 (they hold for any time)
+        self._rest()
+        _read(self._bodies, self.motion)
+
+    def close(self) -> None:
+        """There is nothing to free."""
+
+    def _rest(self) -> None:
+        self._bodies.velocities[:] = 0.0
+
+
+@compiled
+def _advance(
+    bodies: Bodies, motion: Matrix, period_ns: int, substeps: int, tables: TorqueTables,
+    first: int, end: int,
+) -> tuple[bool, int]:  # fmt: skip
+    saturated, hits = False, 0
+    for number in range(first, end):
+        time_s = (number * period_ns // substeps) * 1e-9
+        saturated, new_hits = joint_torques(motion, time_s, tables)
+        hits |= new_hits
+        _apply(bodies, tables.torques_nm[TOTAL])
+        step(bodies.model, bodies.data)
+        _read(bodies, motion)
+    return saturated, hits
+
+
+def _advance_slowly(
+    model: Any, data: Any, bodies: Bodies, motion: Matrix, period_ns: int, substeps: int,
+    tables: TorqueTables, first: int, end: int,
+) -> tuple[bool, int]:  # fmt: skip
+    """The same bits by MuJoCo's Python function, for a MuJoCo that does not show its addresses."""
+    saturated, hits = False, 0
+    for number in range(first, end):
+        time_s = (number * period_ns // substeps) * 1e-9
+        saturated, new_hits = joint_torques(motion, time_s, tables)
+        hits |= new_hits
+        _apply(bodies, tables.torques_nm[TOTAL])
+        mujoco.mj_step(model, data)
+        _read(bodies, motion)
+    return saturated, hits
+
+
+@compiled
+def _apply(bodies: Bodies, torques_nm: Vector) -> None:
+    for i in range(torques_nm.size):
+        bodies.torques[bodies.places[i]] = torques_nm[i]
+
+
+@compiled
+def _read(bodies: Bodies, motion: Matrix) -> None:
+    """Read positions and velocities of the joints; those that brakes hold stand still."""
+    for i in range(motion.shape[1]):
+        place = bodies.places[i]
+        if bodies.held[place] > 0.0:
+            bodies.velocities[place] = 0.0
+        motion[0, i] = bodies.positions[place]
+        motion[1, i] = bodies.velocities[place]
+
+
+def _compiled_model(robot: RobotDescription, payload_kg: float) -> Any:
+    """A fresh model of an arm.
+
+    Raises:
+        RobotDescriptionError: MuJoCo cannot load it.
+    """
+    urdf = _for_mujoco(robot.resolved_urdf(payload_kg, "none"))
+    try:
+        spec = mujoco.MjSpec.from_string(urdf)
+        for name in (*_SWITCHED_OFF, *(() if robot.followers else ("CONSTRAINT",))):
+            spec.option.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+        for follower in robot.followers:
+            _tie(spec, follower)
+        return spec.compile()
+    except ValueError as error:
+        raise RobotDescriptionError(f"{robot.path}: MuJoCo: {error}") from error
+
+
+@lru_cache(maxsize=16)
+def _for_mujoco(urdf: str) -> str:
+    """A resolved URDF as MuJoCo reads every number in it: joints without ends, links as they are.
+
+    Links get names of their own, as MuJoCo has one that is called ``world``.
+    """
+    root = ET.fromstring(urdf)
+    for joint in root.findall("joint"):
+        if joint.get("type") == "revolute":
+            joint.set("type", "continuous")
+        for child in [*joint.findall("limit"), *joint.findall("dynamics")]:
+            joint.remove(child)
+        for end in [*joint.findall("parent"), *joint.findall("child")]:
+            end.set("link", _renamed(end.get("link", "")))
+    for link in root.findall("link"):
+        link.set("name", _renamed(link.get("name", "")))
+    settings = {"fusestatic": "false", "balanceinertia": "false", "boundmass": "0"}
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", settings)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _renamed(link: str) -> str:
+    return f"link {link}"
+
+
+def _tie(spec: Any, follower: Follower) -> None:
+    """Tie a joint to another one: q = multiplier × q of the leader + offset."""
+    tie = spec.add_equality()
+    tie.type = mujoco.mjtEq.mjEQ_JOINT
+    tie.name1, tie.name2 = follower.name, follower.leader
+    tie.data[:2] = follower.offset, follower.multiplier
+    tie.solimp[:2] = _HARDEST
