@@ -22,6 +22,7 @@ from deploy.cli.terminal.show_run import show_summary
 from deploy.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
 from deploy.processes.launcher import RunOutcome
 from deploy.reports.conclude import conclude, conditions_in
+from deploy.runs.confirmation import confirmation_of
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.oddities import oddities_of_all
@@ -137,6 +138,7 @@ def finish(
     data: RunData | None = None,
     require_bounds: bool,
     draws_report: bool = True,
+    confirms: bool = False,
 ) -> None:
     """Judge a run, show the result, and leave with the exit code it deserves.
 
@@ -147,11 +149,15 @@ def finish(
         data: its data where they are at hand, equal to those of the recording; read from it if not.
         require_bounds: whether an error that left the funnel has an exit code of its own.
         draws_report: whether a report is drawn.
+        confirms: whether the run is simulated on other physics too.
     """
     with judging(console, folder):
         if data is None:
             data = _recorded(console, folder, outcome)
-        summary = conclude(folder, data, outcome.failures, draws_report=draws_report)
+        summary = conclude(
+            folder, data, outcome.failures, draws_report=draws_report,
+            confirmation=confirmation_of(data) if confirms else (),
+        )  # fmt: skip
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(

@@ -29,6 +29,7 @@ from deploy.processes.network.real_delay import (
 from deploy.processes.program import require_program
 from deploy.processes.status import StatusMessage
 from deploy.reports.conclude import load_report
+from deploy.runs.confirmation import check_confirmable
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
@@ -131,6 +132,8 @@ def run_in_virtual_time(options: RunOptions) -> None:
     if setup.scenario.link.security.enabled:
         typer.echo("warning: link.security: a simulation uses no keys, and checks none", err=True)
     check_link(setup, one_process=True)
+    if options.confirms:
+        check_confirmable(setup)
     console = Console()
     with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
         name, stop = setup.scenario.name, threading.Event()
@@ -141,4 +144,5 @@ def run_in_virtual_time(options: RunOptions) -> None:
         finish(
             console, folder, RunOutcome(interrupted=stop.is_set()), data=data,
             require_bounds=options.require_bounds, draws_report=options.draws_report,
+            confirms=options.confirms,
         )  # fmt: skip

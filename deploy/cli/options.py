@@ -49,6 +49,15 @@ RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
 
+Confirm = Annotated[
+    bool,
+    typer.Option(
+        "--confirm",
+        help="Simulate every run on the other physics engine and by Runge-Kutta too, and say where"
+        " verdicts agree.",
+    ),
+]
+
 
 @dataclass(frozen=True)
 class RunOptions:
@@ -61,6 +70,7 @@ class RunOptions:
         overwrite: replace what it holds.
         require_bounds: an error that left the funnel has an exit code of its own.
         draws_report: draw a report.
+        confirms: simulate it on other physics too.
     """
 
     scenario: str
@@ -69,3 +79,4 @@ class RunOptions:
     overwrite: bool
     require_bounds: bool
     draws_report: bool
+    confirms: bool = False

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from deploy.cli.options import (
+    Confirm,
     NoReport,
     Out,
     Overrides,
@@ -74,10 +75,13 @@ def simulate(
     overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
     no_report: NoReport = False,
+    confirm: Confirm = False,
 ) -> None:
     """Run a scenario in one process and in virtual time."""
     from deploy.cli.one_run import run_in_virtual_time
 
     run_in_virtual_time(
-        RunOptions(scenario, overrides or [], out, overwrite, require_bounds, not no_report)
+        RunOptions(
+            scenario, overrides or [], out, overwrite, require_bounds, not no_report, confirm
+        )
     )

@@ -15,6 +15,7 @@ from controller.laws.custom import custom_laws_left_out
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.settling import SettlingTest
 from deploy.runs.conditions import Conditions, conditions_of_runs
+from deploy.runs.confirmation import CONFIRMATION, confirmation_of
 from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.new_folder import new_folder, resolved_out
@@ -135,6 +136,12 @@ class ComparisonFolder(ResultFolder):
             write_json(folder.fault, record)
         return run
 
+    def confirm(self, run: LawRun) -> None:
+        """Simulate a run on other physics too, unless it was, and keep what they say of it."""
+        if CONFIRMATION not in run.summary:
+            run.summary[CONFIRMATION] = confirmation_of(run.data)
+            write_json(self._law_path(run.law) / "summary.json", run.summary)
+
     def add_process(self, setup: Setup, on_start: Callable[[Callable[[], None]], None]) -> LawRun:
         """Run the scenario's process in its folder, and judge it; `on_start` as `run_process`."""
         name = setup.scenario.controller.name
@@ -182,7 +189,9 @@ def judged_again(name: str, path: Path) -> LawRun:
         RunFolderError: it cannot be read.
     """
     data, _ = load_run(path)
-    return LawRun(name, data, summarise(data, unrecorded_faults(path)), path)
+    summary, before = summarise(data, unrecorded_faults(path)), read_summary(path)
+    kept = {CONFIRMATION: before[CONFIRMATION]} if CONFIRMATION in before else {}
+    return LawRun(name, data, summary | kept, path)
 
 
 def _summary(comparison: Comparison) -> dict[str, Any]:

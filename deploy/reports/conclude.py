@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json
 from deploy.runs.conditions import Conditions, conditions_of_recording
+from deploy.runs.confirmation import CONFIRMATION
 from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import RunFolder, read_manifest
+from deploy.runs.run_folder import RunFolder, read_manifest, read_summary
 
 
 def conclude(
-    folder: RunFolder, run: RunData, more_faults: Sequence[str] = (), *, draws_report: bool = True
+    folder: RunFolder,
+    run: RunData,
+    more_faults: Sequence[str] = (),
+    *,
+    draws_report: bool = True,
+    confirmation: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
     """Judge a run and write summary, report and the record of its fault; the summary.
 
@@ -25,8 +31,10 @@ def conclude(
         more_faults: what the recording cannot know, such as a process that was killed; causes come
             before what followed from them.
         draws_report: a report takes longer than all else.
+        confirmation: what other physics say of it; where there is nothing, what the folder has.
     """
-    summary = summarise(run, more_faults)
+    confirmed = confirmation or read_summary(folder.path).get(CONFIRMATION)
+    summary = summarise(run, more_faults) | ({CONFIRMATION: confirmed} if confirmed else {})
     write_json(folder.summary, {**summary, "completed": False})  # until all is written
     try:
         if (record := fault_record(run)) is not None:

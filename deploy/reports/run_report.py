@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from deploy.reports.confirmation_table import confirmation_tables
 from deploy.reports.figures.arm.end_effector import tip_error, tip_path
 from deploy.reports.figures.arm.motion import arm_motion
 from deploy.reports.figures.arm.pictures import arm_pictures
@@ -185,6 +186,7 @@ def write_report(
         transport_table=transport_table(summary),
         health_table=health_table(summary),
         event_table=event_table(run),
+        confirmation_tables=confirmation_tables([summary]),
         digest=summary["digest"],
     )
 

@@ -68,6 +68,11 @@ def row(summary: dict[str, Any], seed: int) -> Row:
     return {name: values[name] for name in _COLUMNS}
 
 
+def held(row: Row) -> bool:
+    """Whether a run came to its end, without a fault and inside its bounds."""
+    return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
+
+
 def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
     """Counts and delays of one direction, by their columns."""
     delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}

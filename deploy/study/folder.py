@@ -17,6 +17,7 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from deploy.runs.conditions import Conditions
+from deploy.runs.confirmation import CONFIRMATION_COLUMNS
 from deploy.runs.new_folder import new_folder, resolved_out
 from deploy.runs.run_folder import (
     ResultFolder,
@@ -62,7 +63,8 @@ class StudyFolder(ResultFolder):
         self.scenarios = path / "scenarios"
         self._study, self._seed = study, study.definition.seeds[0]
         self._parts = path / "rows"
-        self._columns = {"point": "string", **study.columns}
+        confirmed = CONFIRMATION_COLUMNS if study.definition.confirm else {}
+        self._columns = {"point": "string", **study.columns, **confirmed}
         files = [self.rows_file, *sorted(self._parts.glob(_PART))]
         self._earlier: dict[tuple[Any, ...], list[Row]] = {}
         for row in (row for file in files if file.exists() for row in read_rows(file)):

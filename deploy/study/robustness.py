@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.configuration import Number, Whole
-from deploy.runs.run_rows import Row
+from deploy.runs.run_rows import Row, held
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -39,7 +39,7 @@ from deploy.study.plants import (
     uncertainty_of,
     with_ranges,
 )
-from deploy.study.statistics import badness, held, spread_of_runs
+from deploy.study.statistics import badness, spread_of_runs
 from deploy.study.study import Different, Run, Seeds, Study
 
 _WORST_POINTS = 3
@@ -119,7 +119,10 @@ class Robustness(Study):
                     overrides = case.setting.at(value, plant.overrides)
                     point, columns = _point(index, at, plant), {**tags, **plant.columns}
                     for seed in seeds:
-                        yield Run(point, case.setting.scenario, overrides, seed, columns)
+                        yield Run(
+                            point, case.setting.scenario, overrides, seed, columns,
+                            bool(wanted.confirm),
+                        )  # fmt: skip
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         wanted, quantity = self.definition, self.cases[0].setting.quantity

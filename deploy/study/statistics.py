@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from deploy.runs.run_rows import Row
+from deploy.runs.run_rows import Row, held
 
 Spread = dict[str, float | None]
 """``mean``, ``lowest`` and ``highest``; null where there is nothing."""
@@ -26,11 +26,6 @@ def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
             [worst(row["total_variation_nm_per_s"]) for row in rows]
         ),
     }
-
-
-def held(row: Row) -> bool:
-    """Whether a run came to its end, without a fault and inside its bounds."""
-    return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
 
 
 def commonest_error(rows: Sequence[Row]) -> str | None:

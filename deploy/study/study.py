@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
+from deploy.runs.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.process_run import run_process
 from deploy.runs.run_rows import Row, failed_row, row
@@ -67,11 +68,13 @@ class StudyDefinition(StrictModel):
         name: of the study.
         fixed: (in YAML ``set``) scenario values that are the same in all runs, by dotted key.
         seeds: how many, or which.
+        confirm: simulate every run on other physics too, see `deploy.runs.confirmation`.
     """
 
     name: Name
     fixed: Annotated[dict[str, Any], Field(alias="set", default_factory=dict)]
     seeds: Seeds = Field(default=[1])
+    confirm: bool | None = None
 
     @property
     def fixed_overrides(self) -> tuple[str, ...]:
@@ -108,6 +111,7 @@ class Run:
         seed: the scenario's seed.
         columns: what the study varies, by column of its table; with the seed, it tells a run from
             all others.
+        confirm: simulate it on other physics too.
     """
 
     point: str
@@ -115,6 +119,7 @@ class Run:
     overrides: tuple[str, ...]
     seed: int
     columns: dict[str, Any]
+    confirm: bool = False
 
     @property
     def key(self) -> tuple[str, int]:
@@ -126,7 +131,7 @@ def execute(run: Run) -> Row:
     """Simulate and judge; whatever goes wrong is the row's `error`."""
     try:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
-        values = row(_summary(setup), setup.scenario.seed)
+        values = _confirmed(setup) if run.confirm else row(_summary(setup), setup.scenario.seed)
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
         return failed(run, f"{type(error).__name__}: {error}")
     return {**values, **run.columns, "point": run.point}
@@ -137,6 +142,11 @@ def _summary(setup: Setup) -> dict[str, Any]:
         return summarise(attempt(setup).data())
     with TemporaryDirectory(prefix="funnel-hil-") as folder:
         return run_process(setup, Path(folder)).summary
+
+
+def _confirmed(setup: Setup) -> Row:
+    data = attempt(setup).data()
+    return confirmed_row(setup, data, summarise(data))
 
 
 def failed(run: Run, error: str) -> Row:
@@ -206,5 +216,6 @@ class Study(ABC):
             "runs_failed": sum(row["error"] is not None for row in rows),
             "commonest_error": commonest_error(rows),
             "seeds": seeds_of(rows) or self.definition.seeds,
+            CONFIRMATION: confirmations(rows),
             **self.findings(rows),
         }

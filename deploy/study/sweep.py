@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from bus_schema.configuration import ConfigurationError
-from deploy.runs.run_rows import Row
+from deploy.runs.run_rows import Row, held
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import (
@@ -42,7 +42,7 @@ from deploy.study.plants import (
     refused,
     with_ranges,
 )
-from deploy.study.statistics import badness, held, spread_of_runs, without_effect
+from deploy.study.statistics import badness, spread_of_runs, without_effect
 from deploy.study.study import SHIPPED, Run, Study, is_sweep, require_different, scenario_name
 
 _MOST_VALUES = 10_000
@@ -143,7 +143,7 @@ class Sweep(Study):
                 yield Run(
                     _point(index, plant), wanted.scenario,
                     (*wanted.fixed_overrides, *plant.overrides, *varied), wanted.seeds[0],
-                    {**columns, **plant.columns},
+                    {**columns, **plant.columns}, bool(wanted.confirm),
                 )  # fmt: skip
 
     def first(self) -> Iterable[Run]:

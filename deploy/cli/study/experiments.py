@@ -14,7 +14,7 @@ from rich.console import Console
 from controller.laws import LAWS
 from controller.laws.custom import custom_laws_left_out
 from deploy.cli.common import judging, leave, parse_laws, say_oddities, show_places, watching
-from deploy.cli.options import Out, Overrides, Overwrite, RequireBounds, ScenarioArgument
+from deploy.cli.options import Confirm, Out, Overrides, Overwrite, RequireBounds, ScenarioArgument
 from deploy.cli.study.studies import is_study, report_study
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
@@ -26,6 +26,7 @@ from deploy.comparison.settling import SettlingTest, settling_test
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.processes.program import require_program
 from deploy.reports.conclude import conclude, conditions_in
+from deploy.reports.confirmation_table import confirmation_tables
 from deploy.reports.quantities import RMS_ERROR
 from deploy.reports.studies.compare_report import write_comparison_report
 from deploy.reports.studies.compare_tables import (
@@ -36,6 +37,7 @@ from deploy.reports.studies.compare_tables import (
 )
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
+from deploy.runs.confirmation import check_confirmable
 from deploy.runs.run_folder import (
     ResultFolder,
     RunFolder,
@@ -62,16 +64,19 @@ def compare(
     out: Out = None,
     overwrite: Overwrite = False,
     require_bounds: RequireBounds = False,
+    confirm: Confirm = False,
 ) -> None:
     """Run a scenario under several laws in virtual time, and set their results side by side."""
     setups = load_setups(scenario, overrides or [], parse_laws(laws))
     say_oddities(setups[0])
     for setup in setups:
         require_program(setup)
+        if confirm:
+            check_confirmable(setup)
     folder = ComparisonFolder.begin(setups, out, overwrite=overwrite)
     with folder:
         console, stop = Console(), threading.Event()
-        comparison = Comparison(_run_all(setups, folder, console, stop))
+        comparison = Comparison(_run_all(setups, folder, console, stop, confirms=confirm))
         interrupted, earlier = stop.is_set(), folder.earlier_settling()
         if settling and not interrupted:
             for setup in setups:
@@ -146,7 +151,12 @@ def bench(
 
 
 def _run_all(
-    setups: list[Setup], folder: ComparisonFolder, console: Console, stop: threading.Event
+    setups: list[Setup],
+    folder: ComparisonFolder,
+    console: Console,
+    stop: threading.Event,
+    *,
+    confirms: bool,
 ) -> list[LawRun]:
     """Simulate one law after another, until the user sets `stop` by an interrupt."""
     runs = []
@@ -162,6 +172,8 @@ def _run_all(
                 runs.append(folder.add(attempt(setup, watch)))
             else:
                 runs.append(folder.add_process(setup, partial(_stop_by, stop)))
+            if confirms and not stop.is_set():
+                folder.confirm(runs[-1])
             before = "" if known is None else " (from before)"
             progress.say(f"{law}: {bounds_sentence(runs[-1])}{before}")
             before_s += setup.scenario.duration_s
@@ -213,5 +225,7 @@ def _show_comparison(console: Console, comparison: Comparison) -> None:
         return
     print_table(console, verdict_table(comparison))
     print_table(console, joint_table(comparison, RMS_ERROR))
+    for table in confirmation_tables([run.summary for run in comparison.runs]):
+        print_table(console, table)
     for lack in recording_sentences(comparison.runs):
         console.print(lack, markup=False, highlight=False)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from deploy.cli.common import parse_laws
-from deploy.cli.options import Out, Overrides, Overwrite
+from deploy.cli.options import Confirm, Out, Overrides, Overwrite
 from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override
 
 WorkerCount = Annotated[
@@ -100,6 +100,7 @@ class MarginOptions:
     scheduler: Scheduler = None
     out: Out = None
     overwrite: Overwrite = False
+    confirm: Confirm = False
 
 
 def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:
@@ -126,6 +127,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
         "uncertainty": options.uncertainty,
         "values": _listed("--values", options.values),
         "kept_share": options.kept_share,
+        "confirm": options.confirm or None,
     }
     fixed = dict(map(parse_override, options.overrides or []))
     if options.duration is not None and "duration_s" in fixed:

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from deploy.cli.common import judging, say_oddities, show_places
-from deploy.cli.options import Out, Overrides, Overwrite
+from deploy.cli.options import Confirm, Out, Overrides, Overwrite
 from deploy.cli.study.margin_options import (
     MarginOptions,
     Plants,
@@ -25,6 +25,7 @@ from deploy.cli.study.margin_options import (
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.processes.program import require_program
+from deploy.reports.confirmation_table import confirmation_tables
 from deploy.reports.studies.conclude import conclude_study
 from deploy.reports.studies.robustness_tables import (
     losses_table,
@@ -38,6 +39,7 @@ from deploy.reports.studies.study_tables import (
     write_margin_table,
 )
 from deploy.reports.terminal import print_conditions, print_table
+from deploy.runs.confirmation import check_confirmable
 from deploy.runs.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
 from deploy.stop_signals import on_stop
@@ -71,13 +73,17 @@ def sweep(
     scheduler: Scheduler = None,
     out: Out = None,
     overwrite: Overwrite = False,
+    confirm: Confirm = False,
 ) -> None:
     """Run every point of a grid with every seed, on all cores or a Dask cluster.
 
     With --plants every point with each of so many uncertain plants. Interrupted or killed, the same
     command goes on where it stopped.
     """
-    given = {"plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty}
+    given = {
+        "plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty,
+        "confirm": confirm or None,
+    }  # fmt: skip
     more = {key: value for key, value in given.items() if value is not None}
     fixed = dict(map(parse_override, overrides or []))
     _conduct(load_sweep(definition, more, fixed), workers, scheduler, out, overwrite=overwrite)
@@ -150,6 +156,9 @@ def _conduct(
             require_program(base)
     from deploy.study.dask_workers import DaskWorkers  # heavy
 
+    if study.definition.confirm:
+        for base in study.bases:
+            check_confirmable(base)
     say_oddities(*study.bases)
     console = Console()
     path = None if overwrite else find_folder(study, out)
@@ -225,6 +234,8 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
         for keys in summary.get("without_effect", ()):
             said = f"warning: {keys}: none of its values changed any result of a run"
             console.print(said, markup=False, soft_wrap=True)
+    for table in confirmation_tables([summary]):
+        print_table(console, table)
     hidden = len(summary.get("points", ())) - _SHOWN_POINTS
     if hidden > 0:
         console.print(f"{hidden} more points are in the report")

@@ -13,6 +13,7 @@ from deploy.cli.terminal.progress import CommandProgress
 from deploy.processes.lacking import lacking
 from deploy.processes.live.viewer import VIEWER
 from deploy.processes.status import StatusMessage
+from deploy.reports.confirmation_table import confirmation_tables
 from deploy.reports.run_tables import joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
 from deploy.reports.terminal import print_conditions, print_table
@@ -86,6 +87,8 @@ def show_summary(
             f"{skipped:,} {'tick' if skipped == 1 else 'ticks'} skipped, as the plant came too late"
             f" to measure; states sent: {sent}"
         )
+    for table in confirmation_tables([summary]):
+        print_table(console, table)
     print_conditions(console, conditions)
 
 

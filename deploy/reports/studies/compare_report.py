@@ -8,6 +8,7 @@ from pathlib import Path
 
 from deploy.comparison.comparison import Comparison
 from deploy.reports import plotly_library, quantities
+from deploy.reports.confirmation_table import confirmation_tables
 from deploy.reports.figures.arm.end_effector import tip_error_envelopes, tip_paths
 from deploy.reports.figures.errors import error_envelopes, errors_first_second, errors_in_funnel
 from deploy.reports.figures.laws import joint_bars
@@ -116,6 +117,7 @@ def write_comparison_report(
         facts=_facts(comparison),
         conditions=conditions,
         verdict_table=verdict_table(comparison),
+        confirmation_tables=confirmation_tables([run.summary for run in comparison.runs]),
         joint_tables=[joint_table(comparison, quantity) for quantity in quantities.BY_LAW],
     )
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from deploy.reports import plotly_library
+from deploy.reports.confirmation_table import confirmation_tables
 from deploy.reports.page import Fact, write_page
 from deploy.reports.studies.margin_report import margin_content
 from deploy.reports.studies.robustness_report import robustness_content
@@ -26,6 +27,7 @@ def content_of(summary: dict[str, Any]) -> StudyContent:
 def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
     """Write the report of a sweep or of margins to its folder, and the library of its figures."""
     content = content_of(summary)
+    content = replace(content, results=[*content.results, *confirmation_tables([summary])])
     verdict = _with_failures(content.verdict, summary)
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
     plotly_library.share(folder.path)

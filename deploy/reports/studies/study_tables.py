@@ -72,6 +72,7 @@ def margin_table(summary: dict[str, Any]) -> Table:
             Column("Law", is_text=True),
             *(column for column, _ in more),
             Column("Margin", brief="Held"),
+            *(Column(f"On {physics}", summary["unit"]) for physics in _elsewhere(summary)),
             Column("First failure", brief="First\nfailure"),
             Column("Ticks outside at first failure", "%", "Outside\nthere"),
             Column("RMS error of the worst joint at the margin", "mrad", None),
@@ -85,6 +86,11 @@ def margin_table(summary: dict[str, Any]) -> Table:
     )
 
 
+def _elsewhere(summary: dict[str, Any]) -> list[str]:
+    """Other physics on which margins were confirmed."""
+    return list(dict.fromkeys(on for case in summary["cases"] for on in case.get("margin_on", ())))
+
+
 def _margin_row(
     case: dict[str, Any],
     summary: dict[str, Any],
@@ -94,7 +100,9 @@ def _margin_row(
     return [
         case["arm"], case["law"],
         *(text(case) for text in more),
-        margin_text(case, summary), _with_unit(case["first_failure"], summary),
+        margin_text(case, summary),
+        *(case["margin_on"].get(physics) for physics in _elsewhere(summary)),
+        _with_unit(case["first_failure"], summary),
         scaled(failed["violation_fraction"]["mean"], 100.0) if failed else None,
         scaled(last["worst_rms_rad"]["mean"], 1e3) if last else None,
         ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT,

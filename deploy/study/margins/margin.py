@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from bus_schema.configuration import Number, Positive
-from deploy.runs.run_rows import Row
+from deploy.runs.run_rows import Row, held
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY, require_link_effect
@@ -26,7 +26,7 @@ from deploy.study.cases import (
 from deploy.study.held_arm import ceiling_of_value
 from deploy.study.margins.margin_search import MarginSearch
 from deploy.study.margins.quantities import Steps
-from deploy.study.statistics import badness, held, spread_of_runs
+from deploy.study.statistics import badness, spread_of_runs
 from deploy.study.study import Different, Run, Seeds, Study
 
 
@@ -155,7 +155,14 @@ class Margin(Study):
                        "value": value, "offset_scale": scale}  # fmt: skip
             overrides = _overrides(case, value, scale)
             runs += [
-                Run(_point(index, steps, start), case.setting.scenario, overrides, seed, columns)
+                Run(
+                    _point(index, steps, start),
+                    case.setting.scenario,
+                    overrides,
+                    seed,
+                    columns,
+                    bool(self.definition.confirm),
+                )
                 for seed in case.seeds
             ]
         return runs
@@ -177,6 +184,7 @@ def _case_summary(case: Case) -> dict[str, Any]:
         **case.setting.tags,
         "margin": value(search.margin),
         "first_failure": value(search.first_failure),
+        "margin_on": {physics: value(steps) for physics, steps in _margins_elsewhere(case).items()},
         "held_again": [value(steps) for steps in search.held_again],
         "held_arm_ceiling_ms": min(case.ceilings_ms, default=None),
         "growth": case.steps.growth,
@@ -187,6 +195,18 @@ def _case_summary(case: Case) -> dict[str, Any]:
             for steps, rows in sorted(case.rows.items())
         ],
     }
+
+
+def _margins_elsewhere(case: Case) -> dict[str, int | None]:
+    """Of the values tried, the last one up to which all were kept, by other physics, in steps."""
+    found: dict[str, int | None] = {}
+    lost: set[str] = set()
+    for steps, rows in sorted(case.rows.items()):
+        for place, physics in enumerate(rows[0].get("confirmed_on") or ()):
+            kept = all((row.get("confirmed_kept") or [False] * 9)[place] for row in rows)
+            lost |= set() if kept else {physics}
+            found[physics] = found.get(physics) if physics in lost else steps
+    return found
 
 
 def _probe_summary(case: Case, steps: int, rows: list[Row]) -> dict[str, Any]:

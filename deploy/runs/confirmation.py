@@ -1,0 +1,140 @@
+"""Whether a result holds on other physics: the same run on the other engine, and by Runge-Kutta.
+
+Controller, channel and hardware stay as they are; what differs is the rigid-body dynamics and how
+motion is integrated over a substep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from deploy.runs.judging.metrics import summarise
+from deploy.runs.run_data import RunData
+from deploy.runs.run_rows import Row, held
+from deploy.runs.run_rows import row as run_row
+from deploy.runs.simulate import attempt
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.configuration import PhysicsConfiguration
+from plant_emulator.physics.engines import ENGINES, engine_name
+
+CONFIRMATION = "confirmation"
+"""Key of `confirmations` in ``summary.json``."""
+NEAR_ZERO = 0.03
+"""Where verdicts differ, a smallest margin nearer to zero than this share of the bound is too near
+to call: either physics may be right."""
+
+CONFIRMATION_COLUMNS = {
+    "confirmed_on": "list<string>",
+    "confirmed_kept": "list<bool>",
+    "confirmed_margin_min": "list<double>",
+    "confirmed_error_difference_rad": "list<double>",
+}
+"""Names and Parquet types of what a row has of the same run on other physics, an entry each."""
+
+
+def check_confirmable(setup: Setup) -> None:
+    """Check that a scenario can be simulated on other physics.
+
+    Raises:
+        ScenarioError: its controller is a process of its own, or there is no other physics.
+    """
+    process = setup.scenario.controller.process
+    if process is not None:
+        raise ScenarioError(
+            f"--confirm: {setup.origin.of('controller.process')}: controller.process ="
+            f" {list(process)!r}: must be left out, as the run is simulated again in one process"
+        )
+    if not other_physics(setup):
+        raise ScenarioError(
+            "--confirm: no other physics is installed: pip install "
+            + " ".join(engine.distribution for engine in ENGINES.values())
+        )
+
+
+def other_physics(setup: Setup) -> dict[str, Setup]:
+    """The scenario on every other physics that is installed, by what to call that."""
+    own, found = _physics_name(setup), {}
+    for name, engine in ENGINES.items():
+        for integrator in engine.integrators if engine.is_installed else ():
+            physics = PhysicsConfiguration.model_validate(
+                {"engine": name, "integrator": integrator}
+            )
+            plant = setup.scenario.plant.model_copy(update={"physics": physics, "gui": False})
+            other = replace(setup, scenario=setup.scenario.model_copy(update={"plant": plant}))
+            found[_physics_name(other)] = other
+    return {name: other for name, other in found.items() if name != own}
+
+
+def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Row:
+    """The row of a run, with what came of the same run on other physics.
+
+    Args:
+        setup: the scenario, which is simulated again.
+        data: the run.
+        summary: what `summarise` says of it.
+    """
+    values = run_row(dict(summary), setup.scenario.seed)
+    values |= {name: [] for name in CONFIRMATION_COLUMNS}
+    for name, other in other_physics(setup).items():
+        run = attempt(other).data()
+        found = run_row(summarise(run), setup.scenario.seed)
+        values["confirmed_on"].append(name)
+        values["confirmed_kept"].append(held(found))
+        values["confirmed_margin_min"].append(found["margin_min"])
+        values["confirmed_error_difference_rad"].append(_error_difference_rad(data, run))
+    return values
+
+
+def confirmation_of(data: RunData) -> list[dict[str, Any]]:
+    """`confirmations` of one run."""
+    return confirmations([confirmed_row(data.setup, data, summarise(data))])
+
+
+def confirmations(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """What rows say together, by scenario, law and other physics, ready for JSON.
+
+    Rows without `CONFIRMATION_COLUMNS`, as of failed runs, are left out.
+    """
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    for row in rows:
+        for place, physics in enumerate(row.get("confirmed_on") or ()):
+            kept, margin, difference = (row[name][place] for name in list(CONFIRMATION_COLUMNS)[1:])
+            of = found.setdefault(
+                (row["scenario"], row["law"], physics),
+                {"runs": 0, "agree": 0, "too_near": 0, "differ": 0,
+                 "margin_difference": None, "error_difference_rad": None},
+            )  # fmt: skip
+            of["runs"] += 1
+            of[_agreement(held(row), row["margin_min"], kept, margin)] += 1
+            if margin is not None and row["margin_min"] is not None:
+                apart = abs(margin - row["margin_min"])
+                of["margin_difference"] = max(apart, of["margin_difference"] or 0.0)
+            if difference is not None:
+                of["error_difference_rad"] = max(difference, of["error_difference_rad"] or 0.0)
+    keys = ("scenario", "law", "physics")
+    return [{**dict(zip(keys, key, strict=True)), **values} for key, values in found.items()]
+
+
+def _agreement(kept: bool, margin: float | None, other: bool, its_margin: float | None) -> str:
+    if kept == other:
+        return "agree"
+    known = [abs(each) for each in (margin, its_margin) if each is not None]
+    return "too_near" if min(known, default=1.0) < NEAR_ZERO else "differ"
+
+
+def _error_difference_rad(run: RunData, other: RunData) -> float | None:
+    """Largest difference of the true errors, while both runs lasted, rad."""
+    ticks = min(len(run.true_errors_rad), len(other.true_errors_rad))
+    if not ticks:
+        return None
+    return float(np.abs(run.true_errors_rad[:ticks] - other.true_errors_rad[:ticks]).max())
+
+
+def _physics_name(setup: Setup) -> str:
+    plant = setup.scenario.plant
+    return f"{ENGINES[engine_name(plant)].title}, {plant.physics.integrator}"
