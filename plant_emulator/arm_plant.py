@@ -43,6 +43,7 @@ class ArmPlant:
     Attributes:
         mode: what the arm does; changes as `bus_schema.runtime.modes.TRANSITIONS` has it.
         stops_at: limits at which the arm has to be stopped safely.
+        physics: engine, version and integrator.
         torques: torques of the last substep.
         position: true joint positions, rad, shape (joints,).
         velocity: true joint velocities, rad/s, shape (joints,).
@@ -73,7 +74,9 @@ class ArmPlant:
         # Without faults, what is commanded is what the actuators are asked for.
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
-        self._arm = engine_in_force(configuration).arm_type(
+        engine = engine_in_force(configuration)
+        self.physics = f"{engine.title} {engine.version}, {configuration.physics.integrator}"
+        self._arm = engine.arm_type(
             ArmSpecification(
                 robot, grid, self.torques, configuration.physics.integrator,
                 configuration.payload_kg,

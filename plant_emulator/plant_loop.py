@@ -224,6 +224,7 @@ class PlantLoop:
             supervisor.announce(EventKind.STOPPED, "stopped on request")
         supervisor.announce(EventKind.COUNTS, json.dumps(counts))
         ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
+        ended["physics"] = self._arm.physics
         supervisor.announce(EventKind.ENDED, json.dumps(ended))
         self._telemetry.send(self._link)
 

@@ -25,6 +25,8 @@ import bus_schema.runtime.compiled  # noqa: F401  (chooses NUMBA_CACHE_DIR)
 from bus_schema.arrays import Vector
 from bus_schema.runtime import realtime
 from bus_schema.runtime.clock import MonotonicClock
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.physics.engines import ENGINES, engine_name
 
 Status = Literal["ok", "limited", "missing"]
 
@@ -59,7 +61,7 @@ def examine() -> list[Finding]:
     """Look at this machine; takes a few seconds and changes none of its settings."""
     return [
         _python(),
-        _package("pybullet", "pybullet", "pybullet", "there is no plant to run"),
+        *map(_engine, ENGINES),
         _package("pinocchio", "pin", "pinocchio", "laws that use a model of the arm cannot run"),
         _package("Zenoh", "eclipse-zenoh", "zenoh", "no run over Zenoh; simulate still works"),
         _loopback(),
@@ -113,6 +115,18 @@ def _package(name: str, distribution: str, module: str, cost: str) -> Finding:
     except subprocess.TimeoutExpired:
         return Finding(name, "missing", f"{version}, does not load within a minute", cost)
     return Finding(name, "ok", version, cost)
+
+
+def _engine(name: str) -> Finding:
+    """A physics engine; the other one can take its place."""
+    engine = ENGINES[name]
+    cost = f"no run with plant.physics.engine={name}, and --confirm has one physics less"
+    if not engine.is_installed:
+        return Finding(
+            engine.title, "limited", f"{engine.distribution} is not installed", f"{cost}; the"
+            f" engine of scenarios that name none is {engine_name(PlantConfiguration())}",
+        )  # fmt: skip
+    return _package(engine.title, engine.distribution, engine.distribution, cost)
 
 
 def _loopback() -> Finding:

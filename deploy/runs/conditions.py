@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.runs.run_data import RunData
 from deploy.scenario.setup import Setup
+from plant_emulator.physics.engines import physics_text
 
 Conditions = dict[str, str]
 """Sentences or numbers with their unit, by what they tell of."""
@@ -30,6 +33,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         **provenance_of(manifest),
         "scenario": scenario.name,
         "law": ", ".join(laws),
+        "physics": ", ".join(dict.fromkeys(physics_text(s.scenario.plant) for s in setups)),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"joints off by {start} rad",
         "seeds": str(scenario.seed),
@@ -47,6 +51,8 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
         manifest: ``manifest.json`` of the folder; empty where there is none.
     """
     conditions = {**conditions_of_runs([run.setup], manifest), "law": run.controller}
+    if physics := run.last_values(Role.PLANT, EventKind.ENDED).get("physics"):
+        conditions["physics"] = physics
     if run.clock == "realtime" and not manifest.get("realtime"):
         conditions["granted"] = _GRANTED_IN_SILENCE
     return conditions

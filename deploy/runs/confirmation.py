@@ -20,7 +20,7 @@ from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.configuration import PhysicsConfiguration
-from plant_emulator.physics.engines import ENGINES, engine_name
+from plant_emulator.physics.engines import ENGINES, physics_text
 
 CONFIRMATION = "confirmation"
 """Key of `confirmations` in ``summary.json``."""
@@ -58,15 +58,15 @@ def check_confirmable(setup: Setup) -> None:
 
 def other_physics(setup: Setup) -> dict[str, Setup]:
     """The scenario on every other physics that is installed, by what to call that."""
-    own, found = _physics_name(setup), {}
+    own, found = physics_text(setup.scenario.plant), {}
     for name, engine in ENGINES.items():
         for integrator in engine.integrators if engine.is_installed else ():
             physics = PhysicsConfiguration.model_validate(
                 {"engine": name, "integrator": integrator}
             )
             plant = setup.scenario.plant.model_copy(update={"physics": physics, "gui": False})
-            other = replace(setup, scenario=setup.scenario.model_copy(update={"plant": plant}))
-            found[_physics_name(other)] = other
+            scenario = setup.scenario.model_copy(update={"plant": plant})
+            found[physics_text(plant)] = replace(setup, scenario=scenario)
     return {name: other for name, other in found.items() if name != own}
 
 
@@ -133,8 +133,3 @@ def _error_difference_rad(run: RunData, other: RunData) -> float | None:
     if not ticks:
         return None
     return float(np.abs(run.true_errors_rad[:ticks] - other.true_errors_rad[:ticks]).max())
-
-
-def _physics_name(setup: Setup) -> str:
-    plant = setup.scenario.plant
-    return f"{ENGINES[engine_name(plant)].title}, {plant.physics.integrator}"

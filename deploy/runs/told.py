@@ -22,6 +22,7 @@ _MAYBE = TypeAdapter(
 )
 _TRUTH = TypeAdapter(Annotated[bool, Field(strict=True)])
 _COUNTS = TypeAdapter(dict[str, Annotated[int, Field(strict=True, ge=0, lt=1 << 53)]])
+_TEXT = TypeAdapter(Annotated[str, Field(max_length=100)])
 _ANY = TypeAdapter(dict[str, Any])
 
 _CHANNEL = {
@@ -33,7 +34,7 @@ _CHANNEL = {
 _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {
         "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
-        "limits": _COUNTS,
+        "limits": _COUNTS, "physics": _TEXT,
     },
     EventKind.COUNTS: {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,

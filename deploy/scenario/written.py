@@ -19,6 +19,7 @@ from deploy.scenario.referenced_files import data_files
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import plain, set_value, to_yaml
 from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.physics.engines import engine_name
 
 _DIGITS = 8
 
@@ -48,7 +49,7 @@ def effective_values(setup: Setup) -> dict[str, Any]:
             update={
                 "controller": _with_gains(setup),
                 "limits": _with_limits(setup),
-                "plant": _with_drives(setup),
+                "plant": _plant_in_force(setup),
             }
         )
     )
@@ -132,8 +133,10 @@ def _with_limits(setup: Setup) -> LimitsConfiguration:
     return limits.model_copy(update=known)
 
 
-def _with_drives(setup: Setup) -> PlantConfiguration:
+def _plant_in_force(setup: Setup) -> PlantConfiguration:
     plant, drive = setup.scenario.plant, setup.drive
+    engine = plant.physics.model_copy(update={"engine": engine_name(plant)})
+    plant = plant.model_copy(update={"physics": engine})
     if not drive.is_active:
         return plant
     loop = {"stiffness_nm_rad": drive.stiffness_nm_rad, "damping_nm_s": drive.damping_nm_s}

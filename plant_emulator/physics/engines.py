@@ -7,6 +7,7 @@ A new engine is one class after `ArmPhysics`, one line here, and its name in
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module, metadata
 from importlib.util import find_spec
 from typing import cast
@@ -43,7 +44,7 @@ class PhysicsEngine:
 
     @property
     def version(self) -> str:
-        return metadata.version(self.distribution)
+        return _version(self.distribution)
 
     @property
     def arm_type(self) -> type[ArmPhysics]:
@@ -65,10 +66,18 @@ ENGINES = {
 DEFAULT_ENGINE = "bullet"
 
 
+_version = lru_cache(metadata.version)  # which reads files
+
+
 def engine_name(plant: PlantConfiguration) -> str:
     """Name of the engine in force: where a scenario names none, Bullet if it is installed."""
     is_there = ENGINES[DEFAULT_ENGINE].is_installed
     return plant.physics.engine or (DEFAULT_ENGINE if is_there else "mujoco")
+
+
+def physics_text(plant: PlantConfiguration) -> str:
+    """Engine and integrator in force."""
+    return f"{ENGINES[engine_name(plant)].title}, {plant.physics.integrator}"
 
 
 def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:

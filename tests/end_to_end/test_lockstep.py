@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -163,6 +164,22 @@ def test_run_with_a_loop_at_the_drives_equals_simulation_and_replay_bit_for_bit(
     assert run.code == 0, run.output
     commands = run.data.tables["joint_commands"]
     assert commands["position"].shape == commands["effort"].shape
+    assert run.digest == simulated(run.folder).digest
+    assert replay(run.data.setup, run.log).is_identical
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "runge_kutta_4"])
+def test_run_on_mujoco_equals_simulation_and_replay_bit_for_bit(
+    tmp_path: Path, integrator: str
+) -> None:
+    physics = settings(
+        duration_s=0.4, clock="lockstep", plant__physics__engine="mujoco",
+        plant__physics__integrator=integrator,
+        faults=[{"kind": "payload_picked_up", "payload_kg": 1, "at_s": 0.2}],
+    )  # fmt: skip
+    run = funnel_hil_here("run", "iiwa", *physics, out=tmp_path / "run")
+    assert run.code == 0, run.output
+    assert f"physics: MuJoCo {version('mujoco')}, {integrator}" in run.output
     assert run.digest == simulated(run.folder).digest
     assert replay(run.data.setup, run.log).is_identical
 

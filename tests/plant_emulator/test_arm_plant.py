@@ -18,6 +18,9 @@ PUSH = np.array([60.0, -250.0, -20.0])
 ROBOT = load_robot(find_urdf("paper_arm", Path()))
 
 
+pytestmark = pytest.mark.usefixtures("engine")
+
+
 class Bench:
     """An arm that is stepped through time."""
 

@@ -138,7 +138,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
+def bench(engine):
     """Makes benches, and frees their physics servers."""
     made = []
 

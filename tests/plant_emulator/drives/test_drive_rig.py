@@ -28,6 +28,9 @@ ENABLE_2 = [
 ]  # fmt: skip
 
 
+pytestmark = pytest.mark.usefixtures("engine")
+
+
 class ScriptedBus:
     """Gives one frame per tick of a clock that it moves itself."""
 

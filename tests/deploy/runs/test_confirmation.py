@@ -1,0 +1,93 @@
+"""Results on other physics."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from deploy.runs.confirmation import (
+    CONFIRMATION,
+    check_confirmable,
+    confirmation_of,
+    confirmations,
+    other_physics,
+)
+from deploy.runs.run_rows import read_rows
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+from tests.arms import INSTALLED
+
+BOTH = pytest.mark.skipif(len(INSTALLED) < 2, reason="needs pybullet beside MuJoCo")
+
+
+@BOTH
+@pytest.mark.parametrize("scenario", ["paper_arm", "iiwa", "panda", "paper_arm_can"])
+def test_shipped_arms_agree_to_a_tenth_of_a_microradian(scenario):
+    """Without compensation Euler against Euler differ by rounding that the loop keeps small."""
+    data = simulate(load_setup(scenario, ["duration_s=1", "metrics.from_s=0.5"])).data()
+    euler, runge_kutta = confirmation_of(data)
+    assert (euler["physics"], euler["agree"]) == ("MuJoCo, semi_implicit_euler", 1)
+    assert euler["error_difference_rad"] < 1e-7
+    # a rule of another order moves the arm by what the first-order one gets wrong
+    assert 1e-7 < runge_kutta["error_difference_rad"] < 1e-2
+
+
+def test_other_physics_are_all_but_the_one_in_force():
+    names = list(other_physics(load_setup("paper_arm", ["plant.physics.engine=mujoco"])))
+    assert names[-1] == "MuJoCo, runge_kutta_4"
+    assert "MuJoCo, semi_implicit_euler" not in names
+    assert len(names) == len(INSTALLED)
+
+
+def row(kept, margin, others):
+    on, its_kept, its_margins = zip(*others, strict=True)
+    return {
+        "scenario": "s", "law": "l", "completed": True, "error": None, "bounds_kept": kept,
+        "margin_min": margin, "confirmed_on": on, "confirmed_kept": its_kept,
+        "confirmed_margin_min": its_margins, "confirmed_error_difference_rad": [None] * len(on),
+    }  # fmt: skip
+
+
+def test_verdicts_that_differ_near_zero_are_too_near_to_call():
+    rows = [
+        row(True, 0.2, [("A", True, 0.1), ("B", False, -0.5)]),
+        row(True, 0.02, [("A", False, -0.1), ("B", True, 0.02)]),
+        {"scenario": "s", "law": "l", "error": "failed"},
+    ]
+    a, b = confirmations(rows)
+    assert (a["runs"], a["agree"], a["too_near"], a["differ"]) == (2, 1, 1, 0)
+    assert (b["runs"], b["agree"], b["too_near"], b["differ"]) == (2, 1, 0, 1)
+    assert a["margin_difference"] == pytest.approx(0.12)
+    assert b["margin_difference"] == pytest.approx(0.7)
+
+
+def test_controller_process_cannot_be_confirmed():
+    setup = load_setup("paper_arm")
+    controller = setup.scenario.controller.model_copy(update={"process": ("true",)})
+    foreign = replace(setup, scenario=setup.scenario.model_copy(update={"controller": controller}))
+    with pytest.raises(ScenarioError, match=r"--confirm: .*controller\.process = \['true'\]"):
+        check_confirmable(foreign)
+
+
+def test_simulate_and_report_keep_the_confirmation(funnel_hil, tmp_path):
+    words = ["simulate", "paper_arm", "--set", "duration_s=0.2", "--out", tmp_path / "run"]
+    _, shown = funnel_hil(*words, "--confirm")
+    assert "Confirmation on other physics" in shown
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert [each["agree"] for each in summary[CONFIRMATION]] == [1] * len(INSTALLED)
+    assert "Confirmation on other physics" in (tmp_path / "run/report.html").read_text()
+    funnel_hil("report", tmp_path / "run")
+    assert json.loads((tmp_path / "run/summary.json").read_text()) == summary
+
+
+def test_margin_names_the_margin_on_each_physics(funnel_hil, tmp_path):
+    words = ["--laws", "smc", "--duration", "0.3", "--resolution", "16", "--limit", "64"]
+    funnel_hil("margin", "paper_arm", *words, "--confirm", "--out", tmp_path / "m")
+    summary = json.loads((tmp_path / "m/summary.json").read_text())
+    (case,) = summary["cases"]
+    assert set(case["margin_on"].values()) == {case["margin"]}
+    assert sum(each["runs"] for each in summary[CONFIRMATION]) == summary["runs"] * len(INSTALLED)
+    assert all(
+        len(r["confirmed_on"]) == len(INSTALLED) for r in read_rows(tmp_path / "m/margin.parquet")
+    )
