@@ -8,3 +8,5 @@ from __future__ import annotations
 import mujoco
 
 __all__ = ["mujoco"]
+
+mujoco.set_mju_user_warning(lambda _: None)  # else it writes MUJOCO_LOG.TXT into the current folder
