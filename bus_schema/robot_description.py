@@ -13,7 +13,6 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.mjcf.as_urdf import as_urdf, is_mjcf
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
 from bus_schema.urdf.inertia import check_moved_masses, judge_inertias
 from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
@@ -120,8 +119,10 @@ def load_robot(
     text, root = _parse(path)
     left_out: list[str] = []
     try:
-        if is_mjcf(root):
-            root, left_out = as_urdf(root)
+        if root.tag == "mujoco":
+            from bus_schema.urdf.from_mjcf import urdf_from_mjcf  # which imports MuJoCo: 0.15 s
+
+            root, left_out = urdf_from_mjcf(root)
             text = ET.tostring(root, encoding="unicode")
         robot = _described(path, text, root, driven, repair=repair)
         return replace(robot, warnings=(*left_out, *robot.warnings))
@@ -191,7 +192,7 @@ def _parse(path: Path) -> tuple[str, ET.Element]:
         raise RobotDescriptionError(f"{path} does not exist") from error
     except (OSError, UnicodeDecodeError, ET.ParseError) as error:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
-    if root.tag != "robot" and not is_mjcf(root):
+    if root.tag not in ("robot", "mujoco"):
         raise RobotDescriptionError(
             f"{path} is no URDF, nor MJCF: its root element is <{root.tag}>"
         )

@@ -27,7 +27,7 @@ def check_urdf(root: ET.Element) -> None:
     Raises:
         RobotDescriptionError: they are not; the element and what is allowed are named.
     """
-    _check_depth(root)
+    check_depth(root)
     _check_expanded(root)
     _check_printable(root)
     _check_names("link", root.findall("link"))
@@ -64,12 +64,17 @@ def finite_number(owner: str, attribute: str, text: str) -> float:
     return value
 
 
-def _check_depth(root: ET.Element) -> None:
+def check_depth(root: ET.Element, deepest: int = _DEEPEST) -> None:
+    """Check that no more than so many elements lie within one another.
+
+    Raises:
+        RobotDescriptionError: more do.
+    """
     level: list[ET.Element] = [root]
-    for _ in range(_DEEPEST):
+    for _ in range(deepest):
         level = [child for element in level for child in element]
     if level:
-        raise RobotDescriptionError(f"must not be nested deeper than {_DEEPEST} elements")
+        raise RobotDescriptionError(f"must not be nested deeper than {deepest} elements")
 
 
 def _check_expanded(root: ET.Element) -> None:

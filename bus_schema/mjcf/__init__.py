@@ -1,1 +1,0 @@
-"""Arms described in MuJoCo's format, written as URDF."""

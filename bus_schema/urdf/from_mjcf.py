@@ -1,0 +1,325 @@
+"""MJCF (MuJoCo's format) as URDF: MuJoCo compiles the file, and its numbers are written down.
+
+MuJoCo sees neither what opens files nor what is only seen. What a URDF has no place for is left
+out with a warning (springs, damping), or refused (loops, ball joints).
+
+Importing this module imports MuJoCo, so import it where it is used.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Vector
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.mujoco_library import mujoco
+from bus_schema.urdf.checks import check_depth, shortened
+
+_DEEPEST = 200
+_MOST_ELEMENTS = 5000  # MuJoCo's time grows with their square: 1.5 s for 5000 bodies
+_NO_TREE = ("tendon", "equality", "deformable", "extension")
+_MACROS = ("include", "composite", "flexcomp", "replicate", "attach")
+_ONLY_SEEN = {
+    *("asset", "visual", "sensor", "contact", "keyframe", "size", "statistic", "custom"),
+    *("site", "camera", "light", "mesh", "material", "skin", "pair", "tendon", "equality", "flag"),
+}
+_LEFT_OUT = ("armature", "damping", "frictionloss", "stiffness")
+_NOT_FINITE = re.compile(r"[+-]?(nan(\(.*\))?|inf(inity)?)", re.IGNORECASE)
+_GEOM, _JOINT, _TARGET = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtTrn
+_SHAPES = {
+    _GEOM.mjGEOM_SPHERE: "sphere",
+    _GEOM.mjGEOM_ELLIPSOID: "sphere",
+    _GEOM.mjGEOM_BOX: "box",
+    _GEOM.mjGEOM_CYLINDER: "cylinder",
+    _GEOM.mjGEOM_CAPSULE: "cylinder",
+}
+"""Geoms with a simple shape, and the nearest that a URDF can show."""
+_Frame = tuple[Vector, Vector]
+"""A position (m), and how a frame is turned there (a quaternion)."""
+_KINDS = {_JOINT.mjJNT_HINGE: "revolute", _JOINT.mjJNT_SLIDE: "prismatic"}
+
+
+def urdf_from_mjcf(root: ET.Element) -> tuple[ET.Element, list[str]]:
+    """Write the same arm as a URDF.
+
+    Args:
+        root: the MJCF file; it is changed.
+
+    Returns:
+        The URDF, and warnings of what was left out of it.
+
+    Raises:
+        RobotDescriptionError: MuJoCo refuses it, or it has what no tree of such joints has.
+    """
+    _prepare(root)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            spec = mujoco.MjSpec.from_string(_one_element_a_line(root))
+            free = _reduce(spec)
+            model = spec.compile()
+    except RobotDescriptionError:
+        raise
+    except (ValueError, mujoco.FatalError) as error:
+        raise RobotDescriptionError(f"MuJoCo: {_reason(error, root)}") from error
+    urdf, efforts = ET.Element("robot", name=root.get("model", "mjcf")), _efforts(model)
+    ET.SubElement(urdf, "link", name="world")
+    origins = [np.zeros(3)]
+    for body in range(1, model.nbody):  # each after the one that carries it
+        origins.append(_write_body(urdf, model, body, origins, efforts))
+    return urdf, [f"MJCF: {each}" for each in (*free, *_left_out(model, efforts))]
+
+
+def _prepare(root: ET.Element) -> None:
+    """Drop what is only seen, and refuse what opens other files or grows."""
+    check_depth(root, _DEEPEST)
+    for found in (each for tag in _NO_TREE for part in root.findall(tag) for each in part):
+        raise RobotDescriptionError(
+            f"{_shown(found)}: must be left out, as only a tree of bodies can be emulated"
+        )
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in _ONLY_SEEN:
+                parent.remove(child)
+    for option in root.findall("option"):  # old files have some that MuJoCo refuses by now
+        option.attrib = {key: text for key, text in option.attrib.items() if key == "gravity"}
+    elements = list(root.iter())
+    if len(elements) > _MOST_ELEMENTS:
+        raise RobotDescriptionError(f"has {len(elements)} elements: at most {_MOST_ELEMENTS}")
+    for element in elements:
+        if element.tag in _MACROS or "file" in element.attrib:
+            raise RobotDescriptionError(
+                f"{_shown(element)} is not understood: write out what it stands for"
+            )
+        for name, text in element.attrib.items():
+            if any(_NOT_FINITE.fullmatch(part) for part in text.split()):
+                raise RobotDescriptionError(f"{name} of {_shown(element)} is no finite number")
+
+
+def _one_element_a_line(root: ET.Element) -> str:
+    """The text in which the n-th line holds the n-th element, so that MuJoCo's errors name it."""
+    for element in root.iter():
+        element.text = "\n" if len(element) else ""
+        for child in element:
+            child.tail = "\n" if child is not element[-1] else ""
+    return ET.tostring(root, encoding="unicode")
+
+
+def _reason(error: Exception, root: ET.Element) -> str:
+    """What MuJoCo says, with the element it says it of."""
+    said = " ".join(str(error).removeprefix("XML ").removeprefix("Error: ").split())
+    if (place := re.search(r" Element .*, line (\d+)$", said)) is None:
+        return said
+    return f"{said[: place.start()]}: {_shown(list(root.iter())[int(place[1]) - 1])}"
+
+
+def _shown(element: ET.Element) -> str:
+    """The tag that an element begins with."""
+    inside = " ".join(f"{name}={text!r}" for name, text in element.attrib.items())
+    return f"<{shortened(f'{element.tag} {inside}'.strip())}>"
+
+
+def _reduce(spec: Any) -> list[str]:
+    """Delete free bodies and all meshes; name all bodies and joints.
+
+    Returns:
+        Warnings of the free bodies.
+    """
+    bodies, free_joint = list(spec.worldbody.bodies), mujoco.mjtJoint.mjJNT_FREE
+    free = [each for each in bodies if free_joint in (joint.type for joint in each.joints)]
+    names = [f"body {shortened(body.name) or '(unnamed)'}" for body in free]
+    if free and len(free) == len(bodies):
+        allowed = "an arm must be fixed to the world"
+        raise RobotDescriptionError(f"{names[0]} has a free joint: {allowed}")
+    for body in free:
+        spec.delete(body)
+    unnamed = count(1)
+    for body in spec.bodies:
+        body.name = body.name or f"body_{next(unnamed)}"
+        for index, joint in enumerate(body.joints, start=1):
+            joint.name = joint.name or f"{body.name}_joint_{index}"
+            if joint.type not in _KINDS:
+                raise RobotDescriptionError(f"joint {shortened(joint.name)} must be hinge or slide")
+        for geom in list(body.geoms):
+            geom.material = ""
+            if geom.type not in _SHAPES or geom.meshname:
+                _require_weightless(spec.compiler.inertiafromgeom, body, geom)
+                spec.delete(geom)
+    for actuator in spec.actuators:
+        if actuator.trntype not in (_TARGET.mjTRN_JOINT, _TARGET.mjTRN_JOINTINPARENT):
+            raise RobotDescriptionError(f"actuator {shortened(actuator.name)!r} must drive a joint")
+    spec.compiler.fusestatic = spec.compiler.discardvisual = False
+    spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # which would simulate for long
+    return [f"{name} is free, and left out" for name in names]
+
+
+def _require_weightless(by_geoms: Any, body: Any, geom: Any) -> None:
+    """Refuse a geom that adds to the inertia of a body that moves, as no mesh file is read."""
+    mass = geom.density if math.isnan(geom.mass) else geom.mass
+    if mass == 0.0 or geom.type in (_GEOM.mjGEOM_PLANE, _GEOM.mjGEOM_HFIELD):
+        return
+    if body.explicitinertial and by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO:
+        return
+    carrier = body
+    while carrier is not None and not carrier.joints:
+        carrier = carrier.parent
+    if carrier is not None and by_geoms != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE:
+        raise RobotDescriptionError(
+            f"body {shortened(body.name)} has the inertia of a mesh: give it an <inertial> with"
+            ' mass and inertia, or its mesh mass="0"'
+        )
+
+
+def _efforts(model: Any) -> dict[int, float]:
+    """Largest torque (N m) or force (N) by joint that is driven; inf where the file has none.
+
+    A motor's is its largest control times its gear; where an actuator or a joint has a range of
+    forces, that limits it too. What other actuators make of their control is not known.
+    """
+    efforts: dict[int, float] = dict.fromkeys(() if model.nu else range(model.njnt), math.inf)
+    for actuator in map(model.actuator, range(model.nu)):
+        largest = abs(actuator.forcerange).max() if actuator.forcelimited[0] else math.inf
+        is_motor = not (actuator.gaintype[0] or actuator.biastype[0] or actuator.dyntype[0])
+        if is_motor and actuator.ctrllimited[0]:
+            largest = min(largest, abs(actuator.gainprm[0] * actuator.ctrlrange).max())
+        joint = int(actuator.trnid[0])
+        efforts[joint] = efforts.get(joint, 0.0) + abs(actuator.gear[0]) * largest
+    for joint in efforts:
+        if model.jnt_actfrclimited[joint]:
+            efforts[joint] = min(efforts[joint], abs(model.jnt_actfrcrange[joint]).max())
+    return efforts
+
+
+def _left_out(model: Any, efforts: dict[int, float]) -> Iterator[str]:
+    """Warnings of what has no place in the URDF."""
+    joints = [model.joint(joint) for joint in range(model.njnt)]
+    if passive := ", ".join(joint.name for joint in joints if joint.id not in efforts):
+        yield f"{passive}: no actuator drives them; they are held"
+    driven = [joint for joint in joints if joint.id in efforts]
+    if names := ", ".join(k for k in _LEFT_OUT if any(getattr(j, k).any() for j in driven)):
+        yield f"{names} of its joints are left out (plant.friction has the arm's)"
+    if names := ", ".join(f"body {model.body(i).name}" for i in model.body_gravcomp.nonzero()[0]):
+        yield f"gravcomp of {names} is left out: gravity pulls on all of it here"
+    if (gravity := model.opt.gravity.tolist()) != [0.0, 0.0, -9.81]:
+        shown = " ".join(f"{part:g}" for part in gravity)
+        yield f"its gravity {shown} is left out: it is 0 0 -9.81 here"
+
+
+def _write_body(
+    urdf: ET.Element, model: Any, body: int, origins: list[Vector], efforts: dict[int, float]
+) -> Vector:
+    """Write a body and the joints before it.
+
+    Args:
+        urdf: what they are added to.
+        model: the compiled model.
+        body: its number.
+        origins: those of links before it, each in the frame of its body.
+        efforts: largest torque (N m) or force (N) of the joints that are not held.
+
+    Returns:
+        The origin of its link, which is at the last of its joints.
+    """
+    name, carrier = model.body(body).name, model.body_parentid[body]
+    first, joints = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    parent, origin = model.body(carrier).name, np.zeros(3)
+    at, turn = model.body_pos[body] - origins[carrier], model.body_quat[body]
+    for index, joint in enumerate(map(model.joint, range(first, first + joints)), start=1):
+        at = at + _rotated(joint.pos - origin, turn)
+        link = name if index == joints else f"{name}_{index}"
+        _write_joint(urdf, joint, efforts.get(joint.id), (parent, link), (at, turn))
+        if link != name:  # which weighs nothing, and is refused should it have to move
+            ET.SubElement(urdf, "link", name=link)
+        parent, at, turn, origin = link, np.zeros(3), np.eye(4)[0], joint.pos
+    if not joints:
+        _connect(urdf, (f"{name}_fixed", "fixed"), (parent, name), (at, turn))
+    _write_link(ET.SubElement(urdf, "link", name=name), model, body, origin)
+    return origin
+
+
+def _write_joint(
+    urdf: ET.Element, joint: Any, effort: float | None, ends: tuple[str, str], frame: _Frame
+) -> None:
+    """Write a joint; one without an effort is held."""
+    (at, turn), (reference,) = frame, joint.qpos0
+    kind, limited = _KINDS[_JOINT(joint.type[0])], bool(joint.limited[0])
+    if kind == "prismatic":
+        at = at - reference * _rotated(joint.axis, turn)
+    else:
+        back, before, turn = np.zeros(4), turn, np.zeros(4)
+        mujoco.mju_axisAngle2Quat(back, joint.axis, -reference)
+        mujoco.mju_mulQuat(turn, before, back)
+        kind = kind if limited else "continuous"
+    if effort is None:
+        _connect(urdf, (joint.name, "fixed"), ends, (at, turn))
+        return
+    element = _connect(urdf, (joint.name, kind), ends, (at, turn))
+    ET.SubElement(element, "axis", xyz=_text(joint.axis))
+    limit = {"lower": joint.range[0], "upper": joint.range[1]} if limited else {}
+    if effort < math.inf:
+        limit["effort"] = effort
+    ET.SubElement(element, "limit", {key: _text(value) for key, value in limit.items()})
+
+
+def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None:
+    """Write the inertia of a body, and its geoms as they are seen."""
+    if model.body_mass[body] > 0.0:
+        inertial = ET.SubElement(link, "inertial")
+        _place(inertial, (model.body_ipos[body] - origin, model.body_iquat[body]))
+        ET.SubElement(inertial, "mass", value=_text(model.body_mass[body]))
+        moments = [*map(_text, model.body_inertia[body]), "0", "0", "0"]
+        names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        ET.SubElement(inertial, "inertia", dict(zip(names, moments, strict=True)))
+    for geom in np.flatnonzero(model.geom_bodyid == body):
+        visual = ET.SubElement(link, "visual")
+        _place(visual, (model.geom_pos[geom] - origin, model.geom_quat[geom]))
+        shape, size = _SHAPES[_GEOM(model.geom_type[geom])], model.geom_size[geom]
+        sizes = {
+            "box": {"size": _text(2.0 * size)},
+            "cylinder": {"radius": _text(size[0]), "length": _text(2.0 * size[1])},
+            "sphere": {"radius": _text(size[size > 0.0].mean())},
+        }
+        ET.SubElement(ET.SubElement(visual, "geometry"), shape, sizes[shape])
+
+
+def _rotated(vector: Vector, turn: Vector) -> Vector:
+    """A vector turned by a quaternion, by MuJoCo: NumPy's ``@`` depends on the CPU."""
+    found = np.zeros(3)
+    mujoco.mju_rotVecQuat(found, vector, turn)
+    return found
+
+
+def _connect(
+    urdf: ET.Element, named: tuple[str, str], ends: tuple[str, str], frame: _Frame
+) -> ET.Element:
+    """Add a joint of that name and type between two links."""
+    joint = ET.SubElement(urdf, "joint", name=named[0], type=named[1])
+    ET.SubElement(joint, "parent", link=ends[0])
+    ET.SubElement(joint, "child", link=ends[1])
+    _place(joint, frame)
+    return joint
+
+
+def _place(element: ET.Element, frame: _Frame) -> None:
+    """Write where a frame is, and how it is turned: as roll, pitch and yaw."""
+    at, turn = frame
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, turn)
+    _, xy, xz, _, yy, yz, zx, zy, zz = matrix
+    roll = math.atan2(zy, zz)
+    sine, cosine = math.sin(roll), math.cos(roll)
+    # Of what is left when it is turned back, so that all are exact where the pitch is 90 degrees.
+    yaw = math.atan2(sine * xz - cosine * xy, cosine * yy - sine * yz)
+    angles = np.array([roll, math.atan2(-zx, math.hypot(zy, zz)), yaw])
+    ET.SubElement(element, "origin", xyz=_text(at), rpy=_text(angles))
+
+
+def _text(values: Vector | float) -> str:
+    return " ".join(repr(float(each)) for each in np.atleast_1d(values))
