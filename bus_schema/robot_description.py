@@ -14,7 +14,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
-from bus_schema.urdf.inertia import check_moved_masses, judge_inertias
+from bus_schema.urdf.inertia import check_moved_masses, judge_inertias, massless_inertias
 from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
 from bus_schema.urdf.resolved import (
     attach_payload,
@@ -176,6 +176,11 @@ def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
         for name in long_axes(root)
         if name in moving
     ]
+    if massless := ", ".join(massless_inertias(root, moving)):
+        said.append(
+            f"{massless}: inertia without mass, which no body has: it counts all the same, as"
+            " the file has it"
+        )
     if missing := missing_meshes(root, path.parent):
         said.append(
             f"{len(missing)} mesh file(s) cannot be found or drawn, such as {missing[0]}: pictures"

@@ -79,6 +79,19 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
     return said
 
 
+def massless_inertias(root: ET.Element, moving: set[str]) -> list[str]:
+    """Names of moving links with a rotational inertia but no mass."""
+    still = standing_links(root, moving)
+    return [
+        name
+        for link in root.findall("link")
+        if (name := link.get("name", "")) not in still
+        and check_inertial(link) is not None
+        and mass_of(link) == 0.0
+        and any(inertia_of(link))
+    ]
+
+
 def standing_links(root: ET.Element, moving: set[str]) -> set[str]:
     """Names of the links that no moving joint carries."""
     carriers: dict[str, tuple[str, str]] = {}

@@ -8,7 +8,6 @@ import pytest
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from plant_emulator.physics.bullet.camera import ArmCamera
 from plant_emulator.physics.engines import ENGINES
 from tests.arms import INSTALLED, FreeArm
 
@@ -111,6 +110,15 @@ def test_odd_inertias_are_mended_for_every_engine_and_said(engine, load, izz, re
     assert inertia[0, 0] == pytest.approx(mended, abs=1e-8)
 
 
+def test_inertia_without_mass_is_called_odd(load):
+    """As two links of pybullet_data's panda have it."""
+    empty = inertial().replace('<mass value="2"/>', '<mass value="0"/>')
+    third = joint("mount", "b", "c", "fixed")
+    robot = load(two_links(second=third, c=empty))
+    assert [said for said in robot.warnings if said.startswith("c: inertia without mass")]
+    assert not load(two_links()).warnings
+
+
 @pytest.mark.parametrize("name", ["package://some_robot/arm.stl", "lost.stl", "arm.step"])
 def test_meshes_that_are_not_there_cost_one_line(load, name):
     shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
@@ -118,6 +126,9 @@ def test_meshes_that_are_not_there_cost_one_line(load, name):
     (said,) = robot.warnings
     assert "mesh" in said
     assert name in said
+    pytest.importorskip("pybullet")
+    from plant_emulator.physics.bullet.camera import ArmCamera
+
     with closing(ArmCamera(robot)) as camera:
         assert camera.render(np.zeros(2), 40, 30).shape == (30, 40, 3)
 
