@@ -81,7 +81,7 @@ def test_the_table_keeps_every_word_on_80_columns(findings: list[Finding]) -> No
 @pytest.mark.usefixtures("bare_machine")
 def test_a_bare_machine_is_told_the_cost_of_everything() -> None:
     findings = {finding.name: finding for finding in examine()}
-    missing = {"pybullet", "pinocchio", "Zenoh", "loopback TCP", "SocketCAN", "display"}
+    missing = {"Bullet", "MuJoCo", "pinocchio", "Zenoh", "loopback TCP", "SocketCAN", "display"}
     limited = {"numba cache", "working folder", "CPU cores", realtime.SCHEDULER}
     assert {name for name, finding in findings.items() if finding.status == "missing"} == missing
     assert limited <= {name for name, finding in findings.items() if finding.status == "limited"}
@@ -101,8 +101,8 @@ def test_an_installed_package_that_cannot_be_loaded_is_missing(
     (tmp_path / "pybullet.py").write_text("raise ImportError('libsomething.so.1')\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     found = {finding.name: finding for finding in examine()}
-    assert found["pybullet"].status == "missing"
-    assert "libsomething.so.1" in found["pybullet"].found
+    assert found["Bullet"].status == "missing"
+    assert "libsomething.so.1" in found["Bullet"].found
     assert found["Zenoh"].status == "ok"
 
 
