@@ -30,12 +30,10 @@ class JointPlaces:
         self.couples = bool(followers)
         self._joints, total = order.size, order.size + len(followers)
         # S has one number in each row: which joint moves this one, and how many times as far.
-        self._leader, self._factor, self._offset = (
-            np.empty(total, int),
-            np.ones(total),
-            np.zeros(total),
-        )
+        self._leader = np.empty(total, dtype=np.int64)
         self._leader[order] = np.arange(order.size)
+        self._factor: Vector = np.ones(total)
+        self._offset: Vector = np.zeros(total)
         for place, leader, multiplier, offset in followers:
             self._leader[place], self._factor[place] = leader, multiplier
             self._offset[place] = offset
