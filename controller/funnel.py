@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Vector, elementwise
 from bus_schema.runtime.compiled import compiled
 
 
@@ -35,7 +35,8 @@ class Funnel:
 
     def bounds(self, time_s: Vector) -> tuple[Vector, Vector]:
         """Upper and (negative) lower bound in rad at each time, shapes (times, joints)."""
-        decay = np.exp(-self.rate_per_s * np.asarray(time_s, dtype=np.float64))[:, None]
+        times = np.asarray(time_s, dtype=np.float64)
+        decay = elementwise(math.exp, -self.rate_per_s * times)[:, None]
         upper = (self.initial_upper_rad - self.final_rad) * decay + self.final_rad
         lower = (self.initial_lower_rad - self.final_rad) * decay + self.final_rad
         return upper, -lower

@@ -28,35 +28,41 @@ class JointPlaces:
     ) -> None:
         self.order = order
         self.couples = bool(followers)
-        joints, total = order.size, order.size + len(followers)
-        self._sorting = np.argsort(order)
-        self._spread: Matrix = np.zeros((total, joints))
-        self._spread[order, np.arange(joints)] = 1.0
+        self._joints, total = order.size, order.size + len(followers)
+        # S has one number in each row: which joint moves this one, and how many times as far.
+        self._leader = np.empty(total, dtype=np.int64)
+        self._leader[order] = np.arange(order.size)
+        self._factor: Vector = np.ones(total)
         self._offset: Vector = np.zeros(total)
         for place, leader, multiplier, offset in followers:
-            self._spread[place, leader] = multiplier
+            self._leader[place], self._factor[place] = leader, multiplier
             self._offset[place] = offset
         # Symmetric matrices have their upper triangle filled.
         self._upper = (np.minimum.outer(order, order), np.maximum.outer(order, order))
 
     def positions(self, position: Vector) -> Vector:
         """Positions of all joints in the library's order."""
-        if not self.couples:
-            return position[self._sorting]
-        return np.asarray(self._spread @ position + self._offset)
+        moved = self.rates(position)
+        return moved + self._offset if self.couples else moved
 
     def rates(self, values: Vector) -> Vector:
         """Velocities or accelerations of all joints in the library's order."""
-        return np.asarray(self._spread @ values) if self.couples else values[self._sorting]
+        moved = values[self._leader]
+        return moved * self._factor if self.couples else moved
 
     def torques(self, full: Vector) -> Vector:
         """Torques as the driven joints feel them, shape (joints,)."""
-        return np.ascontiguousarray(self._spread.T @ full if self.couples else full[self.order])
+        if self.couples:  # not by @, which rounds as BLAS does on this CPU
+            return np.asarray(np.bincount(self._leader, full * self._factor, self._joints), float)
+        return full[self.order]
 
     def square(self, full: Matrix) -> Matrix:
         """A matrix between velocities and torques, shape (joints, joints)."""
         if self.couples:
-            return np.asarray(self._spread.T @ full @ self._spread)
+            pairs = self._joints * self._leader[:, None] + self._leader
+            felt = self._factor[:, None] * full * self._factor
+            total = np.bincount(pairs.ravel(), felt.ravel(), self._joints**2)
+            return np.asarray(total, float).reshape(self._joints, self._joints)
         return np.ascontiguousarray(full[np.ix_(self.order, self.order)])
 
     def symmetric(self, full: Matrix) -> Matrix:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import pinocchio
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import ConfigurationError
+from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
 from controller.joint_places import JointPlaces
 from controller.rigid_bodies import RigidBodies
+from controller.rigid_bodies.vectors import invert, product
 
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
 
@@ -111,15 +115,14 @@ class ManipulatorModel:
         Raises:
             RobotDescriptionError: a joint has no inertia.
         """
-        try:
-            inverses = [np.linalg.inv(self.mass_matrix(position)) for position in positions]
-        except np.linalg.LinAlgError as error:
-            raise RobotDescriptionError(_NO_INERTIA) from error
-        felt = np.min([1.0 / np.diag(inverse) for inverse in inverses], axis=0)
+        inverses = np.empty((len(positions), self.joints, self.joints))
+        for position, inverse in zip(positions, inverses, strict=True):
+            invert(self.mass_matrix(position), inverse)
+        felt = (1.0 / np.diagonal(inverses, axis1=1, axis2=2)).min(axis=0)
         if not np.all(felt > 0.0) or not np.all(np.isfinite(felt)):
             raise RobotDescriptionError(_NO_INERTIA)
-        fastest = max(np.linalg.eigvals(inverse * felt).real.max() for inverse in inverses)
-        return np.asarray(felt / fastest)
+        # M⁻¹ diag(m) has the eigenvalues of the symmetric diag(√m) M⁻¹ diag(√m).
+        return np.asarray(felt / _largest_eigenvalue(inverses, np.sqrt(felt)))
 
     def largest_inertia(self, positions: Matrix, weights: Vector) -> float:
         """Largest eigenvalue of W M(q) W, W = diag(weights), over positions, kg m² × weight².
@@ -128,10 +131,7 @@ class ManipulatorModel:
             positions: shape (samples, joints), rad.
             weights: shape (joints,).
         """
-        weighted = [
-            weights[:, None] * self.mass_matrix(position) * weights for position in positions
-        ]
-        return float(np.linalg.eigvalsh(weighted).max())
+        return _largest_eigenvalue(map(self.mass_matrix, positions), weights)
 
     def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
         """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
@@ -170,14 +170,16 @@ class ManipulatorModel:
         )
         coriolis = pinocchio.computeCoriolisMatrix(self._model, self._data, position, velocity)
         change = places.rates(along_velocity) - velocity
-        return places.torques(torque + coriolis @ change)
+        return places.torques(torque + product(coriolis, change))
 
     def forward_dynamics(self, position: Vector, velocity: Vector, torque: Vector) -> Vector:
         """Acceleration under a torque, shape (joints,), rad/s²."""
         places = self._places
         if places.couples:
             load = self.inverse_dynamics(position, velocity, np.zeros(self.joints))
-            return np.asarray(np.linalg.solve(self.mass_matrix(position), torque - load))
+            inverse = np.empty((self.joints, self.joints))
+            invert(self.mass_matrix(position), inverse)
+            return product(inverse, torque - load)
         full = pinocchio.aba(
             self._model, self._data,
             places.positions(position), places.rates(velocity), places.rates(torque),
@@ -241,3 +243,9 @@ class ManipulatorModel:
     def _place(self, name: str) -> int:
         """Place of a joint in pinocchio's lists."""
         return int(self._model.joints[self._model.getJointId(name)].idx_v)
+
+
+def _largest_eigenvalue(matrices: Iterable[Matrix], weights: Vector) -> float:
+    """Of W M W over symmetric matrices M, W = diag(weights)."""
+    weighted = (weights[:, None] * matrix * weights for matrix in matrices)
+    return max(float(eigenvalues(each)[0].max()) for each in weighted)

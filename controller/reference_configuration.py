@@ -160,7 +160,7 @@ class CsvConfiguration(_Timed):
             ConfigurationError: the file does not hold one.
         """
         found = read_rows(self.file, robot)
-        powers = self.speed ** np.arange(3.0)
+        powers = np.array([1.0, self.speed, self.speed * self.speed])
         times, rows = found.times_s / self.speed, found.motion * powers[:, np.newaxis]
         warnings = found.warnings(robot, self.speed)
         if self.beyond == "refuse":

@@ -45,8 +45,10 @@ def _cache_folder() -> Path:
 
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder()))
+# Intel's vector functions, where they are installed, have other last bits on other CPUs.
+os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
-import numba  # noqa: E402  (reads its cache folder at import)
+import numba  # noqa: E402  (reads both at import)
 from llvmlite import binding  # noqa: E402
 from numba.core.caching import FunctionCache  # noqa: E402
 from numba.core.runtime.nrt import rtsys  # noqa: E402

@@ -7,8 +7,6 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 
-import numpy as np
-
 from bus_schema.errors import RobotDescriptionError
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
@@ -156,7 +154,7 @@ def _check_joint(joint: ET.Element) -> None:
     axis = joint.find("axis")
     if kind in MOVING_TYPES and axis is not None:
         direction = _vector(owner, "axis xyz", axis.get("xyz", "1 0 0"))
-        if not 1e-3 < np.linalg.norm(direction) < 1e3:
+        if not 1e-3 < math.hypot(*direction) < 1e3:
             given = f"axis xyz={shortened(axis.get('xyz', ''))!r} of {owner} is no direction"
             raise RobotDescriptionError(f"{given}; must be 0.001 to 1000 long, such as 0 0 1")
     for limit in joint.findall("limit"):

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import INERTIA, check_inertial, inertia_of, joint_ends, mass_of
 
@@ -40,7 +41,7 @@ def odd_inertias(root: ET.Element) -> list[OddInertia]:
     for link in root.findall("link"):
         if check_inertial(link) is None:
             continue
-        principal = np.linalg.eigvalsh(_tensor(link))
+        principal = _principal_moments(link)
         excess = _excess(principal)
         if excess > _ROUNDING or principal[0] < 0.0:
             found.append(OddInertia(link.get("name", ""), excess))
@@ -67,7 +68,7 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
             link = next(each for each in root.findall("link") if each.get("name") == odd.link)
             raise RobotDescriptionError(
                 f"link {odd.link} has principal moments of inertia"
-                f" {np.linalg.eigvalsh(_tensor(link)).tolist()}; none may be negative or exceed the"
+                f" {_principal_moments(link).tolist()}; none may be negative or exceed the"
                 " sum of the others (robot.repair: true raises the smaller ones until they do not)"
             )
         if odd.excess <= _ROUNDING:
@@ -123,12 +124,18 @@ def mend_inertias(root: ET.Element) -> None:
 
 
 def _mended(tensor: Matrix) -> Matrix:
-    moments, axes = np.linalg.eigh(tensor)
-    moments = np.maximum(moments, 0.0)
+    moments, axes = eigenvalues(tensor)
+    ascending = np.argsort(moments, kind="stable")
+    moments, axes = np.maximum(moments[ascending], 0.0), axes[:, ascending]
     lacking = moments[2] * (1.0 + 1e-9) - moments[0] - moments[1]
     if lacking > 0.0:
         moments[:2] += lacking / 2
-    return np.asarray(axes @ np.diag(moments) @ axes.T)
+    return np.asarray(((axes * moments)[:, None, :] * axes).sum(axis=2))
+
+
+def _principal_moments(link: ET.Element) -> Vector:
+    """In ascending order."""
+    return np.sort(eigenvalues(_tensor(link))[0])
 
 
 def _excess(principal: NDArray[np.floating]) -> float:

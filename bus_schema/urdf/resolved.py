@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
-
-import numpy as np
 
 from bus_schema.urdf.checks import MOVING_TYPES
 from bus_schema.urdf.inertia import mend_inertias
@@ -84,7 +83,7 @@ def long_axes(root: ET.Element) -> list[str]:
     return [
         joint.get("name", "")
         for joint in root.findall("joint")
-        if joint.get("type") in MOVING_TYPES and abs(np.linalg.norm(_axis(joint)) - 1.0) > 1e-3
+        if joint.get("type") in MOVING_TYPES and abs(math.hypot(*_axis(joint)) - 1.0) > 1e-3
     ]
 
 
@@ -112,7 +111,7 @@ def _complete_limits(joint: ET.Element, *, endless: bool) -> None:
 def _normalise_axis(joint: ET.Element) -> None:
     """Simulators multiply torques by the length of the axis, or divide by it."""
     axis, direction = joint.find("axis"), _axis(joint)
-    length = float(np.linalg.norm(direction))
+    length = math.hypot(*direction)
     if axis is not None and length != 1.0:
         axis.set("xyz", " ".join(repr(part / length) for part in direction))
 

@@ -58,7 +58,8 @@ class LinkPoses:
         self._turned[:, 3:] = _product(origins[:, 3:], axes)
         self._slid = np.zeros((len(moving), 7))
         self._slid[:, :3] = _rotated(origins[:, 3:], axes)
-        self._gains, self._offsets = _couplings(robot, [joint.get("name", "") for joint in moving])
+        names = [joint.get("name", "") for joint in moving]
+        self._leaders, self._factors, self._offsets = _couplings(robot, names)
 
     def moving_poses(self, position: Vector) -> Poses:
         """Poses of the moving links, shape (moving, 7).
@@ -66,7 +67,7 @@ class LinkPoses:
         Args:
             position: of the driven joints, shape (joints,), rad or m.
         """
-        travel = self._gains @ position + self._offsets
+        travel = position[self._leaders] * self._factors + self._offsets
         slide = np.where(self._slides, travel, 0.0)[:, None]
         half = 0.5 * (travel[:, None] - slide)
         poses: Poses = (
@@ -78,16 +79,19 @@ class LinkPoses:
         return poses
 
 
-def _couplings(robot: RobotDescription, moving: list[str]) -> tuple[Matrix, Vector]:
-    """Positions of moving joints as a matrix times those of the driven ones, plus an offset."""
-    gains, offsets = np.zeros((len(moving), robot.joints)), np.zeros(len(moving))
+def _couplings(
+    robot: RobotDescription, moving: list[str]
+) -> tuple[NDArray[np.int64], Vector, Vector]:
+    """Which driven joint moves each moving one, and with what factor and offset."""
+    leaders = np.zeros(len(moving), dtype=np.int64)
+    factors, offsets = np.ones(len(moving)), np.zeros(len(moving))
     for place, name in enumerate(robot.joint_names):
-        gains[moving.index(name), place] = 1.0
+        leaders[moving.index(name)] = place
     for follower in robot.followers:
         row = moving.index(follower.name)
-        gains[row, robot.joint_names.index(follower.leader)] = follower.multiplier
-        offsets[row] = follower.offset
-    return gains, offsets
+        leaders[row] = robot.joint_names.index(follower.leader)
+        factors[row], offsets[row] = follower.multiplier, follower.offset
+    return leaders, factors, offsets
 
 
 def _carried(joint: ET.Element) -> CarriedLink:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Vector, elementwise
 from controller.laws.fixed_time_model_based import FixedTimeModelBasedGains
 from controller.laws.fixed_time_neural import FixedTimeNeuralGains
 
@@ -58,5 +58,5 @@ def reaching_bound_s(gains: FixedTimeGains, largest_inertia: LargestInertia) -> 
 
 
 def _rate(gain: Vector, gamma: float, largest_inertia: LargestInertia) -> float:
-    weights = gain ** (-1.0 / (gamma + 1.0))
+    weights = elementwise(lambda k: math.pow(k, -1.0 / (gamma + 1.0)), gain)
     return float((2.0 / largest_inertia(weights)) ** ((gamma + 1.0) / 2.0))

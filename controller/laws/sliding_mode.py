@@ -126,7 +126,7 @@ def default_switching(inertia_kg_m2: Vector) -> Vector:
     grows more slowly than inertia, so light joints need more; factor and power are ours, from three
     arms of 0.0005 to 12 kg m².
     """
-    gains: Vector = 9.0 * inertia_kg_m2**-0.25
+    gains: Vector = 9.0 / np.sqrt(np.sqrt(inertia_kg_m2))
     return gains
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 
 Vec = tuple[float, float, float]
@@ -74,6 +74,18 @@ def turned(rotation: Matrix, axis: Vec, angle: float, out: Matrix) -> None:
         out[row, 0] = c * a + s * (b * z - e * y) + along * x
         out[row, 1] = c * b + s * (e * x - a * z) + along * y
         out[row, 2] = c * e + s * (a * y - b * x) + along * z
+
+
+@compiled
+def product(matrix: Matrix, vector: Vector) -> Vector:
+    """M v, each sum in the order of the columns; `@` rounds as BLAS does on this CPU."""
+    result = np.empty(matrix.shape[0])
+    for row in range(matrix.shape[0]):
+        total = 0.0
+        for column in range(matrix.shape[1]):
+            total += matrix[row, column] * vector[column]
+        result[row] = total
+    return result
 
 
 @compiled

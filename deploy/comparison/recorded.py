@@ -15,6 +15,7 @@ from controller.laws.custom import is_custom
 from deploy.comparison.comparison import Comparison, LawRun
 from deploy.comparison.folder import KIND as OF_LAWS
 from deploy.processes.recorder import DATA_ATTACHMENTS
+from deploy.runs.arithmetic import difference_of_arithmetic
 from deploy.runs.judging.known_ticks import tick_numbers
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData, stamps_s
@@ -86,6 +87,17 @@ class RecordedRuns:
     def manifests(self) -> list[dict[str, object]]:
         """``manifest.json`` of each run; empty where there is none."""
         return [read_manifest(path if path.is_dir() else path.parent) for path in self.paths]
+
+    @property
+    def differences_of_arithmetic(self) -> dict[str, str]:
+        """Why the last bits of a run may differ from the first one's, by its label."""
+        first, *others = zip(self.runs, self.manifests, strict=True)
+        said = {
+            run.law: difference_of_arithmetic(first[1], manifest)
+            for run, manifest in others
+            if run.summary["digest"] != first[0].summary["digest"]
+        }
+        return {label: sentence for label, sentence in said.items() if sentence}
 
 
 def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:

@@ -28,6 +28,7 @@ from deploy.processes.recorder import (
     RUN_METADATA,
     SCENARIO_ATTACHMENT,
 )
+from deploy.runs.arithmetic import libm_fingerprint
 from deploy.runs.new_folder import FolderLock, new_folder
 from deploy.runs.no_recording import no_recording
 from deploy.runs.run_data import RunData, build_run_data
@@ -37,7 +38,9 @@ from deploy.scenario.setup import Setup
 from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError, plain
 
-_LIBRARIES = ("funnel-hil", "eclipse-zenoh", "pybullet", "pin", "numpy", "numba", "rosbags", "mcap")
+_LIBRARIES = (
+    "funnel-hil", "eclipse-zenoh", "pybullet", "mujoco", "pin", "numpy", "numba", "rosbags", "mcap",
+)  # fmt: skip
 
 
 class RunFolderError(InputError):
@@ -232,6 +235,7 @@ def provenance() -> dict[str, Any]:
             "python": platform.python_version(),
         },
         "versions": {name: _version(name) for name in _LIBRARIES},
+        "arithmetic": {"libm": libm_fingerprint()},
     }
 
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Vector, elementwise
 from bus_schema.configuration import ConfigurationError, Number, StrictModel
 from bus_schema.errors import did_you_mean
 from deploy.scenario.yaml_files import override
@@ -82,7 +82,7 @@ class Draw(StrictModel):
     def _from_range(self, random: np.random.Generator, count: int) -> Vector:
         least, most = self.least or 0.0, self.most or 0.0  # `_check` has seen that both are given
         if self.distribution == "log_uniform":
-            return np.exp(random.uniform(math.log(least), math.log(most), count))
+            return elementwise(math.exp, random.uniform(math.log(least), math.log(most), count))
         return random.uniform(least, most, count)
 
 

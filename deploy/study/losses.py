@@ -84,6 +84,7 @@ def _effects(
     least_rank_sum = float((each * (each + 1) / 2).sum())
 
     def effects(losses: Vector) -> Vector:
+        # Exact in whatever order BLAS adds: ranks are halves, and losses whole numbers.
         return 2.0 * (ranks @ losses - least_rank_sum) / pairs - 1.0
 
     random = np.random.default_rng(_SHUFFLE_SEED)

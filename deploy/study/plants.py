@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from bus_schema.arrays import elementwise
 from bus_schema.configuration import Whole
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import (
@@ -183,7 +185,8 @@ def _aspects(name: str, draw: Draw, values: Any, own: Any) -> list[Measured]:
     if not least < np.min(own) <= np.max(own) < most:
         return [Measured(name, values)]
     if draw.distribution == "log_uniform":
-        distance = np.abs(np.log(values / np.sqrt(least * most)))
+        middle = math.sqrt(least * most)
+        distance = elementwise(lambda value: abs(math.log(value / middle)), values)
     else:
         distance = np.abs(values - 0.5 * (least + most))
     return [Measured(name, values), Measured(f"{name}, distance from mid-range", distance)]

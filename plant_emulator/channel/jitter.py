@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Vector, elementwise
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from plant_emulator.channel.random_numbers import endless
 
@@ -27,7 +27,8 @@ _PARETO_MEAN = 1.5
 _PARETO_DEVIATION = math.sqrt(0.75)
 _HERMITE_TERMS = 60
 _Z = np.linspace(-12.0, 12.0, 4801)
-_WEIGHTS = np.exp(-0.5 * _Z**2) / np.exp(-0.5 * _Z**2).sum()
+_DENSITY = elementwise(math.exp, -0.5 * _Z**2)
+_WEIGHTS = _DENSITY / _DENSITY.sum()
 
 
 def read_delays_ms(path: Path) -> Vector:
@@ -97,21 +98,27 @@ def copula_correlations(quantile: Quantile) -> tuple[Vector, Vector]:
     polynomials, the correlation of g(z_1) and g(z_2) is Σ c_k² ρ^k / Σ c_k², k ≥ 1 (Mehler).
     """
     normal = np.linspace(0.0, 1.0, 401)
-    values = np.array([quantile(z) for z in _Z.tolist()])
-    values -= _WEIGHTS @ values
-    variance = rest = float(_WEIGHTS @ values**2)
+    values = elementwise(quantile, _Z)
+    values -= _mean(values)
+    variance = rest = _mean(values**2)
     if variance <= 0.0:
         return normal, normal
-    drawn = np.zeros_like(normal)
+    drawn, power = np.zeros_like(normal), normal
     before, polynomial = np.zeros_like(_Z), np.ones_like(_Z)
     for k in range(1, _HERMITE_TERMS + 1):
         following = (_Z * polynomial - math.sqrt(k - 1) * before) / math.sqrt(k)
         before, polynomial = polynomial, following
-        share = float(_WEIGHTS @ (values * polynomial)) ** 2
-        drawn += share * normal**k
+        share = _mean(values * polynomial) ** 2
+        drawn += share * power
         rest -= share
-    drawn += max(rest, 0.0) * normal ** (_HERMITE_TERMS + 1)
+        power = power * normal
+    drawn += max(rest, 0.0) * power
     return drawn / drawn[-1], normal
+
+
+def _mean(values: Vector) -> float:
+    """Over the normal distribution, from values at `_Z`; not by @, whose bits depend on the CPU."""
+    return float((_WEIGHTS * values).sum())
 
 
 def _uniform(z: float) -> float:

@@ -11,10 +11,11 @@ from rich.console import Console
 from controller.laws.custom import is_custom
 from deploy.exit_codes import FAULT, FINISHED
 from deploy.reports.verdict import PARTIAL, damaged
+from deploy.runs.arithmetic import difference_of_arithmetic
 from deploy.runs.replay import Replay
 from deploy.runs.replay import replay as replay_run
 from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import load_run
+from deploy.runs.run_folder import load_run, provenance, read_manifest
 from deploy.scenario.yaml_files import ScenarioError, naming
 
 
@@ -33,7 +34,8 @@ def replay(
     _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
     with naming(run_dir):
         result = replay_run(data.setup, contents)
-    _show(result, data)
+    recorded = read_manifest(run_dir if run_dir.is_dir() else run_dir.parent)
+    _show(result, data, difference_of_arithmetic(recorded, provenance()))
     raise typer.Exit(FINISHED if result.is_identical and not data.damage else FAULT)
 
 
@@ -54,7 +56,7 @@ def _require_replayable(run_dir: Path, data: RunData, *, allow_custom_law: bool)
         )
 
 
-def _show(result: Replay, data: RunData) -> None:
+def _show(result: Replay, data: RunData, difference: str) -> None:
     console = Console()
     if data.damage:
         console.print(damaged(data.damage), markup=False)
@@ -66,6 +68,8 @@ def _show(result: Replay, data: RunData) -> None:
         console.print(f"the replay ended early: {result.failure}", markup=False, highlight=False)
     if not result.is_identical:
         console.print(f"[bold red]different[/] from command {result.first_difference} on")
+        if difference:
+            console.print(difference, markup=False, highlight=False)
         return
     until = " as far as can be read" if data.damage else " until it failed" * bool(result.failure)
     console.print(f"[bold green]identical[/]{until}")

@@ -43,6 +43,7 @@ def verdict_on_runs(compared: RecordedRuns) -> Verdict:
         f"{label}: {_parting_text(parting, compared.labels[0], every)}"
         for label, parting in zip(compared.labels[1:], compared.partings[1:], strict=True)
     ]
+    reasons += [f"{label}: {text}" for label, text in compared.differences_of_arithmetic.items()]
     reasons += recording_sentences(runs)
     differ = "value differs" if keys == 1 else "values differ"
     reasons.append(f"{keys or 'No'} {differ} between the scenarios.")

@@ -38,7 +38,8 @@ def power_spectrum(
         for stretch in stretches
         if len(stretch) >= length
     ])  # fmt: skip
-    power = (np.abs(np.fft.rfft(window * segments)) ** 2).mean(axis=0).T
+    spectra = np.fft.rfft(window * segments)
+    power = (spectra.real**2 + spectra.imag**2).mean(axis=0).T
     bins = np.arange(len(power))  # all but the first, and the last of an even length, stand for two
     sides = np.where((bins == 0) | (2 * bins == length), 1.0, 2.0)
     scale = sides[:, None] / (length * np.sum(window**2))

@@ -1,0 +1,54 @@
+"""Eigenvalues of symmetric matrices, the same bits on every CPU.
+
+LAPACK's are not: OpenBLAS picks its kernels by CPU, and each rounds in another order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.runtime.compiled import compiled
+
+_MOST_SWEEPS = 50
+"""Ten are plenty for the joints of an arm; a matrix with NaN needs an end too."""
+
+
+@compiled
+def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
+    """Eigenvalues of a symmetric matrix, in no order, and its unit eigenvectors as columns.
+
+    By Jacobi's rotations, row after row, until all that is off the diagonal is below rounding.
+    """
+    n = matrix.shape[0]
+    a, vectors = matrix.copy(), np.eye(n)
+    for _ in range(_MOST_SWEEPS):
+        is_diagonal = True
+        for p in range(n):
+            for q in range(p + 1, n):
+                off, first, last = abs(a[p, q]), abs(a[p, p]), abs(a[q, q])
+                if first + off == first and last + off == last:
+                    continue
+                is_diagonal = False
+                ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+                tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
+                c = 1.0 / math.sqrt(tangent * tangent + 1.0)
+                s = c * tangent
+                _rotate(a.T, p, q, c, s)
+                _rotate(a, p, q, c, s)
+                _rotate(vectors, p, q, c, s)
+                a[p, q] = a[q, p] = 0.0
+        if is_diagonal:
+            break
+    return np.diag(a).copy(), vectors
+
+
+@compiled
+def _rotate(matrix: Matrix, p: int, q: int, c: float, s: float) -> None:
+    """Turn columns p and q into each other."""
+    for k in range(matrix.shape[0]):
+        at_p, at_q = matrix[k, p], matrix[k, q]
+        matrix[k, p] = c * at_p - s * at_q
+        matrix[k, q] = s * at_p + c * at_q

@@ -1,0 +1,67 @@
+"""What may change the last bits of a run: the C library's functions, and versions of libraries."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import struct
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any
+
+_POINTS = 1000
+_DIGITS = 12
+_COMPUTING = ("pybullet", "mujoco", "pin", "numpy", "numba")
+"""Libraries whose numbers reach a torque; the others carry, store or show them."""
+
+# Each takes numbers between 0 and 1. glibc picks variants of them by CPU, with and without FMA.
+_FUNCTIONS: tuple[Callable[[float], float], ...] = (
+    lambda x: math.sin(20.0 * x),
+    lambda x: math.cos(20.0 * x),
+    lambda x: math.exp(20.0 * x - 10.0),
+    lambda x: math.log(x),
+    lambda x: math.tanh(4.0 * x),
+    lambda x: math.pow(3.0 * x, 1.4),
+    lambda x: math.atan2(x, 0.3),
+    lambda x: math.acos(x),
+    lambda x: math.cosh(4.0 * x),
+    lambda x: math.erf(2.0 * x),
+    lambda x: math.erfc(2.0 * x),
+    lambda x: math.log1p(-x),
+)
+
+
+@cache
+def libm_fingerprint() -> str:
+    """Hash of what this machine's C library computes, for Python, compiled code and physics."""
+    points = [(k + 0.5) / _POINTS for k in range(_POINTS)]
+    values = [function(x) for function in _FUNCTIONS for x in points]
+    return hashlib.sha256(struct.pack(f"<{len(values)}d", *values)).hexdigest()[:_DIGITS]
+
+
+def difference_of_arithmetic(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """A sentence on why two runs may differ in their last bits; empty for no known reason.
+
+    Args:
+        one: manifest of a run.
+        other: of the other; what either of them does not say counts for nothing.
+    """
+    pairs = [("libm", _libm(one), _libm(other))]
+    pairs += [(name, _version(one, name), _version(other, name)) for name in _COMPUTING]
+    found = [f"{name} {a} and {b}" for name, a, b in pairs if a and b and a != b]
+    if not found:
+        return ""
+    return f"The arithmetic differs ({', '.join(found)}), which alone may change the last bits."
+
+
+def _libm(manifest: Mapping[str, Any]) -> Any:
+    return _section(manifest, "arithmetic").get("libm")
+
+
+def _version(manifest: Mapping[str, Any], name: str) -> Any:
+    return _section(manifest, "versions").get(name)
+
+
+def _section(manifest: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    section = manifest.get(key)
+    return section if isinstance(section, Mapping) else {}

@@ -1,0 +1,174 @@
+"""The same bits whatever the CPU: its kernels of OpenBLAS and NumPy are chosen by environment."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from running import PATIENT, Finished, free_endpoint, settings
+
+from deploy.runs.arithmetic import libm_fingerprint
+from deploy.runs.run_rows import read_rows
+from tests.warm_process import HANG_S, ROOT
+
+SHORT = settings(duration_s=0.3, metrics__from_s=0, clock="lockstep")
+ANOTHER_LIBM = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
+
+
+def core_types() -> list[str]:
+    """Four kinds of CPU whose kernels of OpenBLAS run on this one."""
+    if platform.machine() == "aarch64":
+        return ["ARMV8", "CORTEXA57", "NEOVERSEN1", "THUNDERX2T99"]
+    if platform.machine() != "x86_64":
+        pytest.skip(f"no core types of OpenBLAS are known for {platform.machine()}")
+    has_avx2, has_avx512 = (level in simd_levels() for level in ("X86_V3", "X86_V4"))
+    recent = ["SkylakeX"] * has_avx512 + ["Haswell", "Sandybridge"] * has_avx2
+    return [*recent, "Nehalem", "Prescott"][:4]
+
+
+def simd_levels() -> list[str]:
+    """What NumPy uses beyond its baseline on this CPU, the least first."""
+    levels: list[str] = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    return levels
+
+
+def turkish(folder: Path) -> dict[str, str]:
+    """A Turkish locale: compiled here, or, without the means to, a name that is not installed."""
+    name = "tr_TR.UTF-8"
+    if shutil.which("localedef"):
+        words = ["localedef", "-i", "tr_TR", "-f", "UTF-8", str(folder / name)]
+        subprocess.run(words, capture_output=True, check=False)
+    return {"LC_ALL": name, "LANG": name, "LOCPATH": str(folder)}
+
+
+def start(words: list[str], environment: dict[str, str]) -> subprocess.Popen[str]:
+    """A Python that starts from nothing, with these variables beside those of the test."""
+    return subprocess.Popen(
+        [sys.executable, *words], cwd=ROOT, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+    )  # fmt: skip
+
+
+def funnel_hil(*words: str, **environment: str) -> Finished:
+    process = start(["-m", "deploy.cli", *words], environment)
+    output, errors = process.communicate(timeout=HANG_S)
+    return Finished(Path(), process.returncode, output + errors)
+
+
+@pytest.fixture(scope="module")
+def digests(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, list[str]]]:
+    """Digests of all cases by environment; each is another in more than one way, to save time."""
+    levels, cores = simd_levels(), core_types()
+    some, every = " ".join(levels[1:]), " ".join(levels)
+    environments: list[dict[str, str]] = [
+        {"OPENBLAS_CORETYPE": cores[0], "PYTHONHASHSEED": "1"},
+        {"OPENBLAS_CORETYPE": cores[1], "NPY_DISABLE_CPU_FEATURES": every, "PYTHONHASHSEED": "2"},
+        {"OPENBLAS_CORETYPE": cores[2], **turkish(tmp_path_factory.mktemp("locale"))},
+        {"OPENBLAS_CORETYPE": cores[3], "NPY_DISABLE_CPU_FEATURES": some},
+    ]
+    found = {}
+    for number, environment in enumerate(environments):
+        usable = os.sched_getaffinity(0)
+        if number == 0:  # one CPU alone
+            os.sched_setaffinity(0, {min(usable)})
+        try:
+            process = start(["tests/end_to_end/digest_cases.py"], environment)
+        finally:
+            os.sched_setaffinity(0, usable)
+        output, errors = process.communicate(timeout=HANG_S)
+        assert process.returncode == 0, errors
+        found[", ".join(map("=".join, environment.items()))] = json.loads(output)
+    return found
+
+
+def test_every_case_has_the_same_bits_in_every_environment(
+    digests: dict[str, dict[str, list[str]]],
+) -> None:
+    (first, expected), *others = digests.items()
+    assert len(expected) == 39
+    differing = [
+        f"{case}: {first} / {environment}"
+        for environment, found in others
+        for case in expected
+        if found[case] != expected[case]
+    ]
+    assert not differing, "\n".join(differing)
+
+
+def test_plant_controller_and_recorder_on_three_kinds_of_cpu_meet(
+    digests: dict[str, dict[str, list[str]]], tmp_path: Path
+) -> None:
+    at = settings(link__plant_endpoint=free_endpoint(), link__controller_endpoint=free_endpoint())
+    roles = (
+        ["plant", "--await-recorder"],
+        ["controller"],
+        ["record", "--out", str(tmp_path / "a")],
+    )
+    processes = [
+        start(
+            ["-m", "deploy.cli", role, "iiwa", *SHORT, *PATIENT, *at, *more],
+            {"OPENBLAS_CORETYPE": core},
+        )
+        for core, (role, *more) in zip(core_types(), roles, strict=False)
+    ]
+    try:
+        outputs = [process.communicate(timeout=HANG_S) for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    assert [process.returncode for process in processes] == [0, 0, 0], outputs
+    simulated = next(iter(digests.values()))["iiwa fixed_time_neural plain"]
+    assert Finished(tmp_path / "a", 0, "").digest == simulated[0]
+
+
+def test_a_study_begun_on_one_kind_of_cpu_grows_on_another(tmp_path: Path) -> None:
+    """Without noise the seed changes nothing, so that the runs of both have the same digest."""
+    study = {
+        "name": "grown", "scenario": "iiwa", "grid": {"plant.payload_kg": [0]},
+        "set": {"duration_s": 0.1, "metrics.from_s": 0},
+    }  # fmt: skip
+    for seeds, core in enumerate(core_types()[:2], start=1):
+        (tmp_path / "study.yaml").write_text(yaml.safe_dump({**study, "seeds": seeds}))
+        words = ["sweep", str(tmp_path / "study.yaml"), "--workers", "1"]
+        ended = funnel_hil(*words, "--out", str(tmp_path / "out"), OPENBLAS_CORETYPE=core)
+        assert ended.code == 0, ended.output
+    rows = read_rows(tmp_path / "out" / "sweep.parquet")
+    assert sorted(row["seed"] for row in rows) == [1, 2]
+    assert len({row["digest"] for row in rows}) == 1
+
+
+def test_replay_and_diff_name_another_libm(tmp_path: Path) -> None:
+    """As glibc has it on CPUs without AVX2 and FMA."""
+    short = ["iiwa", *settings(duration_s=0.3, metrics__from_s=0), "--no-report"]
+    there, here = tmp_path / "there", tmp_path / "here"
+    ended = [
+        funnel_hil("simulate", *short, "--out", str(there), **ANOTHER_LIBM),
+        funnel_hil("simulate", *short, "--out", str(here)),
+    ]
+    assert [each.code for each in ended] == [0, 0], ended
+    prints = [
+        json.loads((folder / "manifest.json").read_text())["arithmetic"]["libm"]
+        for folder in (there, here)
+    ]
+    if prints[0] == prints[1]:
+        pytest.skip("this C library has the same mathematics with and without FMA")
+    assert prints[1] == libm_fingerprint()
+    replayed = funnel_hil("replay", str(there))
+    compared = funnel_hil(
+        "diff", str(there), str(here), "--no-report", "--out", str(tmp_path / "d")
+    )
+    why = "The arithmetic differs (libm {} and {}), which alone may change the last bits."
+    assert replayed.code == 1
+    assert compared.code == 0
+    for each in (replayed, compared):
+        assert why.format(*prints) in " ".join(each.output.split())
+    assert "arithmetic differs" not in funnel_hil("replay", str(here)).output
