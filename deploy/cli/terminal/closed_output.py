@@ -54,7 +54,8 @@ def _outliving(stream: TextIO | None, number: int) -> TextIO:
     stream.flush()
     raw = _UntilClosed(number, "w", closefd=False)
     return io.TextIOWrapper(
-        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors,
+        io.BufferedWriter(raw), encoding=stream.encoding,
+        errors="replace" if stream.errors == "strict" else stream.errors,  # what is not in it
         line_buffering=number == 2 or stream.isatty(),
     )  # fmt: skip
 
