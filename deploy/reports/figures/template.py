@@ -37,7 +37,7 @@ def template() -> dict[str, Any]:
         text = pkgutil.get_data("plotly", "package_data/templates/plotly_white.json")
     except OSError:  # plotly has it elsewhere: loading and checking it takes longer
         text = None
-    plotlys = json.loads(text or pio.templates["plotly_white"].to_json())
+    plotlys = json.loads(text) if text else pio.templates["plotly_white"].to_plotly_json()
     return {"layout": _merged(plotlys["layout"], _OURS)}
 
 

@@ -91,7 +91,9 @@ TAKEN_AWAY = {
     "nothing": "",
     "cache and entry point": """
 import sys
-import numba.core.caching
+from bus_schema.runtime import kernel_cache
+kernel_cache.choose_folder()  # before numba looks
+import numba.core.caching, numba.experimental.function_type
 from numba.core.compiler import CompileResult
 del numba.core.caching.FunctionCache
 field = CompileResult.entry_point

@@ -2,6 +2,7 @@
 
 import json
 import pkgutil
+from types import SimpleNamespace
 
 import plotly.graph_objects as go
 import plotly.io as pio
@@ -69,7 +70,8 @@ def test_a_figure_has_no_template_where_plotly_names_its_default_otherwise(monke
         )
 
     templates = pio.templates
-    monkeypatch.setattr(pio, "templates", Renamed())
+    renamed = SimpleNamespace(templates=Renamed())
+    monkeypatch.setattr("deploy.reports.figures.template.pio", renamed)
     figure = without_template(lambda height: go.Figure(layout={"height": height}), 300)
     assert figure.to_plotly_json() == {"data": [], "layout": {"height": 300}}
     assert templates.default == "plotly"
