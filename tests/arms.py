@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-ARMS = (
-    "paper_arm",
-    "pybullet_data:kuka_iiwa/model.urdf",
-    "pybullet_data:franka_panda/panda.urdf",
+import pytest
+
+from bus_schema.urdf.resolved import pybullet_data
+
+ARMS = ("paper_arm", "iiwa", "panda")
+PYBULLET_DATA = next(iter(pybullet_data()), Path("pybullet_data"))
+"""Folder of more arms, where that package is installed."""
+needs_pybullet_data = pytest.mark.skipif(
+    not pybullet_data(), reason="pybullet_data is not installed: pip install 'funnel-hil[bullet]'"
 )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,7 @@ import pytest
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from controller.manipulator_model import ManipulatorModel
-
-DATA = Path(next(iter(importlib.util.find_spec("pybullet_data").submodule_search_locations)))
+from tests.arms import PYBULLET_DATA, needs_pybullet_data
 
 ARM = """
 <mujoco model="arm">
@@ -129,10 +127,11 @@ def test_joint_at_its_reference_is_where_the_file_draws_it(tmp_path: Path) -> No
     )
 
 
+@needs_pybullet_data
 @pytest.mark.parametrize("name", ["pusher", "inverted_pendulum", "inverted_double_pendulum"])
 def test_arms_of_pybullet_data_are_pinocchios(name: str, tmp_path: Path) -> None:
     """With their actuators left out, so that all joints move."""
-    path = DATA / "mjcf" / f"{name}.xml"
+    path = PYBULLET_DATA / "mjcf" / f"{name}.xml"
     text = path.read_text()
     start, end = text.index("<actuator>"), text.index("</actuator>") + len("</actuator>")
     text = text[:start] + text[end:]
@@ -145,14 +144,15 @@ def test_arms_of_pybullet_data_are_pinocchios(name: str, tmp_path: Path) -> None
     mass_matrices(tmp_path / "arm.xml", robot, robot.joint_names)
 
 
+@needs_pybullet_data
 def test_what_is_left_out_is_told(tmp_path: Path) -> None:
-    reacher = load_robot(DATA / "mjcf/reacher.xml")
+    reacher = load_robot(PYBULLET_DATA / "mjcf/reacher.xml")
     assert reacher.joint_names == ("joint0", "joint1")
     assert reacher.effort_limits_nm.tolist() == [200.0, 200.0]
     passive, left_out, *_ = reacher.warnings
     assert "target_x, target_y: no actuator" in passive
     assert "armature, damping" in left_out
-    striker = load_robot(DATA / "mjcf/striker.xml")
+    striker = load_robot(PYBULLET_DATA / "mjcf/striker.xml")
     assert any("body target is free" in each for each in striker.warnings)
     assert any("gravity 0 0 0" in each for each in striker.warnings)
 
