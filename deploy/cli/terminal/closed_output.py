@@ -44,7 +44,7 @@ def outlive_readers() -> None:
 def _outliving(stream: TextIO | None, number: int) -> TextIO:
     if stream is None:  # closed from the beginning
         _lead_nowhere(number)
-        return open(number, "w", closefd=False)
+        return open(number, "w", errors="replace", closefd=False)
     try:
         is_standard = stream.fileno() == number
     except (OSError, ValueError):
