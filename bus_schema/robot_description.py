@@ -191,7 +191,11 @@ def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
 
 def _parse(path: Path) -> tuple[str, ET.Element]:
     try:
-        text = expanded(path) if is_xacro(path) and path.is_file() else path.read_text()
+        text = (
+            expanded(path)
+            if is_xacro(path) and path.is_file()
+            else path.read_text(encoding="utf-8")
+        )
         root = ET.fromstring(text)
     except FileNotFoundError as error:
         raise RobotDescriptionError(f"{path} does not exist") from error

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-import pinocchio
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
@@ -16,6 +15,12 @@ from bus_schema.robot_description import RobotDescription
 from controller.joint_places import JointPlaces
 from controller.rigid_bodies import RigidBodies
 from controller.rigid_bodies.vectors import invert, product
+
+_fault = ""
+try:
+    import pinocchio
+except ImportError as error:  # pin 3.9.0 for one; commands that need no model of an arm go on
+    _fault = f"pinocchio cannot be imported ({error}): pip install --upgrade pin"
 
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
 
@@ -35,6 +40,8 @@ class ManipulatorModel:
     def __init__(
         self, robot: RobotDescription, *, scale: float = 1.0, payload_kg: float = 0.0
     ) -> None:
+        if _fault:
+            raise RobotDescriptionError(f"{robot.path}: {_fault}")
         try:
             urdf = robot.resolved_urdf(payload_kg / scale, "none")  # which is scaled back below
             self._model = pinocchio.buildModelFromXML(urdf)

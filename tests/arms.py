@@ -5,19 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.runtime.clock import TickGrid
+from bus_schema.urdf.resolved import pybullet_data
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engine import ArmSpecification
 from plant_emulator.physics.engines import ENGINES
 
-ARMS = (
-    "paper_arm",
-    "pybullet_data:kuka_iiwa/model.urdf",
-    "pybullet_data:franka_panda/panda.urdf",
+ARMS = ("paper_arm", "iiwa", "panda")
+PYBULLET_DATA = next(iter(pybullet_data()), Path("pybullet_data"))
+"""Folder of more arms, where that package is installed."""
+needs_pybullet_data = pytest.mark.skipif(
+    not pybullet_data(), reason="pybullet_data is not installed: pip install 'funnel-hil[bullet]'"
 )
 INSTALLED = [name for name, engine in ENGINES.items() if engine.is_installed]
 """Names of the physics engines that this Python has."""

@@ -26,8 +26,15 @@ class KeyFolder:
 
     @staticmethod
     def at(folder: str | Path) -> KeyFolder:
-        """The folder of this name; ``~`` is the home of the user."""
-        return KeyFolder(Path(folder).expanduser())
+        """The folder of this name; ``~`` is the home of the user.
+
+        Raises:
+            FileNotFoundError: the user has none.
+        """
+        try:
+            return KeyFolder(Path(folder).expanduser())
+        except RuntimeError as error:
+            raise FileNotFoundError(f"{folder}: {error}; an absolute path does without") from error
 
     @property
     def authority(self) -> Path:

@@ -47,7 +47,7 @@ def _load_typestore() -> Typestore:
     ):
         if file.name.endswith(".msg"):
             name = f"{PACKAGE}/msg/{file.name.removesuffix('.msg')}"
-            types.update(get_types_from_msg(file.read_text(), name))
+            types.update(get_types_from_msg(file.read_text(encoding="utf-8"), name))
     store.register(types)
     return store
 

@@ -21,7 +21,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, partial_path
 from bus_schema.recording.checked_records import CheckedRecords
-from bus_schema.recording.mcap_writer import QuickWriter
+from bus_schema.recording.mcap_writer import PlainWriter, QuickWriter, can_be_quick
 from bus_schema.recording.older_messages import Translate, translation
 
 logger = logging.getLogger(__name__)
@@ -68,7 +68,8 @@ class McapLog:
         os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE_BYTES)
         self._file = RecordFile(partial_path(path))
         chunk_size = int(min(max(bytes_per_s / 4, 1024), _LARGEST_CHUNK_BYTES))
-        self._writer = QuickWriter(cast("IO[bytes]", self._file), chunk_size)
+        writer = QuickWriter if can_be_quick() else PlainWriter
+        self._writer = writer(cast("IO[bytes]", self._file), chunk_size)
         self._writer.start(profile="ros2", library="funnel-hil")
         self._channels: dict[str, int] = {}
         self._in_file: Counter[str] = Counter()

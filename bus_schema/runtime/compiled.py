@@ -8,17 +8,17 @@ files that have kernels, which a test keeps.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
-import hashlib
 import logging
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import setitem
-from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 from bus_schema.arrays import Matrix
+from bus_schema.runtime import kernel_cache
 
 logger = logging.getLogger(__name__)
 HAS_SAID = "FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"
@@ -32,29 +32,23 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def _cache_folder() -> Path:
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    digest = hashlib.sha256()
-    sources = Path(__file__).resolve().parents[2]
-    for package in ("controller", "plant_emulator", "bus_schema"):
-        for source in sorted((sources / package).rglob("*.py")):
-            text = source.read_bytes()
-            if b"\n@compiled" in text:
-                digest.update(text)
-    return root / "funnel-hil" / "numba" / digest.hexdigest()[:16]
-
-
-os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_folder()))
+_is_kept = kernel_cache.choose_folder()
 # Intel's vector functions, where they are installed, have other last bits on other CPUs.
 os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
 import numba  # noqa: E402  (reads both at import)
 from llvmlite import binding  # noqa: E402
-from numba.core.caching import FunctionCache  # noqa: E402
-from numba.core.runtime.nrt import rtsys  # noqa: E402
+
+_Cache: Any = object
+with contextlib.suppress(ImportError):
+    # What numba keeps to itself; without it, loading takes longer, and all else is the same.
+    from numba.core.caching import FunctionCache
+    from numba.core.runtime.nrt import rtsys
+
+    _Cache = FunctionCache
 
 
-class _CompiledBefore(FunctionCache):
+class _CompiledBefore(_Cache):  # type: ignore[misc]
     """Machine code of one function, found without loading the compiler.
 
     numba prepares for compiling whenever it looks into its cache, which takes several times as long
@@ -62,13 +56,20 @@ class _CompiledBefore(FunctionCache):
     """
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        rtsys.initialize(target)  # what machine code may call
-        found = None
-        with self._guard_against_spurious_io_errors():
-            found = cast("Any", self)._load_overload(signature, target)
+        try:
+            rtsys.initialize(target)  # what machine code may call
+            found = self._load_overload(signature, target)
+        except (AttributeError, TypeError):  # of another version of numba
+            found = super().load_overload(signature, target)
         if found is None:
             say_that_it_compiles(logger.warning)
         return found
+
+    def save_overload(self, signature: Any, machine_code: Any) -> None:
+        try:
+            super().save_overload(signature, machine_code)
+        except OSError as error:
+            kernel_cache.report_refusal(f"a compiled kernel cannot be kept ({error})")
 
 
 def say_that_it_compiles(say: Callable[[str], None]) -> None:
@@ -81,7 +82,10 @@ def say_that_it_compiles(say: Callable[[str], None]) -> None:
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` at its first call, with IEEE semantics, and cache the machine code."""
     dispatcher = cast("Any", numba.njit(error_model="numpy")(function))
-    dispatcher._cache = cast("Any", _CompiledBefore)(function)
+    if _is_kept and _Cache is not object and hasattr(dispatcher, "_cache"):
+        dispatcher._cache = cast("Any", _CompiledBefore)(function)
+    elif _is_kept:
+        dispatcher.enable_caching()
     return cast("Callable[P, R]", dispatcher)
 
 
@@ -99,7 +103,11 @@ def bind(function: Callable[..., R], *fixed: Any, free: Sequence[str] = ()) -> C
     dispatcher, typeof = cast("Any", function), cast("Any", numba.typeof)
     types = (*map(typeof, fixed), *(getattr(numba.types, name) for name in free))
     dispatcher.compile(types)
-    return partial(dispatcher.overloads[types].entry_point, *fixed)
+    try:
+        entry = dispatcher.overloads[types].entry_point
+    except AttributeError:  # numba keeps it to itself: the usual way in takes twice as long
+        entry = dispatcher
+    return partial(entry, *fixed)
 
 
 def copying(source: Matrix, target: Matrix) -> Callable[[], None]:

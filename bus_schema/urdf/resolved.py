@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -13,6 +14,8 @@ PAYLOAD_LINK = "funnel_hil_payload"
 _UNLIMITED = {"lower": -1e6, "upper": 1e6, "effort": 1e6, "velocity": 1e6}
 _SHAPES = (".obj", ".stl", ".dae")
 """Mesh files that pybullet can draw."""
+_PYBULLET_DATA = "package://pybullet_data/"
+"""Meshes of shipped arms, which are there where that Python package is installed."""
 
 
 def resolve_joints(root: ET.Element, driven: set[str], followers: set[str]) -> None:
@@ -73,9 +76,22 @@ def name_files(root: ET.Element) -> None:
 
 
 def missing_meshes(root: ET.Element, base: Path) -> list[str]:
-    """Names of mesh files that are not there, or of a kind that cannot be drawn; each once."""
+    """Names of mesh files that are not there, or of a kind that cannot be drawn; each once.
+
+    Those of pybullet_data, which need not be installed, are not missed.
+    """
     names = dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh"))
-    return [name for name in names if not _is_drawable(_absolute(name, base))]
+    return [
+        name
+        for name in names
+        if not name.startswith(_PYBULLET_DATA) and not _is_drawable(_absolute(name, base))
+    ]
+
+
+def pybullet_data() -> list[Path]:
+    """The folder of the Python package pybullet_data; none where it is not installed."""
+    spec = importlib.util.find_spec("pybullet_data")
+    return [] if spec is None else [Path(each) for each in spec.submodule_search_locations or []]
 
 
 def long_axes(root: ET.Element) -> list[str]:
@@ -131,7 +147,7 @@ def _absolute(name: str, base: Path) -> str:
     if not name.startswith("package://"):
         return name if "://" in name or Path(name).is_absolute() else str(base / name)
     inside = Path(name.removeprefix("package://"))
-    for folder in (base, *base.parents):
+    for folder in (base, *base.parents, *pybullet_data()):
         for candidate in (folder / inside, folder / Path(*inside.parts[1:])):
             if candidate.is_file():
                 return str(candidate)

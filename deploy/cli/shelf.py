@@ -143,7 +143,7 @@ def _table(title: str | None, *columns: str) -> Table:
 def _first_sentence(file: Path) -> str:
     """What a shipped file says of itself first, in the comment at its top."""
     lines = []
-    for line in file.read_text().splitlines():
+    for line in file.read_text(encoding="utf-8").splitlines():
         if not line.startswith("#"):
             break
         lines.append(line.lstrip("# "))

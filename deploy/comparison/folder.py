@@ -90,7 +90,7 @@ class ComparisonFolder(ResultFolder):
         if law not in LAWS or not read_summary(folder.path).get("completed"):
             return None
         try:
-            same = folder.scenario.read_text() == portable_scenario(setup)
+            same = folder.scenario.read_text(encoding="utf-8") == portable_scenario(setup)
             return judged_again(law, folder.path) if same else None
         except (OSError, RunFolderError):
             return None

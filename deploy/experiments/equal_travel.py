@@ -125,7 +125,9 @@ def main() -> None:
     options = parser.parse_args()
     if not options.out.exists():
         found = search_all(options.scenario)
-        options.out.write_text(yaml.safe_dump(found, sort_keys=False, default_flow_style=None))
+        options.out.write_text(
+            yaml.safe_dump(found, sort_keys=False, default_flow_style=None), encoding="utf-8"
+        )
     found = read_yaml(options.out)
     print("As tuned on, 8 s:\n")
     print("\n".join(table(found, partial(tuning_setup, options.scenario))))

@@ -154,10 +154,10 @@ def _lost(outcome: Outcome) -> str:
 def main() -> None:
     """Write the table into the README."""
     logging.disable()
-    text = _README.read_text()
+    text = _README.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    _README.write_text(f"{before}{BEGIN}{table()}{END}{after}")
+    _README.write_text(f"{before}{BEGIN}{table()}{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

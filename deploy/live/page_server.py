@@ -171,7 +171,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 @cache
 def _page_file(name: str) -> str:
-    return resources.files("deploy.live").joinpath("page", name).read_text()
+    return resources.files("deploy.live").joinpath("page", name).read_text(encoding="utf-8")
 
 
 @cache

@@ -130,7 +130,7 @@ def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
         os.dup2(stream.fileno(), number)
         stream.close()
     sys.stdin = open(0, closefd=False)  # noqa: SIM115
-    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stdout = open(1, "w", errors="replace", closefd=False)  # noqa: SIM115
     sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)  # noqa: SIM115
     words = [*words, "--to-parent", str(os.getppid())]
     title = " ".join([sys.executable, "-m", PROGRAM, *words])

@@ -21,9 +21,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-import bus_schema.runtime.compiled  # noqa: F401  (chooses NUMBA_CACHE_DIR)
+import bus_schema.runtime.compiled  # noqa: F401  (chooses where kernels are kept)
 from bus_schema.arrays import Vector
-from bus_schema.runtime import realtime
+from bus_schema.runtime import kernel_cache, realtime
 from bus_schema.runtime.clock import MonotonicClock
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engines import ENGINES, engine_name
@@ -141,14 +141,11 @@ def _loopback() -> Finding:
 
 
 def _numba_cache() -> Finding:
-    folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    cost = (
-        "machine code is kept beside the sources, where it outlives their edits, or every process "
-        "compiles anew; set XDG_CACHE_HOME to a writable folder"
-    )
-    reason = _refusal_to_write(folder)
-    status: Status = "limited" if reason else "ok"
-    return Finding("numba cache", status, f"{_short(folder)} {reason or 'is writable'}", cost)
+    cost = "kernels are compiled again where they are not found, which takes up to half a minute"
+    if reason := os.environ.get(kernel_cache.REFUSED):
+        return Finding("numba cache", "limited", reason, cost)
+    folder = Path(os.environ[kernel_cache.FOLDER])
+    return Finding("numba cache", "ok", f"{_short(folder)} is writable", cost)
 
 
 def _disk_space() -> Finding:
@@ -282,5 +279,6 @@ def _reason(error: OSError) -> str:
 
 
 def _short(folder: Path) -> str:
-    home = Path.home()
-    return f"~/{folder.relative_to(home)}" if folder.is_relative_to(home) else str(folder)
+    home = os.environ.get("HOME")
+    inside = home and folder.is_relative_to(home)
+    return f"~/{folder.relative_to(home)}" if home and inside else str(folder)

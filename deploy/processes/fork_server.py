@@ -7,6 +7,7 @@ that has few threads whatever `run` has, it takes none.
 import contextlib
 import ctypes
 import gc
+import logging
 import os
 import signal
 import sys
@@ -23,7 +24,10 @@ if sys.platform == "linux":
 
 import numpy as np  # noqa: E402 (takes its time, in which the command may end)
 
+logging.disable()  # where kernels are kept, `run` itself says
 from bus_schema.runtime.compiled import HAS_SAID  # noqa: E402
+
+logging.disable(logging.NOTSET)
 from bus_schema.runtime.finite import all_finite  # noqa: E402
 
 has_said = HAS_SAID in os.environ

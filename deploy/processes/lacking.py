@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -37,7 +38,10 @@ def lacking(settings: Iterable[Mapping[str, Any]]) -> str:
 
 def remedy() -> str:
     """Commands that allow real-time runs to the user, to be copied; nothing is changed by it."""
-    user = getpass.getuser()
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user without an entry in /etc/passwd
+        user = str(os.getuid())
     return f"""\
 # Allows real-time runs to {user}, once and for all. To be run as root; then log in again.
 groupadd --force {_GROUP}

@@ -80,7 +80,7 @@ def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
 def tags_of(path: Path) -> list[str]:
     """Tags of a folder of results."""
     try:
-        told = json.loads((path / _TAGS).read_text())["tags"]
+        told = json.loads((path / _TAGS).read_text(encoding="utf-8"))["tags"]
     except (OSError, ValueError, KeyError, TypeError):
         return []
     return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []

@@ -43,7 +43,7 @@ def values_in_common(
         values.pop(key, None)
     values["robot.urdf"] = _arm(setup.robot.text)
     for key, file in data_files(setup.scenario).items():
-        values[key] = recorded[key] if key in recorded else file.read_text()
+        values[key] = recorded[key] if key in recorded else file.read_text(encoding="utf-8")
     return values
 
 

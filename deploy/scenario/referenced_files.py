@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from importlib import resources
 from pathlib import Path
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError, did_you_mean
 from bus_schema.link.configuration import LinkConfiguration
+from bus_schema.urdf.resolved import pybullet_data
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.definition import Scenario
@@ -33,9 +33,11 @@ def find_urdf(name: str, base: Path) -> Path:
         RobotDescriptionError: there is no such file.
     """
     if name.startswith(_PYBULLET_DATA):
-        spec = importlib.util.find_spec("pybullet_data")
-        folders = list(spec.submodule_search_locations or []) if spec is not None else []
-        candidates = [Path(folder) / name.removeprefix(_PYBULLET_DATA) for folder in folders]
+        candidates = [folder / name.removeprefix(_PYBULLET_DATA) for folder in pybullet_data()]
+        if not candidates:
+            raise RobotDescriptionError(
+                "the package pybullet_data is not installed; pip install 'funnel-hil[bullet]'"
+            )
     else:
         candidates = [base / name, ROBOTS / f"{name}.urdf"]
     for candidate in candidates:

@@ -95,7 +95,7 @@ def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
         arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
     found = {"robot.urdf": (arm, robot.portable_urdf())}
     for key, file in data_files(setup.scenario).items():
-        found[key] = (file, file.read_text())
+        found[key] = (file, file.read_text(encoding="utf-8"))
     return {key: (_name(file, text), text) for key, (file, text) in found.items()}
 
 

@@ -100,7 +100,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ScenarioError: it cannot be read, or holds something else.
     """
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
         if text.lstrip().startswith(_XML):
             raise ScenarioError(
                 f"{path}: must be a mapping of keys to values in YAML, and is XML: an arm in URDF"

@@ -41,7 +41,7 @@ def read_delays_ms(path: Path) -> Vector:
         ValueError: there is no such file, or it holds something else.
     """
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
     delays: list[float] = []

@@ -8,7 +8,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bus_schema.runtime import compiled  # noqa: F401 (says where the cache is)
+from bus_schema.runtime import compiled  # noqa: F401 (chooses where the cache is)
+from bus_schema.runtime.kernel_cache import FOLDER
 from controller.laws import LAWS
 
 SHORT = "duration_s=0.01"
@@ -17,7 +18,8 @@ OVER_CAN = ["link.kind=can", "link.can.interface=virtual", "rate_hz=500"]
 
 def main() -> None:
     """Simulate a few ticks with every law, with delay compensation, and over CAN."""
-    if Path(os.environ["NUMBA_CACHE_DIR"]).exists():
+    folder = os.environ.get(FOLDER)
+    if folder is None or any(Path(folder).iterdir()):
         return
     from deploy.runs.simulate import simulate
     from deploy.scenario.scenario import load_setup

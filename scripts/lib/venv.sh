@@ -1,8 +1,7 @@
 # shellcheck shell=bash
 # Sets up .venv in the repository. Sourced by scripts whose working folder is its root.
 
-# 3.11 comes first because pybullet has a ready wheel for it; elsewhere pip compiles pybullet,
-# which takes a C++ compiler and many minutes.
+# 3.11 comes first because pybullet has a wheel for it alone; with the others the plant runs on MuJoCo.
 PYTHON_CANDIDATES=(python3.11 python3 python3.12 python3.13 python3.14)
 
 # find_python: prints the path of a Python 3.11 or newer; PYTHON in the environment goes first.
@@ -51,17 +50,6 @@ remove_leftovers() {
   done
 }
 
-# say_if_pybullet_is_compiled: says so where there is no ready wheel of it for the Python in .venv.
-say_if_pybullet_is_compiled() {
-  local version
-  version=$(.venv/bin/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')
-  if [[ $version == 3.11 ]] || .venv/bin/python -c 'import pybullet' 2>/dev/null; then
-    return
-  fi
-  echo "There is no ready pybullet for Python $version: it is compiled now, which takes a C++ compiler"
-  echo "and many minutes, once. With Python 3.11 nothing is: PYTHON=python3.11 $0"
-}
-
 # while_it_lasts COMMAND...: runs it, and says every half minute (TOLD_EVERY_S) that it goes on.
 while_it_lasts() {
   local begun=$SECONDS told
@@ -97,7 +85,6 @@ ensure_venv() {
     return
   fi
   echo "Installing funnel-hil${extras:+[$extras]} into .venv (a minute or two at first)"
-  say_if_pybullet_is_compiled
   while_it_lasts .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-input \
     --editable ".${extras:+[$extras]}"
   echo "$state" >"$stamp"

@@ -63,14 +63,14 @@ def test_paper_arm_is_what_its_file_says():
 
 
 def test_kuka_iiwa_has_seven_joints_of_300_nm():
-    robot = arm("pybullet_data:kuka_iiwa/model.urdf")
+    robot = arm("iiwa")
     assert robot.joint_names == tuple(f"lbr_iiwa_joint_{i}" for i in range(1, 8))
     assert robot.effort_limits_nm.tolist() == [300.0] * 7
     assert robot.tip_link == "lbr_iiwa_link_7"
 
 
 def test_franka_panda_has_seven_joints_and_its_prismatic_fingers_are_fixed():
-    robot = arm("pybullet_data:franka_panda/panda.urdf")
+    robot = arm("panda")
     assert robot.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
     assert robot.effort_limits_nm.tolist() == [87.0] * 4 + [12.0] * 3
     assert 'type="prismatic"' in robot.path.read_text()

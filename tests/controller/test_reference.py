@@ -102,7 +102,7 @@ def test_path_just_within_reach_is_finite(distance):
 
 
 def test_cartesian_path_needs_a_yaw_pitch_pitch_arm():
-    kuka = load_robot(find_urdf("pybullet_data:kuka_iiwa/model.urdf", Path()))
+    kuka = load_robot(find_urdf("iiwa", Path()))
     with pytest.raises(ConfigurationError, match="three-joint arm"):
         ManipulatorModel(kuka).yaw_pitch_pitch_lengths()
 

@@ -15,7 +15,7 @@ from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 
-_ARMS = ("paper_arm", "pybullet_data:kuka_iiwa/model.urdf", "pybullet_data:franka_panda/panda.urdf")
+_ARMS = ("paper_arm", "iiwa", "panda")
 _VALUES = (
     "", "0", "-1", "1e308", "-1e308", "1e-308", "1e300", "nan", "inf", "-inf", "x", "0 0", "0 0 0",
     "1 0 0 0", "nan 0 0", "1e308 1e308 1e308", "0x10", "1,5", "1e9", "1e12", "1e-12", "0 0 1e-320",

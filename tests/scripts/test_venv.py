@@ -78,13 +78,3 @@ def test_a_long_installation_is_seen_to_go_on_and_its_failure_is_its_own(tmp_pat
     done = subprocess.run(["bash", "-c", command], capture_output=True, check=False, timeout=60)
     assert done.returncode == 3
     assert "still at it" in still.read_text()
-
-
-def test_a_python_for_which_pybullet_is_compiled_is_told_so_before(tmp_path: Path) -> None:
-    python = make(tmp_path / ".venv" / "bin" / "python")
-    python.write_text("#!/bin/bash\n[[ $2 == *version_info* ]] && echo 3.13\n")
-    python.chmod(0o755)
-    command = f"set -euo pipefail; source {VENV}; say_if_pybullet_is_compiled"
-    run = ["bash", "-c", command]
-    said = subprocess.run(run, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
-    assert "no ready pybullet for Python 3.13: it is compiled now" in said

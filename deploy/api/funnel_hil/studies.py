@@ -196,8 +196,8 @@ def _begun(
     place.mkdir(parents=True, exist_ok=True)
     file = place / "base" / f"{given.name}.yaml"
     text = given.to_yaml()
-    if not file.is_file() or file.read_text() != text:
+    if not file.is_file() or file.read_text(encoding="utf-8") != text:
         file.parent.mkdir(exist_ok=True)
-        file.write_text(text)
+        file.write_text(text, encoding="utf-8")
     study = build(file)
     return study, find_folder(study, place) or create_folder(study, place)

@@ -33,7 +33,7 @@ def write_long_arm(folder: Path, joints: int) -> Path:
         "reference": {"kind": "joint_sinusoids", "centre_rad": 0.1, "terms": [sinusoid]},
     }
     file = folder / "long_arm.yaml"
-    file.write_text(to_yaml(scenario))
+    file.write_text(to_yaml(scenario), encoding="utf-8")
     return file
 
 

@@ -59,7 +59,7 @@ def reference_columns(setup: Setup) -> dict[str, Vector]:
 
 
 def _write_csv(columns: dict[str, Vector], path: Path) -> None:
-    with path.open("w", newline="") as file:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows(np.column_stack(list(columns.values())).tolist())

@@ -58,7 +58,7 @@ def ros_package(
     try:
         (package / "msg").mkdir(parents=True, exist_ok=True)
         for file in messages:
-            write_whole(package / "msg" / file.name, file.read_text())
+            write_whole(package / "msg" / file.name, file.read_text(encoding="utf-8"))
         names = sorted(file.name for file in messages)
         write_whole(package / "package.xml", _package_xml())
         write_whole(package / "CMakeLists.txt", _cmake(names))

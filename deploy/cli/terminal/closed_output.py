@@ -44,7 +44,7 @@ def outlive_readers() -> None:
 def _outliving(stream: TextIO | None, number: int) -> TextIO:
     if stream is None:  # closed from the beginning
         _lead_nowhere(number)
-        return open(number, "w", closefd=False)
+        return open(number, "w", errors="replace", closefd=False)
     try:
         is_standard = stream.fileno() == number
     except (OSError, ValueError):
@@ -54,7 +54,8 @@ def _outliving(stream: TextIO | None, number: int) -> TextIO:
     stream.flush()
     raw = _UntilClosed(number, "w", closefd=False)
     return io.TextIOWrapper(
-        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors,
+        io.BufferedWriter(raw), encoding=stream.encoding,
+        errors="replace" if stream.errors == "strict" else stream.errors,  # what is not in it
         line_buffering=number == 2 or stream.isatty(),
     )  # fmt: skip
 

@@ -33,21 +33,25 @@ What = TypeVar("What")
 @cache
 def template() -> dict[str, Any]:
     """Plotly's own on white, with what is ours: as it stands in a figure's JSON."""
-    file = pkgutil.get_data("plotly", "package_data/templates/plotly_white.json")
-    if file is None:
-        raise FileNotFoundError("plotly's template plotly_white is not there")
-    return {"layout": _merged(json.loads(file)["layout"], _OURS)}
+    try:
+        text = pkgutil.get_data("plotly", "package_data/templates/plotly_white.json")
+    except OSError:  # plotly has it elsewhere: loading and checking it takes longer
+        text = None
+    plotlys = json.loads(text) if text else pio.templates["plotly_white"].to_plotly_json()
+    return {"layout": _merged(plotlys["layout"], _OURS)}
 
 
 def without_template(draw: Callable[[What], Drawn], what: What) -> Drawn:
     """What `draw` gives, where Plotly gives no figure its own template; for others it stays."""
-    # Not by `templates.default`, which would load and check the template that it is set to.
+    # `templates.default` would load and check the template that it is set to.
     templates: Any = pio.templates
-    before, templates._default = templates._default, None
+    name = "_default" if hasattr(templates, "_default") else "default"
+    before = getattr(templates, name)
+    setattr(templates, name, None)
     try:
         return draw(what)
     finally:
-        templates._default = before
+        setattr(templates, name, before)
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,11 +1,13 @@
 import io
 import struct
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from bus_schema.recording.mcap_writer import QuickWriter
+from bus_schema.recording.mcap_writer import PlainWriter, QuickWriter
 
 CHUNK_BYTES = 2000
 
@@ -18,6 +20,10 @@ def by_mcap(stream):
 
 def by_us(stream):
     return QuickWriter(stream, CHUNK_BYTES)
+
+
+def by_public_means(stream):
+    return PlainWriter(stream, CHUNK_BYTES)
 
 
 def written(open_writer, messages, files):
@@ -63,3 +69,47 @@ def test_a_number_without_room_leaves_the_chunk_as_it_was():
     before = len(stream.getvalue())
     writer.flush()
     assert len(stream.getvalue()) == before
+
+
+CONTENTS = """
+import sys
+from pathlib import Path
+from bus_schema.messages.topics import TOPICS
+from bus_schema.recording.mcap_log import McapLog, read_log
+from bus_schema.recording.mcap_writer import can_be_quick
+
+log = McapLog(Path(sys.argv[1]), bytes_per_s=8000)
+for number in range(200):
+    log.write(TOPICS[number % 2], number, number, number, bytes([number]) * 50)
+log.attach("scenario.yaml", "text/yaml", b"name: x")
+counts = log.written
+log.close()
+contents = read_log(Path(sys.argv[1]))
+assert contents.complete and not contents.damage and log.written == counts
+print(can_be_quick(), file=sys.stderr)
+print(sorted(counts.items()), contents.payloads, contents.sequences, contents.attachments)
+"""
+TAKEN_AWAY = {
+    "the module of chunks": "import mcap.writer, sys; sys.modules['mcap._chunk_builder'] = None",
+    "the writer's chunk": (
+        "import inspect, mcap.writer as own;"
+        "exec(inspect.getsource(own).replace('__chunk_builder', '__chunk'), vars(own))"
+    ),
+}
+
+
+def test_without_what_mcap_keeps_to_itself_a_recording_reads_back_the_same(tmp_path):
+    def contents(preamble):
+        words = [sys.executable, "-c", preamble + CONTENTS, tmp_path / "run.mcap"]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+        return done.stderr.strip(), done.stdout
+
+    is_quick, before = contents("")
+    assert is_quick == "True"
+    for preamble in TAKEN_AWAY.values():
+        assert contents(preamble) == ("False", before)
+
+
+def test_public_means_write_the_same_file():
+    messages = [(1 + number % 2, number, b"data", number, number) for number in range(9)]
+    assert written(by_public_means, messages, []) == written(by_us, messages, [])

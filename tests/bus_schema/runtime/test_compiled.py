@@ -81,6 +81,50 @@ def test_a_second_run_compiles_nothing_and_loads_no_compiler() -> None:
     assert second[2] == first[2]
 
 
+DIGEST = """
+from deploy.runs.simulate import simulate
+from deploy.scenario.scenario import load_setup
+
+print(simulate(load_setup("paper_arm", ["duration_s=0.05", "metrics.from_s=0"])).data().digest)
+"""
+TAKEN_AWAY = {
+    "nothing": "",
+    "cache and entry point": """
+import sys
+from bus_schema.runtime import kernel_cache
+kernel_cache.choose_folder()  # before numba looks
+import numba.core.caching, numba.experimental.function_type
+from numba.core.compiler import CompileResult
+del numba.core.caching.FunctionCache
+field = CompileResult.entry_point
+class NumbasAlone:
+    def __get__(self, result, owner):
+        if sys._getframe(1).f_globals["__name__"].startswith("bus_schema"):
+            raise AttributeError("entry_point")
+        return field.__get__(result, owner)
+CompileResult.entry_point = NumbasAlone()
+""",
+    "loading": """
+from numba.core.caching import Cache
+Cache._load = Cache._load_overload
+Cache.load_overload = lambda self, *arguments: self._load(*arguments)
+del Cache._load_overload
+""",
+}
+
+
+def test_without_what_numba_keeps_to_itself_the_digest_is_the_same() -> None:
+    digests = {
+        taken: subprocess.run(
+            [sys.executable, "-c", preamble + DIGEST],
+            capture_output=True, text=True, check=True, cwd=ROOT,
+        ).stdout
+        for taken, preamble in TAKEN_AWAY.items()
+    }  # fmt: skip
+    assert set(digests.values()) == {digests["nothing"]}
+    assert len(digests["nothing"].strip()) == 64
+
+
 KERNELS = """
 from bus_schema.runtime.compiled import compiled
 

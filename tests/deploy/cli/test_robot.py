@@ -7,6 +7,7 @@ from deploy.cli import app, main
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError
+from tests.arms import needs_pybullet_data
 
 XACRO = """<robot name="test" xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:property name="length" value="0.4"/>
@@ -80,7 +81,7 @@ def test_what_xacro_refuses_is_told_by_file(folder):
 
 def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
     picture = tmp_path / "arm.png"
-    arguments = ["robot", "pybullet_data:franka_panda/panda.urdf", "--picture", str(picture)]
+    arguments = ["robot", "panda", "--picture", str(picture)]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     for text in ("7 driven joints", "7 panda_joint7", "12 N m", "panda_finger_joint1", "held",
@@ -89,6 +90,7 @@ def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@needs_pybullet_data
 def test_robot_shows_followers_slides_and_warnings():
     for name, texts in {
         "xarm/xarm6_with_gripper.urdf": ("follows drive_joint", "triangle rule by 0.74 %"),
@@ -101,7 +103,9 @@ def test_robot_shows_followers_slides_and_warnings():
             assert text in result.output
 
 
-@pytest.mark.parametrize("name", ["nowhere.urdf", "pybullet_data:cube.urdf"])
+@pytest.mark.parametrize(
+    "name", ["nowhere.urdf", pytest.param("pybullet_data:cube.urdf", marks=needs_pybullet_data)]
+)
 def test_robot_refuses_with_exit_code_2(name, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["funnel-hil", "robot", name])
     with pytest.raises(SystemExit) as left:

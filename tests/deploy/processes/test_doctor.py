@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import pytest
 from rich.console import Console
 
-from bus_schema.runtime import realtime
+from bus_schema.runtime import kernel_cache, realtime
 from deploy.processes.doctor import Finding, examine, show
 
 WIDTH = 80
@@ -43,7 +43,7 @@ def bare_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 0))
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "/proc/nowhere/numba")
+    monkeypatch.setenv(kernel_cache.REFUSED, "no compiled kernels can be kept")
     monkeypatch.delenv("DISPLAY", raising=False)
 
 

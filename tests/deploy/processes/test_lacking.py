@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import io
+import os
+import pwd
 import subprocess
 
+import pytest
 from rich.console import Console
 
+from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
 from bus_schema.runtime import realtime
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
@@ -53,3 +57,15 @@ def test_fix_is_a_script_for_every_right_that_is_asked_for(funnel_hil):
     subprocess.run(["bash", "-n"], input=said, text=True, check=True)
     for part in ("rtprio 50", "memlock unlimited", "nice -10", "cpu_dma_latency", "limits.d"):
         assert part in said
+
+
+def test_user_without_a_name_or_a_home_gets_the_script_and_a_sentence(monkeypatch):
+    def missing(uid):
+        raise KeyError(uid)
+
+    monkeypatch.setattr(pwd, "getpwuid", missing)
+    for name in ("HOME", "LOGNAME", "USER", "LNAME", "USERNAME"):
+        monkeypatch.delenv(name, raising=False)
+    assert f"realtime {os.getuid()}\n" in remedy()
+    with pytest.raises(FileNotFoundError, match="an absolute path does without"):
+        KeyFolder.at(DEFAULT_FOLDER)

@@ -1,6 +1,8 @@
 """The looks that all figures have in common."""
 
 import json
+import pkgutil
+from types import SimpleNamespace
 
 import plotly.graph_objects as go
 import plotly.io as pio
@@ -47,3 +49,29 @@ def test_figures_of_others_keep_their_template():
         without_template(lambda divisor: 1 / divisor, 0)
     assert pio.templates.default == before == "plotly"
     assert go.Figure().layout.template.layout.to_plotly_json()
+
+
+def test_the_template_is_the_same_without_plotlys_file(monkeypatch):
+    before = template()
+
+    def is_elsewhere(package, resource):
+        raise FileNotFoundError(resource)
+
+    monkeypatch.setattr(pkgutil, "get_data", is_elsewhere)
+    assert template.__wrapped__() == before
+
+
+def test_a_figure_has_no_template_where_plotly_names_its_default_otherwise(monkeypatch):
+    class Renamed:
+        """Plotly's templates with their public name alone."""
+
+        default = property(
+            lambda _: templates.default, lambda _, name: setattr(templates, "default", name)
+        )
+
+    templates = pio.templates
+    renamed = SimpleNamespace(templates=Renamed())
+    monkeypatch.setattr("deploy.reports.figures.template.pio", renamed)
+    figure = without_template(lambda height: go.Figure(layout={"height": height}), 300)
+    assert figure.to_plotly_json() == {"data": [], "layout": {"height": 300}}
+    assert templates.default == "plotly"

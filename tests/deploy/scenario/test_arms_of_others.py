@@ -1,7 +1,6 @@
 """All arms of pybullet_data, and of example-robot-data where it is installed."""
 
 import importlib.metadata
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from bus_schema.robot_description import load_robot
 from deploy.cli.robot import at_rest
 from deploy.runs.simulate import simulate
 from deploy.scenario.yaml_files import ScenarioError
+from tests.arms import PYBULLET_DATA, needs_pybullet_data
 
 REASONS = (
     "cannot be read as URDF",
@@ -35,11 +35,10 @@ REASONS = (
 
 
 def pybullet_urdfs():
-    folder = Path(next(iter(importlib.util.find_spec("pybullet_data").submodule_search_locations)))
     # A thousand single objects of no joint: one of them stands for all.
     return [
         path
-        for path in sorted(folder.rglob("*.urdf"))
+        for path in sorted(PYBULLET_DATA.rglob("*.urdf"))
         if "random_urdfs" not in path.parts or path.name == "000.urdf"
     ]
 
@@ -74,13 +73,14 @@ def check_all(paths):
     return len(outcomes) - len(refused)
 
 
+@needs_pybullet_data
 def test_all_urdfs_of_pybullet_data_are_simulated_or_refused_with_the_reason():
     assert check_all(pybullet_urdfs()) >= 36
 
 
+@needs_pybullet_data
 def test_all_mjcf_files_of_pybullet_data_are_simulated_or_refused_with_the_reason():
-    folder = Path(next(iter(importlib.util.find_spec("pybullet_data").submodule_search_locations)))
-    assert check_all(sorted((folder / "mjcf").glob("*.xml"))) >= 8
+    assert check_all(sorted((PYBULLET_DATA / "mjcf").glob("*.xml"))) >= 8
 
 
 @pytest.mark.skipif(not example_urdfs(), reason="example-robot-data is not installed")

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
 from bus_schema.errors import RobotDescriptionError
+from bus_schema.robot_description import load_robot
 from deploy.runs.simulate import simulate
 from deploy.scenario import referenced_files, scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.arms import PYBULLET_DATA, needs_pybullet_data
 
 URDF = """<robot name="pendulum"><link name="base"/><link name="rod"><inertial>
   <origin xyz="0 0 -0.5"/><mass value="1"/>
@@ -61,3 +64,30 @@ def test_files_of_ones_own_are_found_by_their_path_from_anywhere(
     assert setup.scenario.plant.payload_kg == 1.0
     assert setup.robot.joint_names == ("pivot",)
     assert load_setup(str(own / "base.yaml")).scenario.name == "pendulum"
+
+
+@needs_pybullet_data
+@pytest.mark.parametrize(
+    ("name", "original"),
+    [("iiwa", "kuka_iiwa/model.urdf"), ("panda", "franka_panda/panda.urdf")],
+)
+def test_shipped_arm_is_the_one_of_pybullet_data_with_its_meshes(name: str, original: str) -> None:
+    shipped = load_robot(referenced_files.find_urdf(name, Path()))
+    theirs = load_robot(PYBULLET_DATA / original)
+    assert shipped.warnings == theirs.warnings == ()
+    for shapes in ("named", "drawable"):
+        meshes = shipped.resolved_urdf(shapes=shapes)
+        assert len(ET.fromstring(meshes).findall(".//mesh")) > 10
+        assert meshes == theirs.resolved_urdf(shapes=shapes)
+
+
+def test_without_pybullet_data_shipped_arms_are_no_odder_and_its_own_say_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for name in ("iiwa", "panda"):
+        robot = load_robot(referenced_files.find_urdf(name, Path()))
+        assert robot.warnings == ()
+        assert "<mesh" not in robot.resolved_urdf(shapes="drawable")
+    with pytest.raises(RobotDescriptionError, match=r"pip install 'funnel-hil\[bullet\]'"):
+        referenced_files.find_urdf("pybullet_data:cartpole.urdf", Path())

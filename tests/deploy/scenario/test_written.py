@@ -13,6 +13,7 @@ from deploy.runs.simulate import simulate
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.written import write_scenario
+from tests.arms import needs_pybullet_data
 
 ARM = find_urdf("paper_arm", Path()).read_text()
 
@@ -90,6 +91,7 @@ def test_a_time_to_judge_from_that_nobody_chose_follows_the_duration(tmp_path, f
     assert read_summary(first)["tracking"]["rms_rad"] != read_summary(second)["tracking"]["rms_rad"]
 
 
+@needs_pybullet_data
 def test_arm_of_mujocos_is_written_as_the_urdf_it_became(tmp_path):
     file = tmp_path / "reacher.yaml"
     file.write_text(

@@ -1,0 +1,88 @@
+"""Where kernels are kept on machines that refuse the usual folder."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import bus_schema
+
+ROOT = Path(bus_schema.__file__).parent.parent
+NO_PASSWORD_ENTRY = """
+import pwd
+def missing(uid):
+    raise KeyError(uid)
+pwd.getpwuid = missing
+"""
+LARGEST_FILE = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+"""
+KERNEL = """
+import subprocess, sys
+import numpy as np
+from bus_schema.runtime.finite import all_finite
+print(all_finite(np.zeros(1)), flush=True)
+if len(sys.argv) == 1:
+    sys.exit(subprocess.run([sys.executable, __file__, "child"]).returncode)
+"""
+
+
+def ran(tmp_path: Path, preamble: str = "", **environment: str | None) -> tuple[str, list[str]]:
+    """What a process and its child print, and what is said, with these variables."""
+    script = tmp_path / "script.py"
+    script.write_text(preamble + KERNEL)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir(exist_ok=True)
+    inherited = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "FUNNEL_HIL_KERNELS_ARE_KEPT_ELSEWHERE")
+    variables: dict[str, str | None] = {
+        **os.environ, **dict.fromkeys(inherited), "PYTHONPATH": str(ROOT), "TMPDIR": str(temporary),
+        **environment,
+    }  # fmt: skip
+    given = {name: value for name, value in variables.items() if value is not None}
+    done = subprocess.run(
+        [sys.executable, script], env=given, capture_output=True, text=True, check=True
+    )
+    return done.stdout, done.stderr.splitlines()
+
+
+def kept(tmp_path: Path) -> int:
+    folder = tmp_path / "temporary" / f"funnel-hil-{os.getuid()}"
+    return len(list(folder.rglob("finite.all_finite*.nbc")))
+
+
+@pytest.mark.parametrize("case", ["home not writable", "no home", "cache is a file"])
+def test_kernels_are_kept_in_a_temporary_folder_and_one_process_says_so(
+    tmp_path: Path, case: str
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    output, errors = {
+        "home not writable": lambda: ran(tmp_path, HOME="/proc/nowhere"),
+        "no home": lambda: ran(tmp_path, NO_PASSWORD_ENTRY, HOME=None),
+        "cache is a file": lambda: ran(tmp_path, XDG_CACHE_HOME=str(file)),
+    }[case]()
+    assert output == "True\nTrue\n"
+    assert len(errors) == 1
+    assert errors[0].startswith("no compiled kernels can be kept in the usual folder (")
+    assert kept(tmp_path) == 1
+
+
+def test_a_temporary_folder_that_others_can_write_to_is_not_used(tmp_path: Path) -> None:
+    folder = tmp_path / "temporary" / f"funnel-hil-{os.getuid()}"
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+    output, errors = ran(tmp_path, HOME="/proc/nowhere")
+    assert output == "True\nTrue\n"
+    assert len(errors) == 1
+    assert "every process compiles them anew" in errors[0]
+    assert kept(tmp_path) == 0
+
+
+def test_a_kernel_that_cannot_be_written_is_used_all_the_same(tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    output, errors = ran(tmp_path, LARGEST_FILE, XDG_CACHE_HOME=str(cache))
+    assert output == "True\nTrue\n"
+    assert [line.partition(" (")[0] for line in errors] == ["a compiled kernel cannot be kept"]
