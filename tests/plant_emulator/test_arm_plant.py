@@ -56,7 +56,7 @@ def bench():
 
 
 @pytest.mark.parametrize("payload_kg", [0.0, 5.0])
-@pytest.mark.parametrize("name", ["paper_arm", "pybullet_data:kuka_iiwa/model.urdf"])
+@pytest.mark.parametrize("name", ["paper_arm", "iiwa"])
 def test_brakes_hold_under_gravity(bench, name, payload_kg):
     robot = load_robot(find_urdf(name, Path()))
     start = np.resize(START, robot.joints)

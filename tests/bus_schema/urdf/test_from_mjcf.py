@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.mujoco_library import mujoco
 from bus_schema.robot_description import RobotDescription, load_robot
 from controller.manipulator_model import ManipulatorModel
+from tests.arms import PYBULLET_DATA, needs_pybullet_data
 
-DATA = Path(next(iter(importlib.util.find_spec("pybullet_data").submodule_search_locations)))
 TAKEN = ("ant", "pusher", "reacher", "striker", "thrower",
          "swimmer", "inverted_pendulum", "inverted_double_pendulum")  # fmt: skip
 
@@ -106,20 +105,22 @@ def test_arm_with_all_that_turns_and_weighs_moves_as_in_mujoco(tmp_path: Path) -
                      .replace('<mesh name="m" file="missing.stl"/>', ""))  # fmt: skip
 
 
+@needs_pybullet_data
 @pytest.mark.parametrize("name", TAKEN)
 def test_arms_of_pybullet_data_move_as_in_mujoco(name: str) -> None:
-    path = DATA / "mjcf" / f"{name}.xml"
+    path = PYBULLET_DATA / "mjcf" / f"{name}.xml"
     compare_dynamics(load_robot(path), path.read_text().replace('collision="predefined"', ""))
 
 
+@needs_pybullet_data
 def test_what_is_left_out_is_reported(tmp_path: Path) -> None:
-    reacher = load_robot(DATA / "mjcf/reacher.xml")
+    reacher = load_robot(PYBULLET_DATA / "mjcf/reacher.xml")
     assert reacher.joint_names == ("joint0", "joint1")
     assert reacher.effort_limits_nm.tolist() == [200.0, 200.0]
     passive, left_out, *_ = reacher.warnings
     assert "target_x, target_y: no actuator" in passive
     assert "armature, damping" in left_out
-    striker = load_robot(DATA / "mjcf/striker.xml")
+    striker = load_robot(PYBULLET_DATA / "mjcf/striker.xml")
     assert any("body target is free" in each for each in striker.warnings)
     assert any("gravity 0 0 0" in each for each in striker.warnings)
     floated = load(tmp_path, ARM.replace('<body name="slider"', '<body name="slider" gravcomp="1"'))
