@@ -10,6 +10,7 @@ import json
 
 import numpy as np
 
+from bus_schema.urdf.resolved import pybullet_data
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, load_setup
@@ -43,7 +44,9 @@ def cases() -> dict[str, tuple[str, ...]]:
                 f"controller.law={law}", COMPENSATED, *delays
             )  # fmt: skip
     for law in ("fixed_time_model_based", "smc"):
-        found[f"panda {law} mimic"] = (f"controller.law={law}", *MIMIC)
+        found[f"iiwa {law} on MuJoCo"] = (f"controller.law={law}", "plant.physics.engine=mujoco")
+        if pybullet_data():
+            found[f"panda {law} mimic"] = (f"controller.law={law}", *MIMIC)
     return found
 
 

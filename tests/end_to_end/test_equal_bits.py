@@ -93,7 +93,7 @@ def test_every_case_has_the_same_bits_in_every_environment(
     digests: dict[str, dict[str, list[str]]],
 ) -> None:
     (first, expected), *others = digests.items()
-    assert len(expected) == 39
+    assert len(expected) >= 39
     differing = [
         f"{case}: {first} / {environment}"
         for environment, found in others
