@@ -54,7 +54,9 @@ def move(
         if upcoming <= newest:
             now_ns = max(from_ns, commands.stamps_ns[upcoming % CAPACITY] + delay_ns)
     while now_ns < until_ns:
-        end_ns = min(now_ns + _STRETCH_NS, until_ns)
+        end_ns = now_ns + _STRETCH_NS
+        if end_ns > until_ns - _STEP_NS:  # what is left would not be worth terms of its own
+            end_ns = until_ns
         half_s = 0.5e-9 * (end_ns - now_ns)
         for i in range(joints):
             middle[1, i] = motion[1, i] + half_s * motion[2, i]
