@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bus_schema.arrays import Vector
+from bus_schema.arrays import Records, Vector
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.compiled import bind, compiled, copying
+from controller.compensation.arm_belief import ArmBelief
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import INERTIA, LAG, PAYLOAD
 from controller.control_law import ControlLaw, Diagnostics, Tracking
@@ -41,16 +43,12 @@ class ControlStatus:
         compensation: DelayCompensation | None,
     ) -> None:
         self._record = Record(topics.layout(topics.CONTROL_STATUS, joint_names))
-        self._law, self._compensation = law, compensation
+        self._law = law
         self.tracking_rows = self._record.rows(*Tracking.PUBLISHED)
         self._bind(law.diagnostics)
         for name in _LEARNED:
             self._record.fields[name][:] = np.nan
-        self._take_model = (
-            self._model_of(compensation)
-            if compensation is not None and compensation.identification.at_start[INERTIA] > 0.0
-            else None
-        )
+        self._take_learned = None if compensation is None else self._learned_by(compensation)
         self._cycle_started_ns = 0
 
     def encode(self, state: Record, cycle: int, sequence: int, started_ns: int) -> bytes:
@@ -71,10 +69,8 @@ class ControlStatus:
             self._bind(self._law.diagnostics)
         self._take_diagnostics()
         scalars.network_norm = self._network_norm[0]
-        if self._compensation is not None:
-            self._take_prediction(self._compensation)
-        if self._take_model is not None:
-            self._take_model()
+        if self._take_learned is not None:
+            self._take_learned()
         self._cycle_started_ns = started_ns
         scalars.timing_step_ns = time.perf_counter_ns() - started_ns
         return self._record.payload()
@@ -88,30 +84,30 @@ class ControlStatus:
             diagnostics.published, self._record.rows(*Diagnostics.PUBLISHED)
         )
 
-    def _take_prediction(self, compensation: DelayCompensation) -> None:
-        fields = self._record.fields
-        self._record.scalars.horizon_ns = compensation.timeline.horizon_ns
-        fields["foreseen_error"][:] = compensation.predicted.error
-        fields["learned_disturbance"][:] = compensation.belief.disturbance_nm
-        fields["learned_friction"][:] = compensation.belief.coulomb_nm
-
-    def _model_of(self, compensation: DelayCompensation) -> Callable[[], None]:
-        """Writes what was identified; one bound call costs a third of as many in Python."""
-        fields = self._record.fields
+    def _learned_by(self, compensation: DelayCompensation) -> Callable[[], None]:
+        """Writes what was predicted and learned: one bound call, a third of as many in Python."""
+        identification = compensation.identification
         return bind(
-            _write_model, compensation.identification.estimate, compensation.belief.viscous_nm_s,
-            fields["inertia_factor"], fields["payload_kg"], fields["actuator_lag_s"],
-            fields["learned_viscous"],
+            _write_learned, compensation.commands.state, compensation.predicted.error,
+            compensation.belief, identification.estimate,
+            bool(identification.at_start[INERTIA] > 0.0),
+            *(self._record.fields[name] for name in ("horizon_ns", *_LEARNED)),
         )  # fmt: skip
 
 
 @compiled
-def _write_model(
-    estimate: Vector, viscous: Vector,
-    inertia_factor: Vector, payload_kg: Vector, lag_s: Vector, learned_viscous: Vector,
+def _write_learned(
+    commands: Records, error: Vector, belief: ArmBelief, estimate: Vector, has_model: bool,
+    horizon_ns: NDArray[np.int64], foreseen_error: Vector, disturbance: Vector, friction: Vector,
+    viscous: Vector, inertia_factor: Vector, payload_kg: Vector, lag_s: Vector,
 ) -> None:  # fmt: skip
-    """Write θ as a message has it, the last four arguments."""
-    inertia_factor[0] = 1.0 + estimate[INERTIA]
-    payload_kg[0] = estimate[PAYLOAD]
-    lag_s[0] = estimate[LAG]
-    learned_viscous[:] = viscous
+    """Write it as a message has it, the last eight arguments."""
+    horizon_ns[0] = commands[0].horizon_ns
+    foreseen_error[:] = error
+    disturbance[:] = belief.disturbance_nm
+    friction[:] = belief.coulomb_nm
+    if has_model:
+        viscous[:] = belief.viscous_nm_s
+        inertia_factor[0] = 1.0 + estimate[INERTIA]
+        payload_kg[0] = estimate[PAYLOAD]
+        lag_s[0] = estimate[LAG]

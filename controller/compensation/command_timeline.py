@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Matrix, Records, Vector, records
 from bus_schema.runtime.compiled import compiled
 
 CAPACITY = 8192
@@ -36,18 +36,28 @@ class CommandFeedback(NamedTuple):
 
 
 class Commands(NamedTuple):
-    """The commands sent, for compiled code; a command's place is its number % `CAPACITY`.
+    """The commands a controller sent, and the horizon at which they act, for compiled code.
+
+    A command's place is its number % `CAPACITY`.
 
     Attributes:
+        numbers: shape (CAPACITY,); `HELD` for none.
         stamps_ns: stamp of the state that each command answers, shape (CAPACITY,).
         torques_nm: shape (CAPACITY, joints).
         targets: for the drives: position as of that stamp, rad, and velocity, rad/s, as rows;
             shape (CAPACITY, 2, joints).
+        state: one row. `least_horizon_ns`: no torque acts sooner than this after the state it
+            answers; `first_horizon_ns`: what the horizon is taken for until a command has come into
+            force; `horizon_ns`: expected time from a state to the acting of the torque that answers
+            it; `mean_delay_ns` and `spread_ns`: what it is worked out from; `first` and `newest`:
+            numbers of commands; `in_force`: the one that the plant reported last.
     """
 
+    numbers: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     torques_nm: Matrix
     targets: NDArray[np.float64]
+    state: Records
 
 
 class Flight(NamedTuple):
@@ -66,102 +76,105 @@ class Flight(NamedTuple):
     delay_ns: int
 
 
-class CommandTimeline:
-    """The commands a controller sent, and the horizon at which they act.
-
-    Args:
-        joints: number of joints.
-        least_horizon_ns: no torque acts sooner than this after the state it answers.
-        first_horizon_ns: what the horizon is taken for until a command has come into force.
-
-    Attributes:
-        commands: all that can be in flight.
-        horizon_ns: expected time from a state to the acting of the torque that answers it.
-    """
-
-    def __init__(self, joints: int, least_horizon_ns: int, first_horizon_ns: int = 0) -> None:
-        self._least_horizon_ns, self._first_horizon_ns = least_horizon_ns, first_horizon_ns
-        self.commands = Commands(
-            np.zeros(CAPACITY, dtype=np.int64),
-            np.zeros((CAPACITY, joints)),
-            np.zeros((CAPACITY, 2, joints)),
-        )
-        self._stamps_ns = self.commands.stamps_ns
-        self._numbers = np.zeros(CAPACITY, dtype=np.int64)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all commands."""
-        self._numbers[:] = HELD
-        self._first, self._newest = HELD, HELD
-        self._in_force, self._mean_delay_ns, self._spread_ns = HELD, 0.0, 0.0
-        self._expect(self._first_horizon_ns)
-
-    def note(
-        self, number: int, stamp_ns: int, torque_nm: Vector, target: Matrix | None = None
-    ) -> None:
-        """A command was sent, whose number is above those of all before; see `Commands`."""
-        slot = number % CAPACITY
-        self._numbers[slot], self._stamps_ns[slot] = number, stamp_ns
-        self.commands.torques_nm[slot] = torque_nm
-        if target is not None:
-            self.commands.targets[slot] = target
-        self._first = max(self._first or number, number - CAPACITY + 1)
-        self._newest = number
-
-    def explains(self, feedback: CommandFeedback, now_ns: int) -> bool:
-        """Whether a state that left the plant at `now_ns` can bear this feedback."""
-        slot = feedback.sequence % CAPACITY
-        return feedback.sequence == HELD or (
-            int(self._numbers[slot]) == feedback.sequence
-            and 0 <= feedback.delay_ns <= now_ns - int(self._stamps_ns[slot])
-        )
-
-    def observe(self, feedback: CommandFeedback, now_ns: int) -> None:
-        """Learn the horizon from a state that left the plant at `now_ns`."""
-        if feedback.sequence == HELD:
-            # Nothing acts yet, so the first command has been on its way for at least as long.
-            waited_ns = now_ns - int(self._stamps_ns[self._first % CAPACITY]) if self._first else 0
-            self._expect(max(self.horizon_ns, waited_ns))
-        elif feedback.sequence != self._in_force:
-            share = _FOLLOW if self._in_force != HELD else 1.0
-            surprise_ns = feedback.delay_ns - self._mean_delay_ns
-            self._mean_delay_ns += share * surprise_ns
-            if self._in_force != HELD:
-                self._spread_ns += share * (abs(surprise_ns) - self._spread_ns)
-            self._expect(round(self._mean_delay_ns))
-        self._in_force = feedback.sequence
-
-    def between(self, in_force: int, then: CommandFeedback, from_ns: int) -> Flight:
-        """What acted from an instant on, while the command in force gave way to another one."""
-        return self._schedule(in_force, then.sequence, then.delay_ns, from_ns)
-
-    def ahead(self, in_force: int, now_ns: int) -> Flight:
-        """What will act from now on.
-
-        A command that should have come by now is just about to, or it is lost if it is overdue by
-        more than the horizon's usual variation.
-        """
-        patience_ns = round(_PATIENCE * self._spread_ns)
-        return self._schedule(in_force, self._newest, self.horizon_ns, now_ns - patience_ns)
-
-    def assumed_in_force(self, now_ns: int) -> int:
-        """The command that should have come into force before now, for want of feedback."""
-        return self._schedule(HELD, self._newest, self.horizon_ns, now_ns).upcoming - 1
-
-    def _expect(self, horizon_ns: int) -> None:
-        self.horizon_ns = min(max(horizon_ns, self._least_horizon_ns), LONGEST_HORIZON_NS)
-
-    def _schedule(self, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Flight:
-        upcoming = _first_after(
-            self._stamps_ns, max(in_force + 1, self._first), newest, from_ns - delay_ns
-        )
-        return Flight(in_force, upcoming, newest, delay_ns)
+def no_commands(joints: int, least_horizon_ns: int, first_horizon_ns: int = 0) -> Commands:
+    """Commands of which none is sent yet; horizons as in `Commands.state`."""
+    state = {
+        "least_horizon_ns": least_horizon_ns, "first_horizon_ns": first_horizon_ns,
+        "horizon_ns": 0, "mean_delay_ns": 0.0, "spread_ns": 0.0, "first": HELD, "newest": HELD,
+        "in_force": HELD,
+    }  # fmt: skip
+    commands = Commands(
+        np.zeros(CAPACITY, np.int64), np.zeros(CAPACITY, np.int64), np.zeros((CAPACITY, joints)),
+        np.zeros((CAPACITY, 2, joints)), records(1, state),
+    )  # fmt: skip
+    forget_commands(commands)
+    return commands
 
 
 @compiled
-def _first_after(stamps_ns: NDArray[np.int64], number: int, newest: int, since_ns: int) -> int:
-    """The first command from `number` on that answers a state since an instant."""
-    while number <= newest and stamps_ns[number % stamps_ns.size] < since_ns:
-        number += 1
-    return number
+def forget_commands(commands: Commands) -> None:
+    """Forget all commands."""
+    state = commands.state[0]
+    commands.numbers[:] = HELD
+    state.first = state.newest = state.in_force = HELD
+    state.mean_delay_ns = state.spread_ns = 0.0
+    _expect(state, state.first_horizon_ns)
+
+
+@compiled
+def note(commands: Commands, torque_nm: Vector, target: Matrix, number: int, stamp_ns: int) -> None:
+    """A command was sent, whose number is above those of all before; see `Commands`."""
+    slot, state = number % CAPACITY, commands.state[0]
+    commands.numbers[slot], commands.stamps_ns[slot] = number, stamp_ns
+    commands.torques_nm[slot] = torque_nm
+    commands.targets[slot] = target
+    first = number if state.first == HELD else state.first
+    state.first = max(first, number - CAPACITY + 1)
+    state.newest = number
+
+
+@compiled
+def explains(commands: Commands, sequence: int, delay_ns: int, now_ns: int) -> bool:
+    """Whether a state that left the plant at `now_ns` can bear this feedback."""
+    slot = sequence % CAPACITY
+    return bool(
+        sequence == HELD
+        or (
+            commands.numbers[slot] == sequence
+            and 0 <= delay_ns <= now_ns - commands.stamps_ns[slot]
+        )
+    )
+
+
+@compiled
+def observe_delay(commands: Commands, sequence: int, delay_ns: int, now_ns: int) -> None:
+    """Learn the horizon from the feedback of a state that left the plant at `now_ns`."""
+    state = commands.state[0]
+    if sequence == HELD:
+        # Nothing acts yet, so the first command has been on its way for at least as long.
+        waited_ns = 0
+        if state.first != HELD:
+            waited_ns = now_ns - commands.stamps_ns[state.first % CAPACITY]
+        _expect(state, max(state.horizon_ns, waited_ns))
+    elif sequence != state.in_force:
+        share = _FOLLOW if state.in_force != HELD else 1.0
+        surprise_ns = delay_ns - state.mean_delay_ns
+        state.mean_delay_ns += share * surprise_ns
+        if state.in_force != HELD:
+            state.spread_ns += share * (abs(surprise_ns) - state.spread_ns)
+        _expect(state, int(np.rint(state.mean_delay_ns)))
+    state.in_force = sequence
+
+
+@compiled
+def schedule(commands: Commands, in_force: int, newest: int, delay_ns: int, from_ns: int) -> Flight:
+    """What acts from an instant on, if every command up to `newest` takes this delay."""
+    upcoming = max(in_force + 1, commands.state[0].first)
+    since_ns = from_ns - delay_ns
+    while upcoming <= newest and commands.stamps_ns[upcoming % CAPACITY] < since_ns:
+        upcoming += 1
+    return Flight(in_force, upcoming, newest, delay_ns)
+
+
+@compiled
+def ahead(commands: Commands, in_force: int, now_ns: int) -> Flight:
+    """What will act from now on.
+
+    A command that should have come by now is just about to, or it is lost if it is overdue by
+    more than the horizon's usual variation.
+    """
+    state = commands.state[0]
+    patience_ns = int(np.rint(_PATIENCE * state.spread_ns))
+    return schedule(commands, in_force, state.newest, state.horizon_ns, now_ns - patience_ns)
+
+
+@compiled
+def assumed_in_force(commands: Commands, now_ns: int) -> int:
+    """The command that should have come into force before now, for want of feedback."""
+    state = commands.state[0]
+    return schedule(commands, HELD, state.newest, state.horizon_ns, now_ns).upcoming - 1
+
+
+@compiled
+def _expect(state: Any, horizon_ns: int) -> None:
+    state.horizon_ns = min(max(horizon_ns, state.least_horizon_ns), LONGEST_HORIZON_NS)

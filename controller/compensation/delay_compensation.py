@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains
@@ -23,8 +24,15 @@ from controller.compensation.command_timeline import (
     LONGEST_HORIZON_NS,
     CommandFeedback,
     Commands,
-    CommandTimeline,
     Flight,
+    ahead,
+    assumed_in_force,
+    explains,
+    forget_commands,
+    no_commands,
+    note,
+    observe_delay,
+    schedule,
 )
 from controller.compensation.disturbance_observer import observe
 from controller.compensation.model_identification import Identification, start_again, take_in
@@ -32,7 +40,11 @@ from controller.compensation.motion_predictor import move
 from controller.control_law import LOWER, UPPER, Tracking
 from controller.funnel import Funnel
 from controller.reference import Reference
-from controller.rigid_bodies.dynamics import mass_and_load
+from controller.rigid_bodies.dynamics import mass_matrix
+
+_NO_FEEDBACK = CommandFeedback(-1, 0)
+"""Explains no state."""
+_LARGEST_NUMBER = 2**62
 
 
 class Arm(NamedTuple):
@@ -44,6 +56,8 @@ class Arm(NamedTuple):
         identification: how it learns that.
         drive: what the drives add of their own.
         commands: all that were sent.
+        last: position and velocity of the state answered last as rows, shape (2, joints).
+        last_answered: its stamp in ns and the command in force at it, `HELD` for none; shape (2,).
     """
 
     nominal: NominalArm
@@ -51,6 +65,8 @@ class Arm(NamedTuple):
     identification: Identification
     drive: DriveGains
     commands: Commands
+    last: Matrix
+    last_answered: NDArray[np.int64]
 
 
 class DelayCompensation:
@@ -65,7 +81,7 @@ class DelayCompensation:
         first_horizon_ns: what the horizon is taken for until a command has come into force.
 
     Attributes:
-        timeline: the commands sent, and the horizon.
+        commands: those sent, and the horizon.
         belief: what is believed of the arm.
         identification: how the model was learned.
         predicted: the situation predicted last.
@@ -84,23 +100,33 @@ class DelayCompensation:
         first_horizon_ns: int,
     ) -> None:
         joints = nominal.limits_nm.size
-        self.timeline = CommandTimeline(joints, least_horizon_ns, first_horizon_ns)
+        self.commands = no_commands(joints, least_horizon_ns, first_horizon_ns)
         self.belief = first_belief(nominal)
         self.identification = identification
         self.predicted = Tracking(joints)
         self.target: Matrix = np.zeros((2, joints))
         self._bandwidth_rad_s = observer_bandwidth_rad_s
-        self._arm = Arm(nominal, self.belief, identification, drive, self.timeline.commands)
+        self._arm = Arm(
+            nominal, self.belief, identification, drive, self.commands,
+            np.zeros((2, joints)), np.zeros(2, np.int64),
+        )  # fmt: skip
         self._measured: Tracking | None = None
-        self._last: Matrix = np.zeros((2, joints))
+        self._torque_nm: Vector = np.zeros(joints)
+        sent = (self.commands, self._torque_nm, self.target)
+        self._note = bind(note, *sent, free=["int64", "int64"])
         self.reset()
+
+    @property
+    def horizon_ns(self) -> int:
+        """Expected time from a state to the acting of the torque that answers it."""
+        return int(self.commands.state["horizon_ns"][0])
 
     def reset(self) -> None:
         """Forget all commands and all that was learned."""
-        self.timeline.reset()
+        forget_commands(self.commands)
         forget(self._arm.nominal, self.belief)
         start_again(self.identification)
-        self._last_in_force, self._last_ns = HELD, 0
+        self._arm.last_answered[:] = 0, HELD
 
     def warm_up(self, measured: Tracking, reference: Reference, funnel: Funnel) -> None:
         """Compile everything before time counts, and leave no trace of it."""
@@ -111,7 +137,8 @@ class DelayCompensation:
 
     def note_command(self, number: int, stamp_ns: int, torque_nm: Vector) -> None:
         """A command was sent in answer to the state of `stamp_ns`; numbers increase."""
-        self.timeline.note(number, stamp_ns, torque_nm, self.target)
+        self._torque_nm[:] = torque_nm
+        self._note(number, stamp_ns)
 
     def predict(
         self,
@@ -132,19 +159,10 @@ class DelayCompensation:
         """
         if measured is not self._measured:
             self._bind(measured)
-        timeline = self.timeline
-        if feedback is not None and timeline.explains(feedback, stamp_ns):
-            timeline.observe(feedback, stamp_ns)
-        else:
-            feedback = CommandFeedback(timeline.assumed_in_force(stamp_ns), timeline.horizon_ns)
-        is_moving = HELD < self._last_in_force <= feedback.sequence
-        if is_moving and stamp_ns - self._last_ns <= LONGEST_HORIZON_NS:
-            acted = timeline.between(self._last_in_force, feedback, self._last_ns)
-            gain = 1.0 - math.exp(-self._bandwidth_rad_s * 1e-9 * (stamp_ns - self._last_ns))
-            self._learn(*acted, self._last_ns, stamp_ns, gain)
-        self._last_in_force, self._last_ns = feedback.sequence, stamp_ns
-        ahead = timeline.ahead(feedback.sequence, stamp_ns)
-        horizon_s = self._predict(*ahead, stamp_ns, stamp_ns + timeline.horizon_ns)
+        sequence, delay_ns = feedback or _NO_FEEDBACK
+        if not HELD <= sequence <= _LARGEST_NUMBER:
+            sequence, delay_ns = _NO_FEEDBACK
+        horizon_s = self._foresee(stamp_ns, sequence, delay_ns)
         self.predicted.horizon_s = horizon_s
         time_s = measured.time_s + horizon_s
         self.predicted.update(time_s, measured.step_s, reference, funnel)
@@ -153,33 +171,49 @@ class DelayCompensation:
     def _bind(self, measured: Tracking) -> None:
         """Fix what compiled code works on: to find out its types costs more than its work."""
         self._measured = measured
-        six = ["int64"] * 6
-        self._learn = bind(
-            _learn, self._arm, measured.motion, measured.error, measured.bounds, self._last,
-            free=[*six, "float64"],
-        )  # fmt: skip
-        self._predict = bind(
-            _predict, self._arm, measured.motion, self._last, self.predicted.motion, self.target,
-            free=six,
+        self._foresee = bind(
+            _foresee, self._arm, self._bandwidth_rad_s, measured.motion, measured.error,
+            measured.bounds, self.predicted.motion, self.target, free=["int64"] * 3,
         )  # fmt: skip
 
 
 @compiled
+def _foresee(
+    arm: Arm, bandwidth_rad_s: float, measured: Matrix, error: Vector, bounds: Matrix,
+    predicted: Matrix, target: Matrix, stamp_ns: int, sequence: int, delay_ns: int,
+) -> float:  # fmt: skip
+    """Learn from a state, and write where its answer will act into `predicted`; how far ahead."""
+    commands, (last_ns, last_in_force) = arm.commands, arm.last_answered
+    if explains(commands, sequence, delay_ns, stamp_ns):
+        observe_delay(commands, sequence, delay_ns, stamp_ns)
+    else:
+        sequence = assumed_in_force(commands, stamp_ns)
+        delay_ns = commands.state[0].horizon_ns
+    if HELD < last_in_force <= sequence and stamp_ns - last_ns <= LONGEST_HORIZON_NS:
+        acted = schedule(commands, last_in_force, sequence, delay_ns, last_ns)
+        gain = 1.0 - math.exp(-bandwidth_rad_s * 1e-9 * (stamp_ns - last_ns))
+        _learn(arm, measured, error, bounds, acted, last_ns, stamp_ns, gain)
+    arm.last_answered[0], arm.last_answered[1] = stamp_ns, sequence
+    arm.last[:] = measured
+    flight = ahead(commands, sequence, stamp_ns)
+    until_ns = stamp_ns + commands.state[0].horizon_ns
+    return _predict(arm, measured, predicted, target, flight, stamp_ns, until_ns)
+
+
+@compiled
 def _learn(
-    arm: Arm, measured: Matrix, error: Vector, bounds: Matrix, last: Matrix,
-    in_force: int, upcoming: int, newest: int, delay_ns: int, last_ns: int, stamp_ns: int,
-    gain: float,
+    arm: Arm, measured: Matrix, error: Vector, bounds: Matrix, flight: Flight,
+    last_ns: int, stamp_ns: int, gain: float,
 ) -> None:  # fmt: skip
     """Compare how the arm moved since the last state with how it should have moved."""
-    nominal, belief, identification, drive, commands = arm
+    nominal, belief, identification, drive, commands, last, _ = arm
     joints, step_s = error.size, (stamp_ns - last_ns) * 1e-9
     motion, impulse = np.empty((3, joints)), np.empty(joints)
     actuator, actuator_before = belief.actuator_nm.copy(), belief.actuator_nm.copy()
     motion[:2] = last
-    flight = Flight(in_force, upcoming, newest, delay_ns)
     move(nominal, belief, drive, commands, flight, last_ns, stamp_ns, motion, actuator, impulse)
-    mass, load = np.empty((joints, joints)), np.empty(joints)
-    mass_and_load(nominal.bodies, belief.inertia, measured[0], measured[1], mass, load)
+    mass = np.empty((joints, joints))
+    mass_matrix(nominal.bodies, belief.inertia, measured[0], mass)
     if not all_finite(actuator):
         return
     belief.actuator_nm[:] = actuator
@@ -202,17 +236,15 @@ def _is_inside(error: Vector, bounds: Matrix) -> bool:
 
 @compiled
 def _predict(
-    arm: Arm, measured: Matrix, last: Matrix, predicted: Matrix, target: Matrix,
-    in_force: int, upcoming: int, newest: int, delay_ns: int, stamp_ns: int, until_ns: int,
+    arm: Arm, measured: Matrix, predicted: Matrix, target: Matrix, flight: Flight,
+    stamp_ns: int, until_ns: int,
 ) -> float:  # fmt: skip
     """The state in which a torque will act into `predicted`, shape (2, joints); how far ahead."""
-    nominal, belief, _, drive, commands = arm
+    nominal, belief, _, drive, commands, _, _ = arm
     joints = measured.shape[1]
     motion, impulse = np.empty((3, joints)), np.empty(joints)
     actuator = belief.actuator_nm.copy()
-    last[:] = measured
     motion[:2] = measured
-    flight = Flight(in_force, upcoming, newest, delay_ns)
     acts_ns = until_ns + int(1e9 * belief.lag_s[0])
     move(nominal, belief, drive, commands, flight, stamp_ns, acts_ns, motion, actuator, impulse)
     predicted[:] = motion[:2]

@@ -14,8 +14,8 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.drive_feedback import DriveGains, drive_torque
 from bus_schema.runtime.compiled import compiled
-from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
-from controller.compensation.command_timeline import HELD, Commands, Flight
+from controller.compensation.arm_belief import ArmBelief, NominalArm, smooth_sign
+from controller.compensation.command_timeline import CAPACITY, HELD, Commands, Flight
 from controller.rigid_bodies.dynamics import mass_and_load
 from controller.rigid_bodies.vectors import invert
 
@@ -48,13 +48,15 @@ def move(
     motion[2] = 0.0
     impulse[:] = 0.0
     in_force, upcoming, newest, delay_ns = flight
-    now_ns, slots = from_ns, commands.stamps_ns.size
+    now_ns = from_ns
     if in_force == HELD:
         now_ns = until_ns
         if upcoming <= newest:
-            now_ns = max(from_ns, commands.stamps_ns[upcoming % slots] + delay_ns)
+            now_ns = max(from_ns, commands.stamps_ns[upcoming % CAPACITY] + delay_ns)
     while now_ns < until_ns:
-        end_ns = min(now_ns + _STRETCH_NS, until_ns)
+        end_ns = now_ns + _STRETCH_NS
+        if end_ns > until_ns - _STEP_NS:  # what is left would not be worth terms of its own
+            end_ns = until_ns
         half_s = 0.5e-9 * (end_ns - now_ns)
         for i in range(joints):
             middle[1, i] = motion[1, i] + half_s * motion[2, i]
@@ -78,34 +80,37 @@ def _stretch(
     """Move on with the same rigid-body terms; the command in force at the end, and the next."""
     position, velocity, acceleration = motion[0], motion[1], motion[2]
     in_force, upcoming, newest, delay_ns = flight
-    joints, slots, lag_s = position.size, commands.stamps_ns.size, belief.lag_s[0]
-    asked, total, before = np.empty(joints), np.empty(joints), velocity.copy()
-    now_ns = from_ns
+    joints, lag_s = position.size, belief.lag_s[0]
+    asked, total, slope = np.empty(joints), np.empty(joints), np.empty(joints)
+    acceleration[:] = velocity  # of the start, until the end
+    now_ns, last_step_ns, left, mean_left = from_ns, 0, 0.0, 0.0
     while now_ns < until_ns:
         end_ns = min(now_ns + _STEP_NS, until_ns)
         while upcoming <= newest:
-            acts_ns = commands.stamps_ns[upcoming % slots] + delay_ns
+            acts_ns = commands.stamps_ns[upcoming % CAPACITY] + delay_ns
             if acts_ns > now_ns:
                 end_ns = min(end_ns, acts_ns)
                 break
             in_force, upcoming = upcoming, upcoming + 1
-        slot, step_s = in_force % slots, (end_ns - now_ns) * 1e-9
+        slot, step_s = in_force % CAPACITY, (end_ns - now_ns) * 1e-9
+        if end_ns - now_ns != last_step_ns:
+            last_step_ns = end_ns - now_ns
+            left = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
+            mean_left = (1.0 - left) * lag_s / step_s
         age_s = (now_ns - commands.stamps_ns[slot]) * 1e-9
         _ask(commands, slot, age_s, drive, limits, position, velocity, asked)
-        left = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
-        mean_left = (1.0 - left) * lag_s / step_s
         for i in range(joints):
             impulse[i] += step_s * asked[i]
             behind = actuator[i] - asked[i]
             actuator[i] = asked[i] + left * behind
-            friction = belief.coulomb_nm[i] * math.tanh(velocity[i] / SMOOTHING_RAD_S)
-            friction += belief.viscous_nm_s[i] * velocity[i]
+            sign, slope[i] = smooth_sign(velocity[i])
+            friction = belief.coulomb_nm[i] * sign + belief.viscous_nm_s[i] * velocity[i]
             delivered = asked[i] + mean_left * behind
             total[i] = delivered + belief.disturbance_nm[i] - friction - load[i]
-        _push(inverse_mass, total, belief, step_s, position, velocity)
+        _push(inverse_mass, total, belief, slope, step_s, position, velocity)
         now_ns = end_ns
     for i in range(joints):
-        acceleration[i] = (velocity[i] - before[i]) / ((until_ns - from_ns) * 1e-9)
+        acceleration[i] = (velocity[i] - acceleration[i]) / ((until_ns - from_ns) * 1e-9)
     return in_force, upcoming
 
 
@@ -127,14 +132,12 @@ def _ask(
 
 @compiled
 def _push(
-    inverse_mass: Matrix, total: Vector, belief: ArmBelief, step_s: float,
+    inverse_mass: Matrix, total: Vector, belief: ArmBelief, slope: Vector, step_s: float,
     position: Vector, velocity: Vector,
 ) -> None:  # fmt: skip
     """Move on by one step under these torques, implicitly in what friction damps."""
     for i in range(total.size):
-        flatness = 1.0 / math.cosh(min(abs(velocity[i] / SMOOTHING_RAD_S), 300.0))
-        damping = belief.coulomb_nm[i] / SMOOTHING_RAD_S * flatness * flatness
-        damping += belief.viscous_nm_s[i]
+        damping = belief.coulomb_nm[i] * slope[i] + belief.viscous_nm_s[i]
         pull = 0.0
         for j in range(total.size):
             pull += inverse_mass[i, j] * total[j]

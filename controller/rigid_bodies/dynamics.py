@@ -230,6 +230,12 @@ def mass_and_load(
 
 
 @compiled
+def mass_matrix(bodies: RigidBodies, inertia: Matrix, position: Vector, mass: Matrix) -> None:
+    """M(q) into `mass`, kg m², shape (joints, joints); the rest as for `mass_and_load`."""
+    _composite_rigid_bodies(bodies, _place(bodies, inertia, position), mass)
+
+
+@compiled
 def _composite_rigid_bodies(bodies: RigidBodies, placed: _Placed, mass: Matrix) -> None:
     """M(q) into `mass`; leaves in `placed` each body together with all that it carries."""
     mass[:] = 0.0

@@ -58,7 +58,9 @@ def tick_numbers(run: RunData) -> NDArray[np.int64]:
 
 def known_ticks(run: RunData) -> KnownTicks:
     """What is known of a run, up to the end that the plant told; else to the last tick known."""
-    numbers = np.unique(tick_numbers(run))
+    numbers = tick_numbers(run)
+    if (np.diff(numbers) <= 0).any():  # to look costs a tenth of what sorting does
+        numbers = np.unique(numbers)
     told = run.last_values(Role.PLANT, EventKind.ENDED)
     ticks = int(told.get("ticks", numbers.max(initial=0)))
     numbers = numbers[(numbers >= 1) & (numbers <= ticks)]
@@ -80,7 +82,10 @@ def rows_after_gaps(run: RunData, times_s: Vector) -> Rows:
         times_s: stamps of the rows, shape (rows,).
     """
     period_ns = run.setup.grid.period_ns
-    gaps = np.rint(np.reshape(known_ticks(run).gaps_s, (-1, 2)) * 1e9 / period_ns)
+    gaps_s = known_ticks(run).gaps_s
+    if not gaps_s:
+        return NO_ROWS
+    gaps = np.rint(np.reshape(gaps_s, (-1, 2)) * 1e9 / period_ns)
     ticks = np.rint(times_s * 1e9 / period_ns)
     pairs = np.sort(np.stack([np.concatenate(([-1.0], ticks))[:-1], ticks]), axis=0)
     # Of other topics than the truth more or less may be missing at the ends of a gap.

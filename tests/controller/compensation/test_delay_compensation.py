@@ -10,7 +10,11 @@ from controller.compensation.command_timeline import (
     CAPACITY,
     LONGEST_HORIZON_NS,
     CommandFeedback,
-    CommandTimeline,
+    ahead,
+    explains,
+    no_commands,
+    note,
+    observe_delay,
 )
 from controller.control_law import Tracking
 from controller.funnel import Funnel
@@ -231,9 +235,9 @@ def test_an_echo_that_cannot_be_true_changes_nothing(feedback):
     bench, undisturbed = Bench(), Bench()
     for each in (bench, undisturbed):
         each.run(30, 5)
-    horizon_ns = bench.compensation.timeline.horizon_ns
+    horizon_ns = bench.compensation.horizon_ns
     seen = bench.compensation.predict(bench.measured, 30 * MS, feedback, SWING, FUNNEL)
-    assert bench.compensation.timeline.horizon_ns == horizon_ns
+    assert bench.compensation.horizon_ns == horizon_ns
     expected = undisturbed.compensation.predict(bench.measured, 30 * MS, None, SWING, FUNNEL)
     np.testing.assert_array_equal(seen.position, expected.position)
 
@@ -259,7 +263,7 @@ def test_no_prediction_reaches_further_than_half_a_second():
     bench.compensation.predict(
         bench.measured, 2 * hour_ns, CommandFeedback(2, hour_ns), SWING, FUNNEL
     )
-    assert bench.compensation.timeline.horizon_ns == LONGEST_HORIZON_NS
+    assert bench.compensation.horizon_ns == LONGEST_HORIZON_NS
 
 
 def test_reset_repeats_itself_bit_for_bit():
@@ -276,13 +280,13 @@ def test_reset_repeats_itself_bit_for_bit():
 
 
 def test_timeline_forgets_only_what_is_no_longer_in_flight():
-    timeline = CommandTimeline(1, 0)
+    commands = no_commands(1, 0)
     for number in range(1, CAPACITY + 100):
-        timeline.note(number, number * MS, np.array([float(number)]))
+        note(commands, np.array([float(number)]), np.zeros((2, 1)), number, number * MS)
     now_ns = (CAPACITY + 100) * MS
-    assert not timeline.explains(CommandFeedback(99, 0), now_ns)
-    assert timeline.explains(CommandFeedback(100, 0), now_ns)
-    timeline.observe(CommandFeedback(CAPACITY, 50 * MS), now_ns)
-    ahead = timeline.ahead(CAPACITY, now_ns)
-    assert (ahead.upcoming, ahead.newest) == (CAPACITY + 50, CAPACITY + 99)
-    assert (CAPACITY + 50) * MS + ahead.delay_ns == now_ns
+    assert not explains(commands, 99, 0, now_ns)
+    assert explains(commands, 100, 0, now_ns)
+    observe_delay(commands, CAPACITY, 50 * MS, now_ns)
+    flight = ahead(commands, CAPACITY, now_ns)
+    assert (flight.upcoming, flight.newest) == (CAPACITY + 50, CAPACITY + 99)
+    assert (CAPACITY + 50) * MS + flight.delay_ns == now_ns

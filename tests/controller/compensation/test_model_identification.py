@@ -121,7 +121,7 @@ def test_a_model_that_was_found_foresees_what_the_nominal_one_does_not():
             plant=ManipulatorModel(ROBOT, scale=1.3, payload_kg=2.0),
             law=lambda tick, measured, seen: 0.5 * soft_spring(tick, measured, seen),
         )  # fmt: skip
-        seen = bench.compensation.timeline.horizon_ns
+        seen = bench.compensation.horizon_ns
         assert seen == 48 * MS
         horizon = 48 + round(1e3 * bench.compensation.belief.lag_s[0])
         errors[model] = np.median(

@@ -21,7 +21,7 @@ def setup_of(*overrides):
 
 
 def first_horizon_ms(setup):
-    return setup.control_task().compensation.timeline.horizon_ns * 1e-6
+    return setup.control_task().compensation.horizon_ns * 1e-6
 
 
 @pytest.mark.parametrize(
