@@ -6,11 +6,14 @@ import math
 
 import numpy as np
 
-from bus_schema.arrays import Matrix
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import expand
 from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.compiled import copying
+from bus_schema.runtime.compiled import bind, compiled, copying
 from plant_emulator.configuration import ActuatorConfiguration, EncoderConfiguration
+
+_BLOCK = 256
+"""Reads for which noise is drawn at a time: the same numbers, for a tenth of the time."""
 
 
 class Encoders:
@@ -29,28 +32,42 @@ class Encoders:
         self, configuration: EncoderConfiguration, motion: Matrix, random: np.random.Generator
     ) -> None:
         joints = motion.shape[1]
-        self._resolution = expand(
-            configuration.resolution_rad, joints, "plant.encoder.resolution_rad"
-        )
-        self._noise = expand(
+        resolution = expand(configuration.resolution_rad, joints, "plant.encoder.resolution_rad")
+        noise = expand(
             configuration.velocity_noise_rad_s, joints, "plant.encoder.velocity_noise_rad_s"
         )
-        self._is_coarse = self._resolution > 0.0
-        self._quantises = bool(self._is_coarse.any())
-        self._is_noisy = bool((self._noise > 0.0).any())
-        self._random = random
+        self._is_noisy = bool((noise > 0.0).any())
+        self._is_ideal = not (self._is_noisy or (resolution > 0.0).any())
+        self._random, self._reads = random, 0
+        self._normals: Matrix = np.zeros((_BLOCK, joints))
         self.shown: Matrix = np.zeros_like(motion)
         self._copy = copying(motion, self.shown)
+        self._show = bind(
+            _show, motion, resolution, noise, self._normals, self.shown, free=["int64"]
+        )
 
     def read(self) -> None:
         """Bring `shown` up to date."""
-        self._copy()
-        if self._quantises:
-            position = self.shown[0]
-            counts = np.round(position[self._is_coarse] / self._resolution[self._is_coarse])
-            position[self._is_coarse] = counts * self._resolution[self._is_coarse]
-        if self._is_noisy:
-            self.shown[1] += self._noise * self._random.standard_normal(self.shown.shape[1])
+        if self._is_ideal:
+            self._copy()
+            return
+        row = self._reads % _BLOCK
+        if self._is_noisy and row == 0:
+            self._random.standard_normal(out=self._normals)
+        self._show(row)
+        self._reads += 1
+
+
+@compiled
+def _show(
+    motion: Matrix, resolution: Vector, noise: Vector, normals: Matrix, shown: Matrix, row: int
+) -> None:
+    """Write what encoders show of a motion, with a row of random numbers."""
+    for i in range(resolution.size):
+        shown[0, i] = motion[0, i]
+        if resolution[i] > 0.0:
+            shown[0, i] = np.rint(motion[0, i] / resolution[i]) * resolution[i]
+        shown[1, i] = motion[1, i] + noise[i] * normals[row, i]
 
 
 class ActuatorLimits:
