@@ -37,6 +37,7 @@ class JointPlaces:
         for place, leader, multiplier, offset in followers:
             self._leader[place], self._factor[place] = leader, multiplier
             self._offset[place] = offset
+        self._pairs = (self._joints * self._leader[:, None] + self._leader).ravel()
         # Symmetric matrices have their upper triangle filled.
         self._upper = (np.minimum.outer(order, order), np.maximum.outer(order, order))
 
@@ -59,9 +60,8 @@ class JointPlaces:
     def square(self, full: Matrix) -> Matrix:
         """A matrix between velocities and torques, shape (joints, joints)."""
         if self.couples:
-            pairs = self._joints * self._leader[:, None] + self._leader
             felt = self._factor[:, None] * full * self._factor
-            total = np.bincount(pairs.ravel(), felt.ravel(), self._joints**2)
+            total = np.bincount(self._pairs, felt.ravel(), self._joints**2)
             return np.asarray(total, float).reshape(self._joints, self._joints)
         return np.ascontiguousarray(full[np.ix_(self.order, self.order)])
 

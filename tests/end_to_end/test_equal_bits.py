@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from running import PATIENT, Finished, free_endpoint, settings
+from running import Finished, free_endpoint, settings
 
 from deploy.runs.arithmetic import libm_fingerprint
 from deploy.runs.run_rows import read_rows
@@ -106,7 +106,10 @@ def test_every_case_has_the_same_bits_in_every_environment(
 def test_plant_controller_and_recorder_on_three_kinds_of_cpu_meet(
     digests: dict[str, dict[str, list[str]]], tmp_path: Path
 ) -> None:
-    at = settings(link__plant_endpoint=free_endpoint(), link__controller_endpoint=free_endpoint())
+    at = settings(
+        link__plant_endpoint=free_endpoint(), link__controller_endpoint=free_endpoint(),
+        link__connect_timeout_s=60, link__reply_timeout_s=60,
+    )  # fmt: skip
     roles = (
         ["plant", "--await-recorder"],
         ["controller"],
@@ -114,7 +117,7 @@ def test_plant_controller_and_recorder_on_three_kinds_of_cpu_meet(
     )
     processes = [
         start(
-            ["-m", "deploy.cli", role, "iiwa", *SHORT, *PATIENT, *at, *more],
+            ["-m", "deploy.cli", role, "iiwa", *SHORT, *at, *more],
             {"OPENBLAS_CORETYPE": core},
         )
         for core, (role, *more) in zip(core_types(), roles, strict=False)
