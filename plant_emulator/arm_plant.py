@@ -24,7 +24,7 @@ from plant_emulator.faults.arm_faults import PayloadFault
 from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.faulty_arm import ArmFaults
 from plant_emulator.physics.engine import ArmSpecification
-from plant_emulator.physics.engines import engine_in_force
+from plant_emulator.physics.engines import engine_in_force, physics_in_force
 
 
 class ArmPlant:
@@ -75,7 +75,7 @@ class ArmPlant:
         self._commanded: Vector = np.zeros(robot.joints) if faults else self.torques.asked
         self._grid = grid
         engine = engine_in_force(configuration)
-        self.physics = f"{engine.title} {engine.version}, {configuration.physics.integrator}"
+        self.physics = physics_in_force(configuration)
         self._arm = engine.arm_type(
             ArmSpecification(
                 robot, grid, self.torques, configuration.physics.integrator,

@@ -8,7 +8,6 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from deploy.scenario.setup import Setup
-from plant_emulator.physics.engines import DEFAULT_ENGINE, ENGINES, engine_name
 
 
 def oddities_of_all(setups: Iterable[Setup]) -> list[str]:
@@ -20,10 +19,6 @@ def oddities(setup: Setup) -> list[str]:
     """A sentence for each thing that is taken, but that may not be what was meant."""
     robot, scenario = setup.robot, setup.scenario
     said = [*robot.warnings, *setup.reference.warnings]
-    default = ENGINES[DEFAULT_ENGINE]
-    if scenario.plant.physics.engine is None and not default.is_installed:
-        engine = ENGINES[engine_name(scenario.plant)].title
-        said.append(f"{default.title} is not installed: {engine} is the physics engine")
     if scenario.limits.torque_nm is None and scenario.plant.actuator.saturation_nm is None:
         lacking = _unlimited(robot.joint_names, robot.effort_limits_nm)
         if lacking:

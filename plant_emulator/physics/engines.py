@@ -80,6 +80,13 @@ def physics_text(plant: PlantConfiguration) -> str:
     return f"{ENGINES[engine_name(plant)].title}, {plant.physics.integrator}"
 
 
+def physics_in_force(plant: PlantConfiguration) -> str:
+    """The same with the engine's version, and whether the default engine was to be had."""
+    engine, default = ENGINES[engine_name(plant)], ENGINES[DEFAULT_ENGINE]
+    lacking = "" if default.is_installed else f" ({default.title} is not installed)"
+    return f"{engine.title} {engine.version}, {plant.physics.integrator}{lacking}"
+
+
 def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
     """The engine of a scenario's plant, installed and able to do what the scenario asks of it.
 

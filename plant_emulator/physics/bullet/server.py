@@ -278,7 +278,7 @@ def loadable_file(path: Path, urdf: str) -> Iterator[Path]:
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / path.name
-        file.write_text(urdf)
+        file.write_text(urdf, encoding="utf-8")
         with quiet():
             yield file
 

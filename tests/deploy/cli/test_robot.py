@@ -1,13 +1,17 @@
 """`funnel-hil robot`, and what commands say of arms."""
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from deploy.cli import app, main
+from deploy.input_error import InputError
+from deploy.reports.figures.arm.pictures import arm_picture
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError
-from tests.arms import needs_pybullet_data
+from plant_emulator.physics.engines import PhysicsEngine
+from tests.arms import INSTALLED, needs_pybullet_data
 
 XACRO = """<robot name="test" xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:property name="length" value="0.4"/>
@@ -81,13 +85,20 @@ def test_what_xacro_refuses_is_told_by_file(folder):
 
 def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
     picture = tmp_path / "arm.png"
-    arguments = ["robot", "panda", "--picture", str(picture)]
+    arguments = ["robot", "panda", *(["--picture", str(picture)] if "bullet" in INSTALLED else [])]
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     for text in ("7 driven joints", "7 panda_joint7", "12 N m", "panda_finger_joint1", "held",
                  "finger", "Gains of fixed_time_neural", "k_1", "closes to 0.01"):  # fmt: skip
         assert text in result.output
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "bullet" not in INSTALLED or picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_picture_without_bullet_says_what_to_install(monkeypatch):
+    robot = load_setup("paper_arm").robot
+    monkeypatch.setattr(PhysicsEngine, "is_installed", False)
+    with pytest.raises(InputError, match="--picture: Bullet draws it and is not installed: pip"):
+        arm_picture(robot, np.zeros(3))
 
 
 @needs_pybullet_data
