@@ -26,6 +26,8 @@ from plant_emulator.faults.faulty_arm import ArmFaults
 from plant_emulator.physics.engine import ArmSpecification
 from plant_emulator.physics.engines import engine_in_force, physics_in_force
 
+_ANY_PAYLOAD_KG = 1.0
+
 
 class ArmPlant:
     """The arm with all its hardware, advanced one physics substep at a time.
@@ -116,8 +118,9 @@ class ArmPlant:
         gains = no_drive_feedback(robot.joints)
         JointTorques(configuration, robot, grid.substep_s, random, limits, gains)
         Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
+        # Any payload stands for all: arms that differ in theirs alone need not be loaded anew.
         engine_in_force(configuration).arm_type.check(
-            robot, configuration.payload_kg, gui=configuration.gui
+            robot, bool(configuration.payload_kg) * _ANY_PAYLOAD_KG, gui=configuration.gui
         )
 
     def read_encoders(self, now_ns: int = 0) -> None:

@@ -108,8 +108,8 @@ class MujocoArm(ArmPhysics):
 
     @staticmethod
     def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:  # noqa: ARG004
-        """Check that MuJoCo can load an arm."""
-        _compiled_model(robot, payload_kg)
+        """Check that MuJoCo can load an arm; what it could load before, it need not load again."""
+        _checked(robot.path, robot.resolved_urdf(payload_kg, "none"), robot.followers)
 
     def place(self, position: Vector) -> None:
         bodies = self._bodies
@@ -198,16 +198,22 @@ def _compiled_model(robot: RobotDescription, payload_kg: float) -> Any:
     Raises:
         RobotDescriptionError: MuJoCo cannot load it.
     """
-    urdf = _for_mujoco(robot.resolved_urdf(payload_kg, "none"))
+    return _compiled(robot.path, robot.resolved_urdf(payload_kg, "none"), robot.followers)
+
+
+def _compiled(path: Path, urdf: str, followers: tuple[Follower, ...]) -> Any:
     try:
-        spec = mujoco.MjSpec.from_string(urdf)
-        for name in (*_SWITCHED_OFF, *(() if robot.followers else ("CONSTRAINT",))):
+        spec = mujoco.MjSpec.from_string(_for_mujoco(urdf))
+        for name in (*_SWITCHED_OFF, *(() if followers else ("CONSTRAINT",))):
             spec.option.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
-        for follower in robot.followers:
+        for follower in followers:
             _tie(spec, follower)
         return spec.compile()
     except ValueError as error:
-        raise RobotDescriptionError(f"{robot.path}: MuJoCo: {error}") from error
+        raise RobotDescriptionError(f"{path}: MuJoCo: {error}") from error
+
+
+_checked = lru_cache(maxsize=16)(_compiled)
 
 
 @lru_cache(maxsize=16)
