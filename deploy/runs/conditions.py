@@ -10,7 +10,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.runs.run_data import RunData
 from deploy.scenario.setup import Setup
-from plant_emulator.physics.engines import physics_text
+from plant_emulator.physics.engines import physics_in_force
 
 Conditions = dict[str, str]
 """Sentences or numbers with their unit, by what they tell of."""
@@ -33,7 +33,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         **provenance_of(manifest),
         "scenario": scenario.name,
         "law": ", ".join(laws),
-        "physics": ", ".join(dict.fromkeys(physics_text(s.scenario.plant) for s in setups)),
+        "physics": physics_of(setups),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"joints off by {start} rad",
         "seeds": str(scenario.seed),
@@ -56,6 +56,11 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
     if run.clock == "realtime" and not manifest.get("realtime"):
         conditions["granted"] = _GRANTED_IN_SILENCE
     return conditions
+
+
+def physics_of(setups: Sequence[Setup]) -> str:
+    """Engine and integrator of the plants."""
+    return ", ".join(dict.fromkeys(physics_in_force(setup.scenario.plant) for setup in setups))
 
 
 def provenance_of(manifest: Mapping[str, Any]) -> Conditions:

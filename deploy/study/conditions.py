@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from deploy.runs.conditions import Conditions, host_of, provenance_of, set_text, warnings_of
+from deploy.runs.conditions import (
+    Conditions,
+    host_of,
+    physics_of,
+    provenance_of,
+    set_text,
+    warnings_of,
+)
 from deploy.scenario.yaml_files import override
 from deploy.study.study import Study
 
@@ -29,6 +36,7 @@ def conditions_of_study(
         "study": " ".join(dict.fromkeys([summary["kind"], summary["name"]])),
         "scenario": ", ".join(durations),
         "law": ", ".join(_laws(study, summary)),
+        "physics": physics_of(study.bases),
         "quantity": _quantity(summary),
         "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
         "starts": _starts(summary),
