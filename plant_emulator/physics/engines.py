@@ -103,7 +103,11 @@ def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
         )
         raise ConfigurationError(_KEY, name, allowed)
     if integrator not in engine.integrators:
-        allowed = f"must be {' or '.join(engine.integrators)} with {engine.title}"
+        others = [key for key, each in ENGINES.items() if integrator in each.integrators]
+        allowed = (
+            f"must be {' or '.join(engine.integrators)} with {engine.title};"
+            f" {_KEY}={' or '.join(others)} has it"
+        )
         raise ConfigurationError("plant.physics.integrator", integrator, allowed, [_KEY])
     if plant.gui and not engine.has_window:
         raise ConfigurationError("plant.gui", True, f"{engine.title} has no window here", [_KEY])
