@@ -18,9 +18,9 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.runtime.modes import Mode
-from deploy.experiments.fault_table import to_safe_state_ms
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from scripts.experiments.fault_table import to_safe_state_ms
 
 
 def run(tmp_path: Path, name: str, **values: object) -> Finished:

@@ -14,14 +14,6 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.runtime.modes import Mode
-from deploy.experiments.fault_table import (
-    BEGIN,
-    END,
-    fault_scenarios,
-    measure,
-    needs_processes,
-    to_safe_state_ms,
-)
 from deploy.reports.figures.errors import error_in_funnel
 from deploy.reports.figures.faults import fault_spans_s, with_faults
 from deploy.reports.figures.style import ALARM
@@ -30,6 +22,14 @@ from deploy.runs.replay import replay
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from scripts.experiments.fault_table import (
+    BEGIN,
+    END,
+    fault_scenarios,
+    measure,
+    needs_processes,
+    to_safe_state_ms,
+)
 
 SIMULATED = [name for name in fault_scenarios() if not needs_processes(load_setup(name))]
 FAULT_TICK, TIMEOUT_MS = 1000, 200.0

@@ -1,6 +1,6 @@
 """The table of faults: what each shipped fault scenario does to a run, as measured.
 
-`python -m deploy.experiments.fault_table` runs them all and writes the table into the README.
+`python -m scripts.experiments.fault_table` runs them all and writes the table into the README.
 Faults of plant or recorder as a process need real ones and run in lockstep; all others are
 simulated. Either way they are the same on every machine.
 """
@@ -27,7 +27,7 @@ from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_faults
 
-BEGIN = "<!-- fault table: python -m deploy.experiments.fault_table -->\n"
+BEGIN = "<!-- fault table: python -m scripts.experiments.fault_table -->\n"
 END = "<!-- end of fault table -->\n"
 _HEADER = """\
 | scenario | reaction | to safe state | exit code | lost |

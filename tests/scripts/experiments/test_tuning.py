@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from controller.laws import LAWS
-from deploy.experiments.tuning import (
+from deploy.runs.judging.metrics import summarise
+from deploy.runs.simulate import simulate
+from scripts.experiments.tuning import (
     EXCESS_WEIGHT,
     FIXED,
     SATURATED,
@@ -23,8 +25,6 @@ from deploy.experiments.tuning import (
     varied,
     with_gains,
 )
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -17,7 +17,7 @@ but for these:
   Without a limit there is none;
 - **budget**: `BUDGET_S` simulated seconds for each law and limit, 100 whole trials.
 
-``python -m deploy.experiments.equal_travel paper_arm --out travel.yaml`` does all searches, on all
+``python -m scripts.experiments.equal_travel paper_arm --out travel.yaml`` does all searches, on all
 cores, keeps the gains found, and prints tables (needs the extra ``tuning``; an hour on two cores).
 With a file that exists, only the tables are made, which takes some five minutes.
 """
@@ -39,7 +39,10 @@ import yaml
 from rich.progress import track
 
 from controller.laws import LAWS
-from deploy.experiments.ranking import (
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import plain, read_yaml
+from scripts.experiments.ranking import (
     PROPOSED,
     RIVALS,
     Evaluation,
@@ -47,10 +50,7 @@ from deploy.experiments.ranking import (
     evaluate,
     gains_as_overrides,
 )
-from deploy.experiments.tuning import tune, tuning_setup, with_gains
-from deploy.scenario.scenario import load_setup
-from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import plain, read_yaml
+from scripts.experiments.tuning import tune, tuning_setup, with_gains
 
 TRAVEL_LIMITS_PER_S = (2.0, 6.0, 20.0, 60.0, math.inf)
 AS_SHIPPED_PER_S = 6.0

@@ -10,13 +10,13 @@ import pytest
 
 from controller.laws import LAWS
 from deploy.comparison.settling import settling_test
-from deploy.experiments.equal_travel import AS_SHIPPED_PER_S, AT_EQUAL_TRAVEL, rivals_as_smooth
-from deploy.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, evaluate, load_gains
-from deploy.experiments.tuning import tuning_setup
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import read_yaml
+from scripts.experiments.equal_travel import AS_SHIPPED_PER_S, AT_EQUAL_TRAVEL, rivals_as_smooth
+from scripts.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, evaluate, load_gains
+from scripts.experiments.tuning import tuning_setup
 
 SWITCHING = ("smc", "tsmc", "ftsmc")
 

@@ -15,7 +15,7 @@ The rules, written down before the search was run and the same for all laws:
 - **budget**: 480 simulated seconds, which are 60 whole trials. The first half second, in which
   torques are largest, is tried alone: gains that saturate there cost no more than that.
 
-``python -m deploy.experiments.tuning paper_arm smc`` prints the gains found (needs the extra
+``python -m scripts.experiments.tuning paper_arm smc`` prints the gains found (needs the extra
 ``tuning``). With a limit on the torque's travel error alone is the cost, and the boundary layer is
 tuned too (`equal_travel`).
 """

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.experiments import real_delay
-from deploy.experiments.real_delay import Outcome, Row, in_virtual_time, rows, table
 from deploy.scenario.yaml_files import ScenarioError
+from scripts.experiments import real_delay
+from scripts.experiments.real_delay import Outcome, Row, in_virtual_time, rows, table
 
 COMPENSATED = ["controller.delay_compensation.enabled=true", "duration_s=1"]
 

@@ -1,6 +1,6 @@
 """The margin in virtual time beside what is left of it over a real delay.
 
-``python -m deploy.experiments.real_delay paper_arm --set controller.delay_compensation.enabled=true
+``python -m scripts.experiments.real_delay paper_arm --set duration_s=10
 --round-trips 48,64 --repetitions 3 --out FOLDER`` simulates the scenario once with each round trip,
 constant and half of it each way, and runs it several times in real time, one run after another,
 over a relay that holds every byte back for as long (`deploy.processes.network.delay_relay`). A run

@@ -1,8 +1,8 @@
 """Which law is better, by how much, and whether that outlives other gains.
 
-``python -m deploy.experiments.ranking paper_arm`` judges every law on the scenario itself and on
+``python -m scripts.experiments.ranking paper_arm`` judges every law on the scenario itself and on
 the harder one that laws are tuned on, then changes the gains of each law at random. With
-``--gains FILE`` it takes gains as `deploy.experiments.tuning` prints them; laws that the file
+``--gains FILE`` it takes gains as `scripts.experiments.tuning` prints them; laws that the file
 leaves out keep the gains of the scenario.
 """
 
@@ -18,12 +18,12 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from controller.laws import LAWS
-from deploy.experiments.tuning import cost, tuning_setup, varied, with_gains
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, read_yaml
+from scripts.experiments.tuning import cost, tuning_setup, varied, with_gains
 
 PROPOSED = "fixed_time_neural"
 RIVALS = ("pid", "smc", "tsmc", "ftsmc")

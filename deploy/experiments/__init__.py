@@ -1,1 +1,0 @@
-"""Experiments with their own command: `python -m deploy.experiments.<name>`."""
