@@ -9,11 +9,9 @@ import signal
 from collections.abc import Callable
 from types import FrameType
 
+from bus_schema.errors import Stopped
+
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
-class Stopped(BaseException):
-    """A signal came while there was nothing to bring to an end in order."""
 
 
 def on_stop(stop: Callable[[], None]) -> None:

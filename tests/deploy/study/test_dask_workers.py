@@ -302,5 +302,5 @@ def test_stranger_on_this_machine_cannot_use_our_own_cluster():
             (scheduler.replace("tls", "tcp"), Security()),
             (scheduler, Security.temporary()),
         ):
-            with pytest.raises(OSError, match="TCP|TLS"):
+            with pytest.raises(OSError, match=r"TCP|TLS"):
                 Client(address, security=security, timeout=3, set_as_default=False)
