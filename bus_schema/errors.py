@@ -87,3 +87,7 @@ def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
     """
     found = get_close_matches(unknown[:_LONGEST], list(names), n=1, cutoff=alike)
     return f"; did you mean {found[0]}?" if found else ""
+
+
+class Stopped(BaseException):
+    """A request to stop came while there was nothing to bring to an end in order."""

@@ -186,10 +186,3 @@ class ControlLaw(Protocol):
 
     def reset(self) -> None:
         """Forget everything since construction."""
-
-
-def release(law: ControlLaw) -> None:
-    """Have a law give back what it holds; it is not asked for torques any more."""
-    close = getattr(law, "close", None)
-    if callable(close):
-        close()

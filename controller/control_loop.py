@@ -29,7 +29,7 @@ from bus_schema.runtime.finite import all_finite
 from bus_schema.runtime.modes import COMMANDABLE, Mode, Trigger, follow, mode_event
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
-from controller.control_law import ControlLaw, Tracking, release
+from controller.control_law import ControlLaw, Tracking
 from controller.control_status import ControlStatus
 from controller.errors import ControllerError
 from controller.funnel import Funnel
@@ -153,7 +153,6 @@ class ControlLoop:
         if self.mode not in COMMANDABLE:
             return
         self._change_mode(Trigger.FAIL, "zero torque")
-        release(self._task.law)
         self._command.stamp_ns = max(self.stamp_ns, 0)
         self._command.fields["effort"][:] = 0.0
         if self._target is not None:
@@ -162,6 +161,7 @@ class ControlLoop:
             self._link.publish(topics.JOINT_COMMANDS, self._command.payload())
         self._change_mode(Trigger.STOPPED, "gives no more torques")
         self._events.append((EventKind.FAULT, reason))
+        self._release_law()
         with contextlib.suppress(Exception):
             self._publish_events()
 
@@ -169,7 +169,7 @@ class ControlLoop:
         """End the run; what was counted."""
         if self.mode in COMMANDABLE:
             self._change_mode(Trigger.END, "gives no more torques")
-        release(self._task.law)
+            self._release_law()
         counts = {
             "cycles": self.cycles, "late": self.late, "rejected": self.rejections.counts,
             "limits": self._guard.counts.summary(),
@@ -231,6 +231,17 @@ class ControlLoop:
         except BaseException as error:  # a law of the user's own may raise anything
             raise self._of_the_law(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
+
+    def _release_law(self) -> None:
+        """Have the law give back what it holds; it is not asked for torques any more."""
+        close = getattr(self._task.law, "close", None)
+        try:
+            if callable(close):
+                close()
+        except BaseException as error:
+            if not is_of_the_law(error):
+                raise
+            self._events.append((EventKind.FAULT, str(self._of_the_law(error, self.cycles))))
 
     def _of_the_law(self, error: BaseException, tick: int | None) -> BaseException:
         """What to raise for an error within the law: a request to stop goes on as it is."""

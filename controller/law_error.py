@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import traceback
 
+from bus_schema.errors import Stopped
 from controller.errors import ControllerError
 
 _LONGEST = 300
@@ -30,12 +31,13 @@ def is_of_the_law(error: BaseException) -> bool:
     """Whether something raised within a law came from it, rather than from a request to stop."""
     if isinstance(error, KeyboardInterrupt):  # which Ctrl-C raises only where nothing handles it
         return signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    return isinstance(error, (Exception, SystemExit))
+    return not isinstance(error, Stopped)
 
 
 def _described(error: BaseException) -> str:
-    """Type and message on one line, whatever the message is."""
+    """Type and message on one line that can be shown and recorded, with any message."""
     text = " ".join("".join(traceback.format_exception_only(error)).split())
+    text = "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 

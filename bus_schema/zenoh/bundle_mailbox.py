@@ -92,6 +92,11 @@ class BundleMailbox:
         message = (topic, payload, *(Attachment.decode(attachment) or UNKNOWN))
         return [] if self._is_bundled(message) else [message]
 
+    @property
+    def disbelieved(self) -> int:
+        """Bundles that were left out, as their numbers are none that their senders can be at."""
+        return sum(order.disbelieved for order in self._orders.values())
+
     def let_go(self) -> list[Received]:
         """Wait for no missing bundle any more; the messages of those that have waited."""
         self._waits = False

@@ -6,6 +6,8 @@ from bus_schema.zenoh.bundles import MOST_AT_ONCE, Span
 
 _MOST_WAITING = 256
 _AGAIN_S = 0.1
+_LONGEST_JUMP = 200_000
+"""What no sender sends between two bundles that arrive, minutes at any rate: a number is forged."""
 _MOST_ASKED = 7
 """So often in vain, each time after twice as long, 13 s in all, and what is missing is lost."""
 
@@ -15,6 +17,9 @@ class BundleOrder:
 
     Args:
         sender: who sends them.
+
+    Attributes:
+        disbelieved: bundles that were left out, as their sender cannot have come so far.
     """
 
     def __init__(self, sender: bytes) -> None:
@@ -22,6 +27,7 @@ class BundleOrder:
         self._next = 1
         self._last = 0  # the newest that is known to have been sent
         self._waiting: dict[int, bytes] = {}
+        self.disbelieved = 0
         self._asked_for = self._asked_to = self._asked = 0
         self._since_s = 0.0  # when something was asked for, or came of it
 
@@ -32,6 +38,13 @@ class BundleOrder:
             span: what stood beside it: those before its first nobody has any more.
             bundle: its bytes; empty where its number is only told of.
         """
+        if self._last and span.last > self._last + _LONGEST_JUMP:
+            self.disbelieved += 1
+            return []
+        if span.last < self._next - _LONGEST_JUMP:  # then the first was forged
+            self.disbelieved += 1 + len(self._waiting)
+            self._waiting.clear()
+            self._next, self._last = span.first, 0
         if bundle and span.last >= self._next:
             self._waiting[span.last] = bundle
         self._last = max(self._last, span.last)

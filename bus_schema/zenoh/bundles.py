@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import struct
 import threading
+import time
 from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -33,6 +34,8 @@ _MOST_KEPT = 512
 _KEPT_BYTES = 1 << 22
 """Of a plant at 1 kHz some three seconds, of a controller ten: a connection is up again by then."""
 _LARGEST_KEPT_BYTES = MAX_MESSAGE_BYTES // 2
+_MOST_ANSWERED_PER_S = 50
+"""Requests for bundles, whoever sends them: all that are kept in under three seconds."""
 MOST_AT_ONCE = 4
 """Bundles that are sent again at once: more would fill a loop's queue to a recorder."""
 HEAD = struct.Struct("<BII")  # bytes of topic, attachment and payload, which follow
@@ -70,7 +73,7 @@ class Span(NamedTuple):
         if len(data) != _SPAN.size:
             return None
         span = Span(*_SPAN.unpack(data))
-        return span if 1 <= span.first <= span.last else None
+        return span if 1 <= span.first <= span.last < span.first + _MOST_KEPT else None
 
 
 class Bundler:
@@ -93,6 +96,7 @@ class Bundler:
         self._waiting: deque[bytes] = deque()
         self._kept: deque[bytes] = deque()
         self._last = self._kept_bytes = 0  # number of the newest bundle; size of those kept
+        self._answered, self._answering_since_s = 0, 0.0
         self._lock = threading.Lock()
         session.subscribe(missed_key_expression(domain), self._on_missed)
         session.announce(token)
@@ -150,7 +154,7 @@ class Bundler:
     def _on_missed(self, delivery: Delivery) -> None:
         """Send again what a recorder lacks, some of it; the loop is not to wait for that."""
         missed = Span.decode(delivery.payload)
-        if missed is None or missed.sender != self._sender:
+        if missed is None or missed.sender != self._sender or not self._may_answer():
             return
         with self._lock:
             first = max(missed.first, self._first)
@@ -161,6 +165,14 @@ class Bundler:
             ]
         for bundle, span in again:
             self._publisher.put(bundle, span)
+
+    def _may_answer(self) -> bool:
+        """Whether so few requests came lately that this one is no flood: a recorder asks again."""
+        now_s = time.monotonic()
+        if now_s - self._answering_since_s >= 1.0:
+            self._answered, self._answering_since_s = 0, now_s
+        self._answered += 1
+        return self._answered <= _MOST_ANSWERED_PER_S
 
 
 def unbundled(bundle: bytes, topics: Mapping[bytes, Topic]) -> list[Received]:

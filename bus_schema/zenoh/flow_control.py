@@ -8,6 +8,7 @@ before a queue is full. Others are not waited for.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections import deque
 
@@ -18,6 +19,8 @@ LARGEST_LEAD_BYTES = 1 << 19
 OVERHEAD_BYTES = 100
 """What else of each message is in the queue: key, attachment, headers."""
 _PATIENCE_S = 60.0
+_FIRST_PATIENCE_S = 3.0
+"""For one that has never said how far it has come: anybody can announce a recorder."""
 
 
 class FlowControl:
@@ -33,17 +36,20 @@ class FlowControl:
         self._marks: deque[tuple[int, int]] = deque()  # sequence, bytes sent with and before it
         self._last_mark = 0
         self._recorders: dict[str, int] = {}  # sequence that each has, by session
+        self._silent: set[str] = set()  # of these, those that have said nothing yet
         self._change = threading.Condition()
 
     def join(self, recorder: str) -> None:
         """A recorder is there, and gets all that is sent from now on."""
         with self._change:
-            self._recorders.setdefault(recorder, self._last_mark)
+            if recorder not in self._recorders:
+                self._recorders[recorder] = self._last_mark
+                self._silent.add(recorder)
 
     def leave(self, recorder: str) -> None:
         """A recorder is gone, and is waited for no longer."""
         with self._change:
-            self._recorders.pop(recorder, None)
+            self._drop(recorder)
             self._change.notify_all()
 
     def send(self, size_bytes: int, mark: int = 0) -> None:
@@ -58,20 +64,26 @@ class FlowControl:
         """A recorder has all that was sent up to a mark."""
         with self._change:
             if recorder in self._recorders:
-                self._recorders[recorder] = max(mark, self._recorders[recorder])
+                self._silent.discard(recorder)
+                newest = min(mark, self._last_mark)
+                self._recorders[recorder] = max(newest, self._recorders[recorder])
                 self._change.notify_all()
 
     def await_recorders(self) -> None:
         """Wait until none of them is too far behind."""
         with self._change:
-            if self._change.wait_for(self._may_send, self._patience_s):
+            patience_s = min(self._patience_s, _FIRST_PATIENCE_S if self._silent else math.inf)
+            if self._change.wait_for(self._may_send, patience_s):
                 return
-            slowest = min(self._recorders, key=self._recorders.__getitem__)
-            del self._recorders[slowest]
+            self._drop(min(self._silent or self._recorders, key=self._recorders.__getitem__))
         logger.warning(
             "a recorder has recorded nothing for %g s, and is waited for no longer: what it misses"
-            " it counts as lost", self._patience_s,
+            " it counts as lost", patience_s,
         )  # fmt: skip
+
+    def _drop(self, recorder: str) -> None:
+        self._recorders.pop(recorder, None)
+        self._silent.discard(recorder)
 
     def _may_send(self) -> bool:
         slowest = min(self._recorders.values(), default=self._last_mark)

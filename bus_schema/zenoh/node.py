@@ -37,6 +37,8 @@ from bus_schema.zenoh.senders import Senders
 from bus_schema.zenoh.session import Delivery, Inbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
+_MOST_SESSIONS = 1000
+"""That announce a scenario: each may be made up."""
 LOOK_S = 0.005
 """Between two looks for a peer before a run: short, as each is waited for in every run."""
 _PATIENCE_S = 0.1
@@ -91,7 +93,8 @@ class ZenohNode:
         self._flow = FlowControl() if lossless and is_loop else None
         self._progress: ZenohPublisher | None = None
         self._agreement = agreement
-        self._differences: dict[str, list[str]] = {}
+        self._differences: dict[str, dict[str, list[str]]] = {}  # by role and session
+        self._announced: set[str] = set()  # sessions of which a token of the graph came, ever
         # Before all other tokens: whoever sees this node knows which scenario it runs.
         self._session.watch_tokens(scenario_key_expression(link.domain), self._on_scenario)
         if agreement is not None:
@@ -170,13 +173,18 @@ class ZenohNode:
         return not known.issuperset(self._session.connected())
 
     def require_same_scenario(self, role: Role) -> None:
-        """Check what the last process of a role announced; others announce nothing.
+        """Check what processes of a role announced; others announce nothing.
+
+        One that agrees is enough: anybody may have sent what the others announce. So is one that
+        has announced its scenario and nothing else no process of ours.
 
         Raises:
             ScenarioMismatchError: it runs another scenario.
         """
-        if keys := self._differences.get(role.value):
-            raise ScenarioMismatchError(role, keys)
+        found = dict(self._differences.get(role.value, {}))
+        differing = [keys for session, keys in found.items() if session in self._announced]
+        if differing and all(found.values()):
+            raise ScenarioMismatchError(role, differing[-1])
 
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""
@@ -234,12 +242,15 @@ class ZenohNode:
         """Remember what differs; also of a peer that has seen it first, and left."""
         *_, role, session, theirs = token.split("/")
         if alive and self._agreement is not None and session != self._session.identifier:
-            self._differences[role] = self._agreement.differences(theirs)
+            sessions = self._differences.setdefault(role, {})
+            if len(sessions) < _MOST_SESSIONS:
+                sessions[session] = self._agreement.differences(theirs)
 
     def _on_token(self, token: str, alive: bool) -> None:
         entity = Entity.from_token(token)
         if entity is not None and alive:
             self._entities[token] = entity
+            self._announced.add(entity.session)
             if entity.kind == EntityKind.PUBLISHER and entity.session != self._session.identifier:
                 self._offered.add(entity.topic)
             self._senders.come(token, entity)

@@ -12,6 +12,7 @@ from typing import Any
 from bus_schema.arrays import Vector
 from bus_schema.configuration import ConfigurationError
 from controller.control_law import ControlLaw, Diagnostics, Dynamics, Tracking
+from controller.law_error import is_of_the_law
 from controller.laws.user_modules import OURS, find_in_current_folder
 
 EXTERNAL = "external"
@@ -94,10 +95,9 @@ def build_custom(name: str, gains: dict[str, Any], model: Dynamics) -> ControlLa
     make = find_law(name)
     try:
         law = make(model, **gains)
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # whatever a constructor objects to, the input is bad
+    except BaseException as error:  # a user's code may raise anything, or exit
+        if not is_of_the_law(error):
+            raise
         raise ConfigurationError(
             _GAINS_KEY, gains, f"{name} cannot be made from these: {_described(error)}"
         ) from error
@@ -124,10 +124,9 @@ def find_law(name: str) -> Maker:
     find_in_current_folder()
     try:
         module = importlib.import_module(module_name)
-    except (
-        Exception,
-        SystemExit,
-    ) as error:  # a user's code may raise anything, or exit
+    except BaseException as error:
+        if not is_of_the_law(error):
+            raise
         raise ConfigurationError(
             _LAW_KEY, name, f"{module_name} cannot be imported: {_described(error)}"
         ) from error

@@ -12,12 +12,13 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from bus_schema.errors import Stopped
 from deploy.cli.commands import COMMANDS, LazyCommand
 from deploy.cli.terminal.closed_output import outlive_readers
 from deploy.cli.terminal.log_lines import LogLines
 from deploy.exit_codes import BAD_INPUT, FAULT, INTERRUPTED
 from deploy.input_error import InputError
-from deploy.stop_signals import Stopped, stop_at_once
+from deploy.stop_signals import stop_at_once
 
 _NEW_OBJECTS = 200_000
 """The garbage collector looks after so many, which is more than importing makes: Python's 700 make

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schema.configuration import shown
+from bus_schema.errors import Stopped
 from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS, likely_law
@@ -28,7 +29,14 @@ from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load
 from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.stop_signals import STOPS, Stopped, on_stop, stop_at_once
+from deploy.stop_signals import (
+    STOPS,
+    WITHIN_S,
+    end_if_asked,
+    on_stop,
+    stop_at_once,
+    stop_between_steps,
+)
 from plant_emulator.plant_loop import PlantLoop
 
 
@@ -63,6 +71,8 @@ def watching(
 ) -> Callable[[PlantLoop], None]:
     """For `simulate` to call at the start: follows the run, and ends it on an interrupt.
 
+    A law may go on all the same: the process then ends, unless `on_stop` has been called again.
+
     Args:
         progress: where to show how far it is.
         setup: the scenario.
@@ -78,7 +88,7 @@ def watching(
             stop.set()
             loop.request_stop()
 
-        on_stop(request_stop)
+        on_stop(request_stop, WITHIN_S)
 
     return watch
 
@@ -110,22 +120,22 @@ def show_places(console: Console, folder: ResultFolder) -> None:
 
 @contextlib.contextmanager
 def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
-    """For what is worked out once the runs are over: a request to stop ends it at once.
+    """For what is worked out once the runs are over: a request to stop ends it after a step.
 
     What is written by then stays; `funnel-hil report` works out the rest.
     """
     before = {number: signal.getsignal(number) for number in STOPS}
-    has_come = stop_at_once()
+    stop_between_steps()
     try:
         yield
-        if has_come():
-            raise Stopped
+        end_if_asked()
     except Stopped:
         console.print(
             f"stopped while judging: funnel-hil report {folder.path} does it again", soft_wrap=True
         )
         raise typer.Exit(INTERRUPTED) from None
     finally:
+        stop_at_once()  # no deadline of what is over ends what follows
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -140,6 +140,7 @@ def run_in_virtual_time(options: RunOptions) -> None:
         with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
             watch = watching(progress, setup, name, stop)
             simulation = simulate_setup(setup, watch, folder.can_log)
+            on_stop(stop.set)
         data = simulation.data(simulation.write_log(folder.log))
         finish(
             console, folder, RunOutcome(interrupted=stop.is_set()), data=data,

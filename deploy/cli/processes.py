@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -115,7 +116,13 @@ def _address(text: str) -> tuple[str, int]:
 
 
 def reporter_of(role: str, parent_pid: int | None) -> StatusReporter:
-    """The reporter of a process; one that has a parent ends with it."""
-    if parent_pid is not None:
-        end_with_parent(parent_pid)
-    return StatusReporter(role, to_parent=parent_pid is not None)
+    """The reporter of a process; one that has a parent ends with it, and is its only reporter.
+
+    What anything else prints, such as a law, goes to standard error.
+    """
+    if parent_pid is None:
+        return StatusReporter(role, to_parent=None)
+    end_with_parent(parent_pid)
+    channel = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    return StatusReporter(role, to_parent=channel)

@@ -6,15 +6,17 @@ place of all that is there.
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import multiprocessing
 import os
 import runpy
+import shutil
 import signal
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -62,8 +64,7 @@ def start(words: list[str]) -> CommandProcess:
     )
     theirs = [stdin, stdout, stderr]
     process = _CONTEXT.Process(target=_be, args=(words, Path.cwd(), theirs), daemon=True)
-    with _fork_server_survives():
-        process.start()
+    _fork(process)
     for end in theirs:
         end.close()
     return CommandProcess(process, _file(to_it, "w"), _file(from_it, "r"), _file(errors, "r"))
@@ -84,9 +85,42 @@ def start_program(
     """
     arguments = (list(command), dict(environment), Path.cwd(), (stdout, stderr))
     process = _CONTEXT.Process(target=_be_program, args=arguments, daemon=True)
-    with _fork_server_survives():
-        process.start()
+    _fork(process)
     return process
+
+
+def thaw() -> None:
+    """Have what processes are forked from go on where it is frozen (stopped by a signal).
+
+    Until then nobody's end is noticed. So does the process that clears up after it.
+    """
+    for pid in (forkserver._forkserver._forkserver_pid, resource_tracker._resource_tracker._pid):  # type: ignore[attr-defined]
+        if pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+
+atexit.register(thaw)
+
+
+def remove_sockets() -> None:
+    """Remove the folder of the fork server's socket, which Python does at a regular end alone."""
+    folder = multiprocessing.current_process()._config.get("tempdir")  # type: ignore[attr-defined]
+    if folder is not None:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _fork(process: BaseProcess) -> None:
+    """Start a process; a request to stop can end the wait for a fork server that is frozen.
+
+    Raises:
+        ChildProcessError: something ended the fork server meanwhile.
+    """
+    prepare()
+    try:
+        process.start()
+    except EOFError as error:
+        raise ChildProcessError("what this run's processes are forked from was killed") from error
 
 
 @contextmanager
@@ -96,9 +130,6 @@ def _fork_server_survives() -> Iterator[None]:
     It is in the process group that a terminal, or `timeout`, tells to stop; the path of its
     socket must be short, which not every TMPDIR is; and modules in this folder are not to take the
     place of ours.
-
-    Raises:
-        ChildProcessError: something ended it while it was asked for a process.
     """
     resource_tracker.ensure_running()  # which would let the signals through
     signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
@@ -107,8 +138,6 @@ def _fork_server_survives() -> Iterator[None]:
     is_ours = os.environ.setdefault(SAFE_PATH, FOR_FORK_SERVER) == FOR_FORK_SERVER
     try:
         yield
-    except EOFError as error:
-        raise ChildProcessError("what this run's processes are forked from was killed") from error
     finally:
         if is_ours:
             del os.environ[SAFE_PATH]
@@ -138,7 +167,11 @@ def _be(words: list[str], folder: Path, streams: list[Connection]) -> None:
     launcher = multiprocessing.parent_process()
     if launcher is not None and launcher.is_alive():  # from here on its end is noticed
         sys.argv[1:] = words
-        runpy.run_module(PROGRAM, run_name="__main__", alter_sys=True)
+        try:
+            runpy.run_module(PROGRAM, run_name="__main__", alter_sys=True)
+        finally:
+            if not launcher.is_alive():
+                remove_sockets()
 
 
 def _be_program(

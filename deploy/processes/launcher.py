@@ -19,6 +19,7 @@ from typing import Any
 from bus_schema.errors import silent_peer
 from bus_schema.messages.topics import Role
 from deploy.processes.child import Child, ChildProcess, Failure, in_causal_order
+from deploy.processes.command_process import thaw
 from deploy.processes.fault_injector import ProcessFaultInjector
 from deploy.processes.live.feed import clear_left_behind
 from deploy.processes.live.viewer import LiveViewer
@@ -92,6 +93,7 @@ class Launcher:
 
     def request_stop(self) -> None:
         """End the run cleanly; a second request ends it at once."""
+        thaw()
         if self._outcome.interrupted:
             for child in self._all_children():
                 child.kill()
@@ -221,6 +223,7 @@ class Launcher:
 
     def _clear_up(self) -> None:
         """No process is left over, and each one's end is accounted for."""
+        thaw()
         early = self._relay if self._relay_has_gone() else None  # it is to outlast the others
         frozen = self._ask_all_to_stop()
         for child in self._all_children():

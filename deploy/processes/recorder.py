@@ -22,6 +22,7 @@ from controller import reference_file
 from deploy.processes.live.feed import LiveFeed
 from deploy.processes.live.snapshot import Message
 from deploy.processes.logged_view import LoggedView
+from deploy.processes.message_counts import EventBudget, GapCounter
 from deploy.scenario.agreement import agreement_of
 from deploy.scenario.referenced_files import DELAY_KEYS, data_files
 from deploy.scenario.setup import Setup
@@ -44,7 +45,6 @@ _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
 _MOST_COMMANDS = 1 << 40
-_MOST_STREAMS = 10_000  # whoever makes up an id for each message fills no memory
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
@@ -76,50 +76,26 @@ def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
     return log
 
 
-def close_log(log: McapLog, lost: Counter[str]) -> None:
-    """Finish a recording with the count of what it holds, and of what it lacks by topic."""
+def close_log(log: McapLog, lost: Counter[str], forged: int = 0) -> None:
+    """Finish a recording with the count of what it holds, and of what it lacks by topic.
+
+    Args:
+        log: the recording.
+        lost: messages that never came to it, by topic.
+        forged: numbers of bundles and messages that were not believed.
+    """
     log.finish_messages()
     missing = lost + log.lost
     log.add_metadata(
-        RECORDER_METADATA, {"messages": str(log.messages), "lost": str(missing.total())}
+        RECORDER_METADATA,
+        {
+            "messages": str(log.messages),
+            "lost": str(missing.total()),
+            **({"forged": str(forged)} if forged else {}),
+        },
     )
     log.add_metadata(LOST_METADATA, {topic: str(count) for topic, count in missing.items()})
     log.close()
-
-
-class GapCounter:
-    """Counts messages that never came, by the gaps in their senders' numbers.
-
-    Attributes:
-        missed: messages that are missing, by topic.
-    """
-
-    def __init__(self) -> None:
-        self._last_sequence: dict[tuple[str, bytes], int] = {}
-        self.missed: Counter[str] = Counter()
-
-    def note(self, topic: str, sender: bytes, sequence: int) -> None:
-        """A message came; what is missing since the last one of its sender is missed.
-
-        Of those whose number is 0, which is none, nothing is known to be missing.
-        """
-        stream = topic, sender
-        last = self._last_sequence.get(stream, 0)
-        if not last and len(self._last_sequence) >= _MOST_STREAMS:
-            return
-        if sequence > last:
-            self._last_sequence[stream] = sequence
-            if sequence > last + 1:
-                self.missed[topic] += sequence - last - 1
-
-    def expect(self, topic: str, count: int, came: int) -> int:
-        """Somebody else got `count` messages, of which `came` came here too.
-
-        How many of the others nobody had missed so far.
-        """
-        unknown = max(0, count - came - self.missed[topic])
-        self.missed[topic] += unknown
-        return unknown
 
 
 class Recorder:
@@ -141,7 +117,7 @@ class Recorder:
     def __init__(self, setup: Setup, path: Path, feed: LiveFeed | None = None) -> None:
         self._setup, self._feed = setup, feed
         self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.link_kind.name)
-        self._gaps = GapCounter()
+        self._gaps, self._events = GapCounter(), EventBudget()
         self._progress: dict[bytes, int] = {}
         self._commands_received = 0
         self._last_stamp_ns = 0
@@ -169,6 +145,11 @@ class Recorder:
     def lost(self) -> Counter[str]:
         """Messages that are not: by gaps in their senders' numbers, and by the disk; by topic."""
         return self._gaps.missed + self._log.lost
+
+    @property
+    def disbelieved(self) -> int:
+        """Bundles and messages whose numbers no sender of ours can have come to."""
+        return self._mailbox.disbelieved + self._gaps.disbelieved
 
     @property
     def failure(self) -> OSError | None:
@@ -214,7 +195,13 @@ class Recorder:
             self._gaps.note(topic.name, gid, sequence)
             self._gaps.missed[topic.name] += 1
         self._compare_with_the_plant()
-        close_log(self._log, self._gaps.missed)
+        if self.disbelieved:
+            logger.warning(
+                "%d numbers of bundles and messages are forged: somebody else on the bus sends"
+                " in the name of a process of this run; link.security keeps strangers out",
+                self.disbelieved,
+            )  # fmt: skip
+        close_log(self._log, self._gaps.missed, self.disbelieved)
         self._node.close()
 
     def _write_what_came(self) -> bool:
@@ -237,6 +224,9 @@ class Recorder:
         feed = self._feed if self._feed is not None and self._feed.is_watched else None
         for topic, payload, sequence, source_time_ns, gid in messages:
             self._gaps.note(topic.name, gid, sequence)
+            if topic is topics.RUN_EVENTS and not self._events.admits(gid, len(payload)):
+                self._gaps.missed[topic.name] += 1
+                continue
             told_ns = stamp_of(payload)
             if told_ns is not None:
                 stamp_ns = told_ns

@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from rich.console import Console
 
@@ -76,10 +76,10 @@ class StatusReporter:
 
     Args:
         role: the process.
-        to_parent: write JSON lines.
+        to_parent: takes JSON lines; None for sentences to people.
     """
 
-    def __init__(self, role: str, *, to_parent: bool) -> None:
+    def __init__(self, role: str, *, to_parent: IO[str] | None) -> None:
         self._role = role
         self._to_parent = to_parent
         self._console = Console(highlight=False)
@@ -87,11 +87,11 @@ class StatusReporter:
 
     def report(self, kind: str, **values: Any) -> None:
         """Report something; the kinds are those of a `StatusMessage`."""
-        if self._to_parent:
+        if self._to_parent is not None:
             # print writes the end of a line by itself, and another thread's line may get before it.
             with contextlib.suppress(BrokenPipeError):
-                sys.stdout.write(json.dumps({"kind": kind, **values}) + "\n")
-                sys.stdout.flush()
+                self._to_parent.write(json.dumps({"kind": kind, **values}) + "\n")
+                self._to_parent.flush()
         elif kind in ("note", "lacks", "fault"):
             self._console.print(f"{self._role}: {values['text']}", markup=False)
         elif kind == "result" or (kind == "progress" and values and self._is_time_for_progress()):
@@ -107,7 +107,7 @@ class StatusReporter:
 
     def request(self, action: ProcessAction, *, await_execution: bool) -> None:
         """Have `run` do something to a process; without `run` nobody does."""
-        if self._to_parent:
+        if self._to_parent is not None:
             self.report("process_action", **action._asdict())
             if await_execution:
                 sys.stdin.readline()

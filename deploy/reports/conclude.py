@@ -13,6 +13,7 @@ from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, read_manifest, read_summary
+from deploy.stop_signals import end_if_asked
 
 
 def conclude(
@@ -39,8 +40,10 @@ def conclude(
     try:
         if (record := fault_record(run)) is not None:
             write_json(folder.fault, record)
+        end_if_asked()
         if draws_report:
             write_report = load_report()
+            end_if_asked()
             write_report(run, summary, folder.report, conditions_in(folder, run))
     except OSError as error:
         summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")

@@ -24,6 +24,7 @@ from deploy.reports import plotly_library
 from deploy.reports.figure_json import figure_json, typed_array
 from deploy.reports.figures.template import without_template
 from deploy.reports.tables import Table
+from deploy.stop_signals import end_if_asked
 
 T = TypeVar("T")
 """What a report is about: a run, or several."""
@@ -139,6 +140,7 @@ def _drawn(
     beside = {name: executor.submit(rest) for name, rest in begun.items() if callable(rest)}
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
+        end_if_asked()
         if panel.id in begun:
             content = beside[panel.id].result() if panel.id in beside else None
         else:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bus_schema.percentiles import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from deploy.scenario.yaml_files import ScenarioError
 
 _DIRECTIONS = ("uplink", "downlink")
 _COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
@@ -46,6 +48,9 @@ _COLUMNS = {
 """Names and types, units as in ``summary.json``; lists have one entry for each joint."""
 
 Row = dict[str, Any]
+_DIGEST = b"funnel_hil.sha256"
+"""In the schema's metadata: of names, rows and conditions. A table without it is an older
+one, or not ours."""
 
 
 def row(summary: dict[str, Any], seed: int) -> Row:
@@ -110,14 +115,39 @@ def write_rows(
     schema = pa.schema(
         [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
     )
+    table = pa.Table.from_pylist(list(rows), schema=schema)
+    metadata = {**(table.schema.metadata or {}), _DIGEST: _digest(table)}
     with naming_file(path):
-        parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+        parquet.write_table(
+            table.replace_schema_metadata(metadata), partial_path(path), write_page_checksum=True
+        )
     complete(path)
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a Parquet file."""
+    """Rows of a Parquet file.
+
+    Raises:
+        ScenarioError: it is damaged.
+    """
     from pyarrow import parquet
 
-    rows: list[Row] = parquet.read_table(path).to_pylist()
+    try:
+        table = parquet.read_table(path, page_checksum_verification=True)
+        table.validate(full=True)
+        digest = (table.schema.metadata or {}).get(_DIGEST)
+        rows: list[Row] = table.to_pylist()
+        is_whole = digest in (None, _digest(table))
+    except Exception as error:  # what damage makes pyarrow raise has no common class
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise ScenarioError(f"{path}: cannot be read: {reason}") from error
+    if not is_whole:
+        raise ScenarioError(f"{path}: is damaged: its rows do not match their checksum")
     return rows
+
+
+def _digest(table: Any) -> bytes:
+    """Checksum of what a table says, however a file stores it."""
+    metadata = {k: v for k, v in (table.schema.metadata or {}).items() if k != _DIGEST}
+    said = repr((table.column_names, sorted(metadata.items()), table.to_pylist()))
+    return hashlib.sha256(said.encode()).hexdigest().encode()

@@ -130,6 +130,7 @@ def _own_cluster(workers: int | None, scratch: str) -> LocalCluster:
             n_workers=workers or len(os.sched_getaffinity(0)),
             threads_per_worker=1,
             processes=True,
+            security=Security.temporary(),  # else any user of this machine may give it code to run
             memory_limit=0,
             dashboard_address=None,
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any port that is free

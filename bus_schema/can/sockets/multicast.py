@@ -59,7 +59,10 @@ class Envelopes:
 
     def open(self, datagram: bytes) -> CanFrame | None:
         """The frame of a datagram, None if it is none."""
-        start = datagram.find(_DATA) + len(_DATA) + 1
+        mark = datagram.find(_DATA)
+        if mark < 0:
+            return None
+        start = mark + len(_DATA) + 1
         end = start + datagram[start - 1] if start <= len(datagram) else 0
         envelope = datagram[:start], datagram[end:]
         known = self._incoming.get(envelope)
@@ -92,7 +95,7 @@ class MulticastBus:
         self._receiver, self._envelopes = receiver, envelopes
         self._name = place[0]
         self._sender = _sender(receiver.family, place, hop_limit)
-        self._sent = 0
+        self._sent = self._malformed = 0
         own_port = self._sender.getsockname()[1]
         keep_out(receiver.fileno(), own_port, other_machines=not hop_limit)
 
@@ -124,6 +127,7 @@ class MulticastBus:
             while True:
                 datagram = self._next()
                 frame = None if datagram is None else self._envelopes.open(datagram)
+                self._malformed += datagram is not None and frame is None
                 left_s = give_up_s - time.monotonic()
                 if frame is not None or left_s <= 0.0:
                     return frame
@@ -133,12 +137,12 @@ class MulticastBus:
             raise BusError(f"CAN channel {self._name}: {error}") from error
 
     def dropped(self) -> int | None:
-        """Frames that came while the socket's queue was full; None where nobody counts them.
+        """Frames that came while the socket's queue was full, and datagrams that are no frames.
 
-        The kernel counts those too that it keeps out.
+        None where nobody counts them. The kernel counts those too that it keeps out.
         """
         try:
-            return max(0, dropped_by_socket(self._receiver.fileno()) - self._sent)
+            return max(0, dropped_by_socket(self._receiver.fileno()) - self._sent) + self._malformed
         except OSError:  # another kernel than Linux
             return None
 

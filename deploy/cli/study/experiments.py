@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from bus_schema.errors import Stopped
 from controller.laws import LAWS
 from controller.laws.custom import custom_laws_left_out
 from deploy.cli.common import judging, leave, parse_laws, say_oddities, show_places, watching
@@ -47,7 +48,7 @@ from deploy.runs.run_folder import (
 )
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
-from deploy.stop_signals import on_stop
+from deploy.stop_signals import on_stop, stop_at_once
 
 
 def compare(
@@ -77,15 +78,13 @@ def compare(
     with folder:
         console, stop = Console(), threading.Event()
         comparison = Comparison(_run_all(setups, folder, console, stop, confirms=confirm))
-        interrupted, earlier = stop.is_set(), folder.earlier_settling()
-        if settling and not interrupted:
-            for setup in setups:
-                if setup.scenario.controller.process is not None:
-                    continue  # it has no bound, and each of its starts would be a run of its own
-                law = setup.scenario.controller.law
-                test = (law in LAWS and earlier.get(law)) or settling_test(setup)
-                comparison.settling.append(test)
-                console.print(settling_sentence(test), markup=False, highlight=False)
+        if settling and not stop.is_set():
+            try:
+                stop_at_once()
+                _settle(setups, comparison, folder, console)
+            except Stopped:
+                stop.set()
+        interrupted = stop.is_set()
         _conclude_comparison(comparison, folder, console)
         leave(
             interrupted=interrupted,
@@ -169,7 +168,9 @@ def _run_all(
                 runs.append(known)
             elif setup.scenario.controller.process is None:
                 watch = watching(progress, setup, law, stop, before_s)
-                runs.append(folder.add(attempt(setup, watch)))
+                simulation = attempt(setup, watch)
+                on_stop(stop.set)
+                runs.append(folder.add(simulation))
             else:
                 runs.append(folder.add_process(setup, partial(_stop_by, stop)))
             if confirms and not stop.is_set():
@@ -180,6 +181,20 @@ def _run_all(
             if stop.is_set():
                 break
     return runs
+
+
+def _settle(
+    setups: list[Setup], comparison: Comparison, folder: ComparisonFolder, console: Console
+) -> None:
+    """Measure how the laws settle, and say it of each."""
+    earlier = folder.earlier_settling()
+    for setup in setups:
+        if setup.scenario.controller.process is not None:
+            continue  # it has no bound, and each of its starts would be a run of its own
+        law = setup.scenario.controller.law
+        test = (law in LAWS and earlier.get(law)) or settling_test(setup)
+        comparison.settling.append(test)
+        console.print(settling_sentence(test), markup=False, highlight=False)
 
 
 def _stop_by(stop: threading.Event, request_stop: Callable[[], None]) -> None:

@@ -6,6 +6,7 @@ import socket
 from collections.abc import Iterator
 
 import can
+import msgpack
 import pytest
 from can.interfaces.udp_multicast.utils import pack_message
 from hypothesis import given
@@ -71,9 +72,19 @@ def test_what_python_can_sends_is_understood(
     assert theirs.recv(WAIT_S) is not None  # python-can hears itself
 
 
+def packed(**fields: object) -> bytes:
+    """A datagram like a frame's, but for these fields."""
+    frame = msgpack.unpackb(pack_message(message_of(CanFrame(0x181, bytes(8)))))
+    return bytes(msgpack.packb(frame | fields))
+
+
 @pytest.mark.parametrize(
     "datagram",
     [
+        packed(arbitration_id=1.5), packed(arbitration_id=True), packed(arbitration_id=-1),
+        packed(is_fd=0.0), packed(is_extended_id="x"), packed(is_remote_frame=[]),
+        packed(is_error_frame=2), packed(data=8), packed(data=2**40), packed(data=[0] * 8),
+        packed(data=bytes(65), dlc=65, is_fd=True), packed(dlc=8.0, data="12345678"),
         b"", b"\xa4data\xc4", b"\xa4data\xc4\xff", b"rubbish", bytes(4000),
         pack_message(message_of(CanFrame(0x181, bytes(8)))).replace(b"dlc\x08", b"dlc\x07"),
         pack_message(message_of(CanFrame(0x181, bytes(8))))[:-1],
@@ -83,16 +94,19 @@ def test_what_is_no_frame_is_passed_over(ours: CanBus, theirs: can.BusABC, datag
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
         stranger.sendto(datagram, (GROUP, PORT))
-    frame = CanFrame(0x181, b"\1\2")
+    frame, before = CanFrame(0x181, b"\1\2"), ours.dropped()
     theirs.send(message_of(frame))
     assert ours.receive(WAIT_S) == frame
+    assert before is not None
+    assert ours.dropped() == before + 1
 
 
 def test_own_frames_neither_come_back_nor_count_as_dropped(ours: CanBus) -> None:
+    before = ours.dropped()
     for _ in range(100):
         ours.send(CanFrame(0x181))
     assert ours.receive(0.05) is None
-    assert ours.dropped() == 0
+    assert ours.dropped() == before
 
 
 def test_fd_frames_pass_only_where_the_bus_carries_them(theirs: can.BusABC) -> None:

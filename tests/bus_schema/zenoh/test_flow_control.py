@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from bus_schema.messages.topics import CONTROL_STATUS, PLANT_TRUTH, TOPICS, Role
+from bus_schema.zenoh import flow_control
 from bus_schema.zenoh.flow_control import LARGEST_LEAD_BYTES, FlowControl
 from bus_schema.zenoh.node import ZenohNode
 from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, fresh_link, plant_on
@@ -39,6 +40,22 @@ def test_a_recorder_far_behind_is_waited_for() -> None:
     assert not must_wait(flow)
     flow.send(TOO_MUCH // 2, 2)
     assert must_wait(flow)
+
+
+def test_recorder_that_never_said_anything_is_not_waited_for_as_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(flow_control, "_FIRST_PATIENCE_S", NEVER_S)
+    flow = FlowControl(HANG_S)
+    flow.join("recorder")
+    flow.send(1, 1)
+    flow.acknowledge("recorder", 2**62)  # it cannot be further than what was sent
+    flow.join("stranger")
+    flow.send(TOO_MUCH, 2)
+    threading.Timer(0.05, flow.acknowledge, ("recorder", 2)).start()
+    flow.await_recorders()
+    flow.await_recorders()
+    assert flow._recorders == {"recorder": 2}
 
 
 def test_a_recorder_that_has_caught_up_is_not() -> None:

@@ -226,6 +226,37 @@ def test_what_does_not_come_is_asked_for_again_after_twice_as_long() -> None:
     assert asked_ms == [0, 210, 630]
 
 
+FORGED = 2**62
+
+
+def test_forged_number_is_left_out_and_bars_no_genuine_bundle() -> None:
+    order = BundleOrder(SENDER)
+    assert taken_in(order, 1, 2) == numbered(1, 2)
+    assert taken_in(order, FORGED, first=FORGED) == []
+    assert order.missed(0.0) is None
+    assert taken_in(order, 3) == numbered(3)
+    assert order.disbelieved == 1
+
+
+def test_bundles_follow_a_forged_one_that_came_before_all_of_them() -> None:
+    order = BundleOrder(SENDER)
+    assert taken_in(order, FORGED, first=FORGED) == numbered(FORGED)
+    assert taken_in(order, 1, 2) == numbered(1, 2)
+    assert order.disbelieved == 1
+
+
+def test_span_of_more_than_a_sender_keeps_is_none() -> None:
+    assert Span.decode(Span(1, 512, SENDER).encode()) == Span(1, 512, SENDER)
+    assert Span.decode(Span(1, 513, SENDER).encode()) is None
+
+
+def test_flood_of_requests_is_answered_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundles.time, "monotonic", lambda: 10.0)
+    with closing(ZenohSession([], [], low_latency=False)) as session:
+        bundler = Bundler(session, 0, Role.PLANT)
+        assert sum(bundler._may_answer() for _ in range(500)) == 50
+
+
 def test_nobody_waits_for_what_its_sender_keeps_no_longer() -> None:
     order = BundleOrder(SENDER)
     assert taken_in(order, 3, 9) == []

@@ -69,6 +69,44 @@ def test_a_run_is_ended_in_order(command, number, tmp_path, monkeypatch):
     assert (out / "summary.json").exists()
 
 
+ENDLESS_LAW = """
+import numpy as np
+from controller.control_law import Diagnostics
+
+class Endless:
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        print("begins", flush=True)
+        while True:
+            try:
+                while True:
+                    pass
+            except BaseException:
+                pass
+"""
+
+
+@pytest.mark.parametrize("signals", [1, 2])
+@pytest.mark.parametrize("command", ["simulate", "compare"])
+def test_law_in_an_endless_loop_keeps_no_command_from_ending(command, signals, tmp_path):
+    (tmp_path / "endless_law.py").write_text(ENDLESS_LAW)
+    (tmp_path / "mine.yaml").write_text(
+        "{extends: paper_arm, name: mine, controller: {law: 'endless_law:Endless'}}"
+    )
+    words = [command, "mine.yaml", *(["--laws", "endless_law:Endless"] * (command == "compare"))]
+    with funnel_hil(*words, "--out", "out", cwd=tmp_path, stdout=subprocess.PIPE) as process:
+        while b"begins" not in process.stdout.readline():
+            assert process.poll() is None
+        for _ in range(signals):
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 130
+
+
 def test_sighup_ends_nothing_under_nohup(monkeypatch, tmp_path):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     words = ["funnel-hil", "simulate", "paper_arm", *SHORT, "--out", str(tmp_path / "out")]

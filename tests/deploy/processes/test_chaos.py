@@ -14,7 +14,7 @@ from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import JOINT_COMMANDS, PLANT_TRUTH, TOPICS, Role
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.runtime.modes import TRANSITIONS, Mode, mode_in
-from deploy.processes.recorder import GapCounter
+from deploy.processes.message_counts import GapCounter
 from deploy.runs.run_data import RunData
 from deploy.runs.simulate import Simulation
 

@@ -57,6 +57,47 @@ print(pid)
 """
 
 
+FROZEN = """
+import os, signal, threading
+from multiprocessing import forkserver
+from deploy.processes.command_process import prepare, start, thaw
+
+signal.signal(signal.SIGTERM, lambda *_: thaw())
+prepare()
+os.kill(forkserver._forkserver._forkserver_pid, signal.SIGSTOP)
+threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGTERM)).start()
+print(start(["plant", "--help"]).stdout.read().split()[0])
+"""
+
+
+def test_request_to_stop_ends_the_wait_for_a_frozen_fork_server():
+    done = subprocess.run(
+        [sys.executable, "-c", FROZEN], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout == "Usage:\n", done.stderr
+
+
+KILLED = """
+import os, signal, sys
+from deploy.processes.command_process import start
+
+command = start(["record", "paper_arm", "--log", sys.argv[1]])
+command.stdout.readline()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_killed_command_leaves_no_socket_folder(tmp_path):
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    words = [sys.executable, "-c", KILLED, str(tmp_path / "run.mcap")]
+    subprocess.run(words, env={**os.environ, "TMPDIR": str(temporary)}, timeout=60)
+    give_up_s = time.monotonic() + 60.0
+    while left := list(temporary.glob("pymp-*")):
+        assert time.monotonic() < give_up_s, left
+        time.sleep(0.05)
+
+
 def test_what_processes_are_forked_from_can_load_before_it_is_needed():
     done = subprocess.run(
         [sys.executable, "-c", PREPARED], capture_output=True, text=True, check=True

@@ -27,7 +27,9 @@ from bus_schema.zenoh.access import bundle_key_expression
 from bus_schema.zenoh.bundles import HEAD, Span
 from bus_schema.zenoh.ros_graph import Attachment, node_token, node_tokens
 from bus_schema.zenoh.session import ZenohSession
+from deploy.processes import message_counts
 from deploy.processes import recorder as recorder_module
+from deploy.processes.message_counts import EventBudget, GapCounter
 from deploy.processes.recorder import Recorder
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -154,12 +156,27 @@ def test_what_waits_for_a_bundle_that_never_comes_is_recorded_in_the_end(bench: 
 
 
 def test_made_up_ids_fill_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder_module, "_MOST_STREAMS", 2)
-    gaps = recorder_module.GapCounter()
+    monkeypatch.setattr(message_counts, "_MOST_STREAMS", 2)
+    gaps = GapCounter()
     for sender, sequence in ((b"1", 1), (b"2", 1), (b"3", 5), (b"4", 7), (b"2", 3)):
         gaps.note("joint_states", sender, sequence)
     assert gaps.missed == {"joint_states": 1}
     assert len(gaps._last_sequence) == 2
+
+
+def test_forged_number_is_no_loss() -> None:
+    gaps = GapCounter()
+    for sequence in (1, 2, 2**55, 3, 5):
+        gaps.note("run_events", b"plant", sequence)
+    gaps.note("run_events", b"began long ago", 2**55)
+    assert (gaps.missed, gaps.disbelieved) == ({"run_events": 1}, 2)
+
+
+def test_flood_of_run_events_is_left_out_and_takes_no_place_of_others() -> None:
+    events = EventBudget()
+    assert sum(events.admits(b"stranger", 100) for _ in range(100_000)) == 5000
+    assert sum(events.admits(b"verbose", 1 << 18) for _ in range(100)) == 4
+    assert events.admits(b"plant", 100)
 
 
 @pytest.mark.parametrize("gid", [b"", FOREIGN], ids=["without numbers", "numbered"])

@@ -16,13 +16,14 @@ USABLE = sorted(os.sched_getaffinity(0))
 IDLE_LATENCY_DEVICE = Path("/dev/cpu_dma_latency")
 IN_LOCKSTEP = """
 import os
+import sys
 from pathlib import Path
 from bus_schema.messages.topics import Role
 from deploy.processes.scheduling import set_up_scheduling
 from deploy.processes.status import StatusReporter
 from deploy.scenario.scenario import load_setup
 setup = load_setup("paper_arm", ["clock=lockstep"])
-set_up_scheduling(setup, StatusReporter(Role.PLANT, to_parent=True), Role.PLANT)
+set_up_scheduling(setup, StatusReporter(Role.PLANT, to_parent=sys.stdout), Role.PLANT)
 own = Path("/proc/self/fd")
 print(*(os.readlink(own / name) for name in os.listdir(own) if (own / name).is_symlink()))
 """

@@ -15,7 +15,7 @@ import sys, threading
 from bus_schema.messages.topics import Role
 from deploy.processes.status import StatusReporter
 
-reporter = StatusReporter(Role.PLANT, to_parent=True)
+reporter = StatusReporter(Role.PLANT, to_parent=sys.stdout)
 
 def speak(thread):
     for number in range({SENTENCES}):

@@ -99,18 +99,40 @@ def test_a_law_that_wants_to_exit_only_fails(funnel_hil, folder):
     assert "failed at tick 1005: SystemExit: enough" in output
 
 
+HOSTILE = """
+    def close(self):
+        raise GeneratorExit("cannot close")
+
+    def reset(self):
+        self.calls = 0
+        print('{"kind": "realtime"}\\n{"kind": "fault"}', flush=True)
+"""
+
+
 @pytest.mark.parametrize("command", ["simulate", "run"])
-def test_a_law_that_raises_what_ctrl_c_raises_has_failed(folder, command):
-    (folder / "raising_law.py").write_text(LAW.replace('SystemExit("enough")', "KeyboardInterrupt"))
-    gains = "controller.gains.custom={at_tick: 1005}"
-    words = [command, "mine.yaml", "--no-report", "--set", "duration_s=1.2", "--set", gains,
+@pytest.mark.parametrize(
+    ("raised", "told"),
+    [
+        ("KeyboardInterrupt", "KeyboardInterrupt"),
+        ('type("Own", (BaseException,), {})("x")', "raising_law.Own: x"),
+        ('ValueError("a\\0b\\ud800c")', "ValueError: a\ufffdb\ufffdc"),
+    ],
+)
+def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raised, told):
+    law = LAW.replace('SystemExit("enough")', raised).replace("calls > 1000", "calls > 30")
+    (folder / "raising_law.py").write_text(law + HOSTILE)
+    gains = "controller.gains.custom={at_tick: 30}"
+    words = [command, "mine.yaml", "--no-report", *SHORT, "--set", gains,
              "--set", "clock=lockstep", "--out", "out"]  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
         env={**os.environ, "COLUMNS": "400"}, timeout=120,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
-    assert "failed at tick 1005: KeyboardInterrupt" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
+    faults = " ".join(json.loads((folder / "out" / "summary.json").read_text())["faults"])
+    raising, closing = f"failed at tick 30: {told} (", "GeneratorExit: cannot close ("
+    assert 0 <= faults.find(raising) < faults.find(closing)
 
 
 def test_replay_says_that_the_law_failed_again(funnel_hil, folder):

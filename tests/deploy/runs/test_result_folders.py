@@ -112,8 +112,8 @@ def test_so_it_is_of_a_study(funnel_hil, tmp_path):
     assert not json.loads((out / "summary.json").read_text())["completed"]
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_request_to_stop_that_python_swallows_is_heard_in_the_end(tmp_path):
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_request_to_stop_while_judging_raises_nothing_where_python_would_swallow_it(tmp_path):
     class Finalized:
         def __del__(self):
             os.kill(os.getpid(), signal.SIGTERM)

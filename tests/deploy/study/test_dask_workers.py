@@ -12,6 +12,8 @@ import time
 
 import pytest
 import yaml
+from distributed import Client
+from distributed.security import Security
 from pyarrow import parquet
 
 from bus_schema.runtime import compiled
@@ -288,3 +290,17 @@ def test_a_run_that_takes_its_workers_with_it_is_a_row(cluster, tmp_path):
     assert survivor["error"] is None
     assert "ended the process of every worker" in deadly["error"]
     assert deadly["controller.law"] == "deadly:Deadly"
+
+
+def test_stranger_on_this_machine_cannot_use_our_own_cluster():
+    with DaskWorkers(workers=1) as team:
+        scheduler = team._client.scheduler.address
+        workers = team._client.scheduler_info(n_workers=-1)["workers"]
+        places = [scheduler, *workers, *(worker["nanny"] for worker in workers.values())]
+        assert {place.partition("://")[0] for place in places} == {"tls"}
+        for address, security in (
+            (scheduler.replace("tls", "tcp"), Security()),
+            (scheduler, Security.temporary()),
+        ):
+            with pytest.raises(OSError, match=r"TCP|TLS"):
+                Client(address, security=security, timeout=3, set_as_default=False)
