@@ -6,7 +6,7 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import Role
+from bus_schema.recording.appended_metadata import append_metadata
+from bus_schema.recording.atomic_files import partial_path
 from bus_schema.recording.mcap_log import McapLog
 from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
@@ -39,6 +41,8 @@ DATA_ATTACHMENTS = {
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
+FAILURES_METADATA = "failures"
+"""What the recorder cannot know: a sentence for each process that failed, causes first."""
 _LARGEST_BACKLOG = 200_000
 _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
@@ -85,6 +89,18 @@ def close_log(log: McapLog, lost: Counter[str]) -> None:
     )
     log.add_metadata(LOST_METADATA, {topic: str(count) for topic, count in missing.items()})
     log.close()
+
+
+def record_failures(path: Path, failures: Sequence[str]) -> None:
+    """Have a recording say what ended the run, wherever it is judged; also a partial one."""
+    for file in (path, partial_path(path)):
+        if failures and file.is_file():
+            try:
+                append_metadata(
+                    file, FAILURES_METADATA, {str(i): f for i, f in enumerate(failures)}
+                )
+            except OSError as error:
+                logger.warning("%s: what failed is not in it: %s", file, error.strerror)
 
 
 class GapCounter:

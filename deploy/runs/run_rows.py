@@ -8,6 +8,7 @@ from typing import Any
 
 from bus_schema.percentiles import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from deploy.runs.judging.verdict import Verdict, decide, verdict_of
 
 _DIRECTIONS = ("uplink", "downlink")
 _COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
@@ -20,6 +21,7 @@ _COLUMNS = {
     "ticks": "int64",
     "completed": "bool",
     "error": "string",
+    "verdict": "string",
     "bounds_kept": "bool",
     "violation_fraction": "double",
     "first_violation_s": "double",
@@ -69,8 +71,13 @@ def row(summary: dict[str, Any], seed: int) -> Row:
 
 
 def held(row: Row) -> bool:
-    """Whether a run came to its end, without a fault and inside its bounds."""
-    return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
+    """Whether a run kept its bounds."""
+    return bool(row["verdict"] == Verdict.KEPT)
+
+
+def failed(row: Row) -> bool:
+    """Whether a run came to nothing that could be judged: it says nothing of its law."""
+    return row["error"] is not None and row["violation_fraction"] is None
 
 
 def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
@@ -82,7 +89,8 @@ def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
 
 def failed_row(seed: int, error: str) -> Row:
     """The row of a run that left nothing to judge."""
-    return dict.fromkeys(_COLUMNS) | {"seed": seed, "completed": False, "error": error}
+    found = {"seed": seed, "completed": False, "error": error, "verdict": decide([error]).value}
+    return dict.fromkeys(_COLUMNS) | found
 
 
 def write_rows(
@@ -116,8 +124,8 @@ def write_rows(
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a Parquet file."""
+    """Rows of a Parquet file; those of older versions get their verdict."""
     from pyarrow import parquet
 
     rows: list[Row] = parquet.read_table(path).to_pylist()
-    return rows
+    return [{**row, "verdict": verdict_of(row).value} for row in rows]

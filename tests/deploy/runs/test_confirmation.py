@@ -43,7 +43,8 @@ def test_other_physics_are_all_but_the_one_in_force():
 def row(kept, margin, others):
     on, its_kept, its_margins = zip(*others, strict=True)
     return {
-        "scenario": "s", "law": "l", "completed": True, "error": None, "bounds_kept": kept,
+        "scenario": "s", "law": "l", "completed": True, "error": None,
+        "verdict": "kept" if kept else "lost", "bounds_kept": kept,
         "margin_min": margin, "confirmed_on": on, "confirmed_kept": its_kept,
         "confirmed_margin_min": its_margins, "confirmed_error_difference_rad": [None] * len(on),
     }  # fmt: skip
