@@ -230,6 +230,9 @@ class Recorder:
             self._gaps.note(topic.name, gid, sequence)
             self._gaps.missed[topic.name] += 1
         self._compare_with_the_plant()
+        if rejected := self._mailbox.rejected:
+            self._log.add_metadata("rejected", {topics.RUN_EVENTS.name: str(rejected)})
+            logger.warning("%d run events were left out: not sent by the loop they name", rejected)
         close_log(self._log, self._gaps.missed)
         self._node.close()
 

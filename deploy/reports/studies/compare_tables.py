@@ -71,9 +71,10 @@ def bounds_sentence(run: LawRun) -> str:
     faults = run.summary["faults"]
     if faults:
         return "; ".join(faults[:_SHOWN_FAULTS])
-    if run.verdict is Verdict.UNKNOWN:
-        return f"not all of it is known; where it is, it {_bounds_text(run)}"
-    return _bounds_text(run) if run.summary["completed"] else "did not come to its end"
+    if run.verdict is Verdict.INTERRUPTED:
+        return "did not come to its end"
+    is_known = run.verdict is not Verdict.UNKNOWN
+    return f"{'' if is_known else 'not all of it is known; where it is, it '}{_bounds_text(run)}"
 
 
 def recording_sentences(runs: Iterable[LawRun]) -> list[str]:
@@ -92,7 +93,10 @@ def _bounds_text(run: LawRun) -> str:
     if bounds["violation_fraction"] is None:
         return "has no tick"
     if not bounds["violation_fraction"]:
-        return f"kept its bounds, smallest margin {margin_text(bounds['margin_min'])}"
+        if run.verdict is Verdict.LOST:
+            return "left its bounds at ticks that its recording lacks, as the plant counted"
+        inside = "kept" if run.kept_bounds else "was inside"
+        return f"{inside} its bounds, smallest margin {margin_text(bounds['margin_min'])}"
     return (
         f"left its bounds at {bounds['first_violation_s']:.3f} s, outside at"
         f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks, at most"

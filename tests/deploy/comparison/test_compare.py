@@ -118,13 +118,13 @@ def test_a_damaged_recording_is_told_with_what_it_lacks(compared, funnel_hil):
     assert code == 1
     assert data.damage
     words = [line.split() for line in output.splitlines()]
-    assert ["pid", "damaged"] in [each[:2] for each in words]
+    assert ["pid", "unknown"] in [each[:2] for each in words]
     said = " ".join(output.split())
     assert f"pid: The recording is damaged: {'; '.join(data.damage)}." in said
     assert f"pid: The true motion is known at {known_ticks(data).known} of 300 ticks" in said
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "1 did not finish or cannot be read whole" in page
-    assert "pid: its recording is damaged; where it can be read, it " in page
+    assert "pid: not all of it is known; where it is, it was inside its bounds" in page
 
 
 def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
