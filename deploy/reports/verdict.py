@@ -84,7 +84,7 @@ def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> l
         found.append(damaged(summary["recording"]["damage"]))
     elif not run.complete:
         found.append(PARTIAL)
-    if counted := plant_count(run).get("outside"):
+    if (found or known.missing) and (counted := plant_count(run).get("outside")):
         found.append(f"The plant itself counted {counted:,} ticks outside its bounds.")
     if known.missing:
         found += [missing_ticks_sentence(known), *_sentences_on_gaps(summary)]
