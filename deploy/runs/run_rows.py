@@ -75,7 +75,7 @@ def held(row: Row) -> bool:
     return bool(row["verdict"] == Verdict.KEPT)
 
 
-def failed(row: Row) -> bool:
+def left_nothing(row: Row) -> bool:
     """Whether a run came to nothing that could be judged: it says nothing of its law."""
     return row["error"] is not None and row["violation_fraction"] is None
 

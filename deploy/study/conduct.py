@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from typing import Protocol
 
-from deploy.runs.run_rows import Row, failed
+from deploy.runs.run_rows import Row, left_nothing
 from deploy.study.folder import StudyFolder
 from deploy.study.study import Run, Study
 
@@ -60,7 +60,7 @@ def carry_out(
         while wanted and in_flight < most_in_flight:
             run = wanted.popleft()
             known = folder.find(run)
-            if known is None or failed(known):
+            if known is None or left_nothing(known):
                 workers.submit(run)
                 in_flight += 1
             else:
