@@ -94,7 +94,7 @@ def close_log(log: McapLog, lost: Counter[str]) -> None:
 def record_failures(path: Path, failures: Sequence[str]) -> None:
     """Have a recording say what ended the run, wherever it is judged; also a partial one."""
     for file in (path, partial_path(path)):
-        if failures and file.is_file():
+        if failures and file.is_file() and not file.is_symlink():
             try:
                 append_metadata(
                     file, FAILURES_METADATA, {str(i): f for i, f in enumerate(failures)}
