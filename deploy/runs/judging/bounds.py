@@ -12,7 +12,7 @@ from bus_schema.arrays import Matrix
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
-from deploy.runs.judging.known_ticks import KnownTicks
+from deploy.runs.judging.known_ticks import KnownTicks, tick_numbers
 from deploy.runs.run_data import RunData
 
 _COUNTED = ("ticks", "outside", "margin_min")
@@ -53,7 +53,8 @@ def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> 
         known: which of its ticks are recorded.
     """
     counted = plant_count(run)
-    if len(counted) < len(_COUNTED) or known.missing or bounds["violation_fraction"] is None:
+    is_all = not known.missing and 0 in tick_numbers(run)
+    if len(counted) < len(_COUNTED) or not is_all or bounds["violation_fraction"] is None:
         return []
     rows = len(run.tables[topics.PLANT_TRUTH.name])
     found = (rows, round(bounds["violation_fraction"] * rows), bounds["margin_min"])
