@@ -8,13 +8,14 @@ transformation that is zero exactly at zero error, also while the two bounds dif
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from bus_schema.arrays import Vector, elementwise
-from bus_schema.runtime.compiled import compiled
+from bus_schema.runtime.compiled import bind, compiled
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,22 @@ class Funnel:
         lower = (self.initial_lower_rad - self.final_rad) * decay + self.final_rad
         return upper, -lower
 
+    def counting(self, position: Vector, wanted: Vector, counts: Vector) -> Callable[[float], None]:
+        """A function of time that counts one tick of a motion, as these arrays have it then.
+
+        Args:
+            position: joint positions, rad, shape (joints,).
+            wanted: where they should be.
+            counts: ticks, those outside the bounds, and the largest |e| over the bound.
+        """
+        bounds = self.initial_upper_rad, self.initial_lower_rad, self.final_rad, self.rate_per_s
+        return bind(_count, *bounds, position, wanted, counts, free=["float64"])
+
+    def copied(self) -> Funnel:
+        """The same bounds in arrays that nothing else has."""
+        names = ("initial_upper_rad", "initial_lower_rad", "final_rad")
+        return replace(self, **{name: getattr(self, name).copy() for name in names})
+
 
 Bound: TypeAlias = tuple[float, float, float]
 """Size of a bound, rad, with its first and second derivative."""
@@ -51,6 +68,22 @@ def performance_function(time_s: float, initial: float, final: float, rate: floa
     """ρ(t) = (ρ₀ − ρ∞) e^(−μt) + ρ∞ with its first and second derivative."""
     transient = (initial - final) * math.exp(-rate * time_s)
     return transient + final, -rate * transient, rate * rate * transient
+
+
+@compiled
+def _count(
+    upper: Vector, lower: Vector, final: Vector, rate: float,
+    position: Vector, wanted: Vector, counts: Vector, time_s: float,
+) -> None:  # fmt: skip
+    decay, is_outside = math.exp(-rate * time_s), False
+    for i in range(final.size):
+        error = position[i] - wanted[i]
+        initial = upper[i] if error >= 0.0 else lower[i]
+        usage = abs(error) / ((initial - final[i]) * decay + final[i])
+        is_outside = is_outside or not usage < 1.0
+        counts[2] = max(counts[2], usage if usage == usage else math.inf)
+    counts[0] += 1.0
+    counts[1] += is_outside
 
 
 @compiled

@@ -37,6 +37,11 @@ class Reference:
             for given in parameters
         ]
 
+    def copied(self) -> Reference:
+        """The same trajectory in arrays that nothing else has."""
+        parameters = (p.copy() if isinstance(p, np.ndarray) else p for p in self._parameters)
+        return Reference(self._kernel, *parameters, warnings=self.warnings, known_s=self.known_s)
+
     def evaluate(
         self, time_s: float, position: Vector, velocity: Vector, acceleration: Vector
     ) -> None:

@@ -68,6 +68,7 @@ class PlantLoop:
             self._link, clock, self._uplink, gate, self._commands, arm, self._telemetry,
             self._supervisor, task.link.reply_timeout_s if task.lockstep else None,
         )  # fmt: skip
+        self._watch = None if task.watch is None else task.watch(arm.motion[0])
         self.tick = 0
         self._tick_ns = 0
         self._command_age_ns = -1
@@ -207,6 +208,8 @@ class PlantLoop:
         self._command_age_ns = self._commands.age_ns(self._tick_ns)
 
     def _note_truth(self, *, was_skipped: bool) -> None:
+        if self._watch is not None:
+            self._watch.look(self._tick_ns)
         self._telemetry.note_truth(
             self._tick_ns, self.tick, self._commands.sequence, self._command_age_ns,
             was_skipped=was_skipped,
@@ -225,6 +228,8 @@ class PlantLoop:
         supervisor.announce(EventKind.COUNTS, json.dumps(counts))
         ended = {name: value for name, value in vars(outcome).items() if name != "faults"}
         ended["physics"] = self._arm.physics
+        if self._watch is not None:
+            ended["bounds"] = self._watch.counts()
         supervisor.announce(EventKind.ENDED, json.dumps(ended))
         self._telemetry.send(self._link)
 

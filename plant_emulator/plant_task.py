@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol
 
+from bus_schema.arrays import Vector
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.clock import TickGrid
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.scheduler import ScheduledAction
+
+
+class TruthWatch(Protocol):
+    """Whoever judges the run looks at the arm's true motion at every tick."""
+
+    def look(self, stamp_ns: int) -> None:
+        """A tick is reached, at this instant."""
+
+    def counts(self) -> dict[str, Any]:
+        """What was found, ready for JSON."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +40,7 @@ class PlantTask:
         takes_targets: the drives close a loop of their own, around targets that commands bring.
         faults: what breaks, and when.
         process_actions: what is asked for to be done to whole processes, and when.
+        watch: makes a watch of the true joint positions, shape (joints,), which change in place.
     """
 
     robot: RobotDescription
@@ -39,6 +53,7 @@ class PlantTask:
     takes_targets: bool = False
     faults: tuple[Fault, ...] = ()
     process_actions: tuple[ScheduledAction, ...] = ()
+    watch: Callable[[Vector], TruthWatch] | None = None
 
 
 @dataclass

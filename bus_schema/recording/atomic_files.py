@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -70,10 +71,20 @@ def write_whole(path: Path, text: str) -> None:
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write values as JSON; whatever happens, there is all of the file or none.
 
+    JSON has no number that is infinite, or not a number: null stands in its place.
+
     Raises:
         OSError: it cannot be written.
     """
-    write_whole(path, json.dumps(values, indent=2) + "\n")
+    write_whole(path, json.dumps(_finite(values), indent=2, allow_nan=False) + "\n")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    return [_finite(each) for each in value] if isinstance(value, (list, tuple)) else value
 
 
 class RecordFile:

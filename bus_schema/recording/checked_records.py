@@ -29,8 +29,8 @@ from mcap.records import (
 )
 from mcap.stream_reader import get_chunk_data_stream
 
-_MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
 _CRC = struct.Struct("<I")
 _MESSAGE = struct.Struct("<HIQQ")
 """What a message begins with: channel, sequence number, log time, publish time."""
@@ -87,7 +87,7 @@ class CheckedRecords:
         self.lacks_checksums = False
 
     def __iter__(self) -> Iterator[McapRecord]:
-        if not _MAGIC.startswith(self._take(len(_MAGIC))):
+        if not MAGIC.startswith(self._take(len(MAGIC))):
             self.damage.append("it does not begin as an MCAP file does")
         while (raw := self._next()) is not None:
             if raw.opcode == Opcode.DATA_END:
@@ -107,8 +107,8 @@ class CheckedRecords:
     def _next(self) -> _Raw | None:
         """The next record; None where the rest of the file holds no whole one."""
         start, crc = self._position, self._crc
-        if self._size - start >= _HEAD.size:
-            opcode, length = _HEAD.unpack(self._take(_HEAD.size))
+        if self._size - start >= HEAD.size:
+            opcode, length = HEAD.unpack(self._take(HEAD.size))
             if length <= self._size - self._position:
                 return _Raw(start, opcode, self._take(length), crc)
         self.cut_off_at = start
@@ -136,7 +136,7 @@ class CheckedRecords:
         self._check_section(raw.content, raw.crc, "its data are not what was written")
 
     def _end_file(self, raw: _Raw) -> None:
-        head = _HEAD.pack(raw.opcode, len(raw.content))
+        head = HEAD.pack(raw.opcode, len(raw.content))
         covered = zlib.crc32(head + raw.content[: -_CRC.size], raw.crc)
         if not self._has_data_end or len(raw.content) != _FOOTER_BYTES:
             self.damage.append("it does not end as an MCAP file does")
@@ -144,9 +144,9 @@ class CheckedRecords:
             self._check_section(
                 raw.content[-_CRC.size :], covered, "its summary is not what was written"
             )
-        end, mark = self._position, self._take(len(_MAGIC))
-        self.is_finished = mark == _MAGIC
-        if not _MAGIC.startswith(mark) or self._position != self._size:
+        end, mark = self._position, self._take(len(MAGIC))
+        self.is_finished = mark == MAGIC
+        if not MAGIC.startswith(mark) or self._position != self._size:
             self.damage.append("behind its end there is something else than the mark of an end")
         elif not self.is_finished:
             self.cut_off_at = end
@@ -192,8 +192,8 @@ def _records_in(content: bytes) -> Iterator[McapRecord]:
     """
     place = 0
     while place < len(content):
-        opcode, length = _HEAD.unpack_from(content, place)
-        start, place = place + _HEAD.size, place + _HEAD.size + length
+        opcode, length = HEAD.unpack_from(content, place)
+        start, place = place + HEAD.size, place + HEAD.size + length
         if place > len(content) or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
             raise ValueError("a record that is not all there")
         if opcode == Opcode.MESSAGE:

@@ -6,7 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role
+from bus_schema.errors import InvalidMessageError
+from bus_schema.messages.run_event import RunEvent
+from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS, TOPICS, Role
 from bus_schema.zenoh.access import (
     bundle_key_expression,
     bundling_key_expression,
@@ -38,6 +40,9 @@ class BundleMailbox:
         capacity: messages to keep.
         lossless: once there are more, senders wait; or else the oldest make room.
         speakers: gives the sessions that have announced that they send on our topics.
+
+    Attributes:
+        rejected: run events left out, as they speak for a loop that sends its own in bundles.
     """
 
     def __init__(
@@ -52,7 +57,9 @@ class BundleMailbox:
         self._session, self._domain = session, domain
         self._capacity, self._lossless = capacity, lossless
         self._speakers = speakers
+        self.rejected = 0
         self._bundling: dict[str, str] = {}  # role by session
+        self._have_bundled: set[str] = set()  # roles
         self._left: set[str] = set()  # of these sessions
         self._publishers: dict[bytes, str] = {}  # session by id
         self._lock = threading.Lock()
@@ -63,6 +70,7 @@ class BundleMailbox:
             }
             for role, of_role in BUNDLED.items()
         }
+        self._roles = {bundle_key_expression(domain, role): role for role in BUNDLED}
         self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
         self._waits = True
         self._missed = session.publisher(missed_key_expression(domain))
@@ -90,7 +98,7 @@ class BundleMailbox:
         if topic is None:
             return []
         message = (topic, payload, *(Attachment.decode(attachment) or UNKNOWN))
-        return [] if self._is_bundled(message) else [message]
+        return [] if self._is_bundled(message) else self._believed([message], None)
 
     @property
     def disbelieved(self) -> int:
@@ -107,16 +115,17 @@ class BundleMailbox:
         topics = self._bundled_topics.get(key, {})
         span = Span.decode(bundle.attachment)
         if span is None:
-            return unbundled(bundle.payload, topics)
+            return self._believed(unbundled(bundle.payload, topics), key)
         order = self._orders.get((key, span.sender))
         if order is None:
             if len(self._orders) >= _MOST_SENDERS:
-                return unbundled(bundle.payload, topics)
+                return self._believed(unbundled(bundle.payload, topics), key)
             order = self._orders[key, span.sender] = BundleOrder(span.sender)
         ready = order.take_in(span, bundle.payload)
         if not self._waits:
             ready += order.rest()
-        return [message for payload in ready for message in unbundled(payload, topics)]
+        messages = [message for payload in ready for message in unbundled(payload, topics)]
+        return self._believed(messages, key)
 
     def _look_for_missed(self) -> list[Received] | None:
         """Ask for bundles that are missing, and wait no longer for those asked for in vain."""
@@ -132,8 +141,24 @@ class BundleMailbox:
             message
             for (key, _), order in self._orders.items()
             for bundle in bundles_of(order)
-            for message in unbundled(bundle, self._bundled_topics.get(key, {}))
+            for message in self._believed(unbundled(bundle, self._bundled_topics.get(key, {})), key)
         ]
+
+    def _believed(self, messages: list[Received], key: str | None) -> list[Received]:
+        """Messages that came with a bundle of this key, or alone; no event in another's name."""
+        believed = [
+            message for message in messages
+            if message[0] is not RUN_EVENTS or self._may_say(message[1], key)
+        ]  # fmt: skip
+        self.rejected += len(messages) - len(believed)
+        return believed
+
+    def _may_say(self, event: bytes, key: str | None) -> bool:
+        try:
+            source = RunEvent.decode(event).source
+        except InvalidMessageError:
+            return True  # nobody reads it
+        return source not in self._have_bundled if key is None else source == self._roles.get(key)
 
     def _is_bundled(self, message: Received) -> bool:
         """Whether a message that has come by itself comes in a bundle too."""
@@ -160,6 +185,7 @@ class BundleMailbox:
         with self._lock:
             if alive:
                 self._bundling[session] = role
+                self._have_bundled.add(role)
                 self._left.discard(session)
             else:
                 self._left.add(session)

@@ -132,7 +132,7 @@ def _counts(data: RunData, summary: dict[str, Any]) -> list[Check]:
     lost = summary["recorder"]["lost"]
     return [
         Check("run completed", str(summary["faults"] or "no fault"), summary["completed"]),
-        Check("bounds kept", str(summary["bounds"]["kept"]), summary["bounds"]["kept"]),
+        Check("bounds kept", summary["verdict"], summary["bounds"]["kept"]),
         Check("no record lost", f"{lost} of {data.messages}", lost == 0),
         Check("every tick recorded", f"{missing} of {ticks + 1} missing", missing == 0),
         Check("misses counted exactly", f"{counted}, recounted {misses}", counted == misses),

@@ -6,6 +6,7 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NoReturn
 
 import typer
@@ -24,6 +25,7 @@ from deploy.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTER
 from deploy.processes.launcher import RunOutcome
 from deploy.reports.conclude import conclude, conditions_in
 from deploy.runs.confirmation import confirmation_of
+from deploy.runs.judging.verdict import decide
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
 from deploy.scenario.oddities import oddities_of_all
@@ -99,7 +101,7 @@ def leave(*, interrupted: bool, whole: bool, kept: bool, fault: int = FAULT) -> 
     Args:
         interrupted: the user put an end to it.
         whole: all runs came to their end, without a fault.
-        kept: the bounds were kept, or nobody requires it.
+        kept: all verdicts are that bounds were kept, or nobody requires it.
         fault: exit code where they did not.
     """
     if interrupted:
@@ -165,14 +167,14 @@ def finish(
         if data is None:
             data = _recorded(console, folder, outcome)
         summary = conclude(
-            folder, data, outcome.failures, draws_report=draws_report,
+            folder, data, draws_report=draws_report,
             confirmation=confirmation_of(data) if confirms else (),
         )  # fmt: skip
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
         interrupted=outcome.interrupted,
-        whole=summary["completed"] and not summary["faults"],
+        whole=summary["completed"],
         kept=summary["bounds"]["kept"] or not require_bounds,
         fault=_fault_code(outcome),
     )
@@ -186,9 +188,10 @@ def _recorded(console: Console, folder: RunFolder, outcome: RunOutcome) -> RunDa
         faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
         for fault in faults or ["stopped before the run began"]:
             console.print(escape(fault))
-        write_json(folder.summary, {"completed": False, "faults": faults})
+        found = {"completed": False, "faults": faults, "verdict": decide(faults).value}
+        write_json(folder.summary, found)
         raise typer.Exit(INTERRUPTED if outcome.interrupted else _fault_code(outcome)) from error
-    return data
+    return replace(data, failures=data.failures or outcome.failures)  # of a disk that is full
 
 
 def _fault_code(outcome: RunOutcome) -> int:

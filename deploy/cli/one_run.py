@@ -27,9 +27,10 @@ from deploy.processes.network.real_delay import (
     real_delay,
 )
 from deploy.processes.program import require_program
+from deploy.processes.recorder import record_failures
 from deploy.processes.status import StatusMessage
 from deploy.reports.conclude import load_report
-from deploy.runs.confirmation import check_confirmable
+from deploy.runs.confirmation import check_confirmable, check_repeatable, simulated_otherwise
 from deploy.runs.run_folder import RunFolder
 from deploy.runs.simulate import simulate as simulate_setup
 from deploy.scenario.scenario import load_setup
@@ -64,6 +65,10 @@ def run_in_processes(
         folder.write_scenario(as_given)
         if held_back is not None:
             show_relay(console, held_back)
+        if options.confirms and not outcome.interrupted:
+            alarms = simulated_otherwise(as_given, folder.path)
+            outcome.failures += alarms
+            record_failures(folder.log, outcome.failures if alarms else ())
         finish(
             console, folder, outcome,
             require_bounds=options.require_bounds, draws_report=options.draws_report,
@@ -78,6 +83,8 @@ def _checked(options: RunOptions, real_delay_ms: float | None, *, await_controll
         check_real_delay(setup, real_delay_ms)
         setup = knowing_real_delay(setup, real_delay_ms)
     check_link(setup, one_process=False)
+    if options.confirms:
+        check_repeatable(setup)
     require_program(setup)
     require_keys(setup, *Role)
     if await_controller:

@@ -47,6 +47,16 @@ Live = Annotated[
 ]
 
 
+ConfirmInOneProcess = Annotated[
+    bool,
+    typer.Option(
+        "--confirm",
+        help="With clock=lockstep: simulate the run again in one process; another digest or verdict"
+        " is a fault.",
+    ),
+]
+
+
 def run(
     scenario: ScenarioArgument = "paper_arm",
     overrides: Overrides = None,
@@ -57,12 +67,15 @@ def run(
     real_delay_ms: RealDelayOption = None,
     await_controller: AwaitController = False,
     live: Live = False,
+    confirm: ConfirmInOneProcess = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
     prepare()
     from deploy.cli.one_run import run_in_processes
 
-    options = RunOptions(scenario, overrides or [], out, overwrite, require_bounds, not no_report)
+    options = RunOptions(
+        scenario, overrides or [], out, overwrite, require_bounds, not no_report, confirm
+    )
     run_in_processes(
         options, real_delay_ms=real_delay_ms, await_controller=await_controller, live=live
     )

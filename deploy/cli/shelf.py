@@ -12,7 +12,7 @@ from rich.table import Table
 
 from deploy.reports.narrow import fitted, width_of
 from deploy.runs.new_folder import remove_results
-from deploy.runs.shelf import Shelved, shelved, tag
+from deploy.runs.shelf import INCOMPLETE, Shelved, shelved, tag
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import FAULTS, ScenarioError
 from deploy.study.study import SHIPPED as SHIPPED_STUDIES
@@ -86,7 +86,7 @@ def prune(
         each for each in shelved(folder)
         if not each.tags
         and (older_than is None or _is_older(each, older_than))
-        and not (incomplete and (each.completed or each.faulted))
+        and (not incomplete or each.result == INCOMPLETE)
     ]  # fmt: skip
     _show(chosen, Console())
     if not yes:
@@ -124,11 +124,8 @@ def _show(found: list[Shelved], console: Console) -> None:
 def _cells(each: Shelved) -> list[str]:
     """The texts below `_HEADINGS`."""
     begun = "" if each.started is None else f"{each.started:%Y-%m-%d %H:%M}"
-    bounds = {True: "bounds kept", False: "bounds not kept", None: "complete"}
-    unsound = "faulted" if each.faulted else "incomplete"
-    result = bounds[each.bounds_kept] if each.completed else unsound
     size = f"{each.size_bytes / _MIB:.1f}"
-    return [str(each.path), begun, each.kind, each.what, result, ", ".join(each.tags), size]
+    return [str(each.path), begun, each.kind, each.what, each.result, ", ".join(each.tags), size]
 
 
 def _table(title: str | None, *columns: str) -> Table:

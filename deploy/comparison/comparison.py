@@ -9,6 +9,7 @@ from typing import Any
 
 from bus_schema.messages import topics
 from deploy.comparison.settling import SettlingTest
+from deploy.runs.judging.verdict import Verdict, verdict_of
 from deploy.runs.run_data import RunData
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -65,14 +66,13 @@ class LawRun:
         return self.data.setup.scenario.seed
 
     @property
-    def is_whole(self) -> bool:
-        """Whether the run came to its end without a fault."""
-        return bool(self.summary["completed"]) and not self.summary["faults"]
+    def verdict(self) -> Verdict:
+        """What became of it."""
+        return verdict_of(self.summary)
 
     @property
     def kept_bounds(self) -> bool:
-        """Whether a whole run stayed inside its bounds."""
-        return self.is_whole and bool(self.summary["bounds"]["kept"])
+        return self.verdict is Verdict.KEPT
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from deploy.runs.run_folder import (
     manifest_of,
     read_manifest,
     read_summary,
-    unrecorded_faults,
 )
 from deploy.runs.run_rows import row, write_rows
 from deploy.runs.simulate import Simulation
@@ -189,7 +188,7 @@ def judged_again(name: str, path: Path) -> LawRun:
         RunFolderError: it cannot be read.
     """
     data, _ = load_run(path)
-    summary, before = summarise(data, unrecorded_faults(path)), read_summary(path)
+    summary, before = summarise(data), read_summary(path)
     kept = {CONFIRMATION: before[CONFIRMATION]} if CONFIRMATION in before else {}
     return LawRun(name, data, summary | kept, path)
 

@@ -24,7 +24,6 @@ from deploy.runs.run_folder import (
     load_run,
     read_manifest,
     read_summary,
-    unrecorded_faults,
 )
 from deploy.runs.simulate import CLOCK as SIMULATED
 from deploy.scenario.agreement import values_in_common
@@ -151,7 +150,7 @@ def _read(label: str, path: Path) -> tuple[LawRun, dict[str, str]]:
         for key, name in DATA_ATTACHMENTS.items()
         if name in contents.attachments
     }
-    run = LawRun(label, data, summarise(data, unrecorded_faults(path)), path)
+    run = LawRun(label, data, summarise(data), path)
     return run, values_in_common(data.setup, texts)
 
 

@@ -25,6 +25,7 @@ from deploy.processes.live.feed import clear_left_behind
 from deploy.processes.live.viewer import LiveViewer
 from deploy.processes.network.real_delay import RELAY, RealDelay
 from deploy.processes.program import Program
+from deploy.processes.recorder import record_failures
 from deploy.processes.status import StatusMessage
 from deploy.scenario.setup import Setup
 
@@ -124,6 +125,8 @@ class Launcher:
         self._handle_messages(on_message)
         self._outcome.failures = in_causal_order(self._outcome.failures)
         self._note_what_program_said()
+        for start in range(1, self._starts[Role.RECORDER] + 1):
+            record_failures(_numbered(self._log, start), self._outcome.failures)
         return self._outcome
 
     def _start(self, role: Role) -> None:

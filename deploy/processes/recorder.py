@@ -6,7 +6,7 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import Role
+from bus_schema.recording.appended_metadata import append_metadata
+from bus_schema.recording.atomic_files import partial_path
 from bus_schema.recording.mcap_log import McapLog
 from bus_schema.zenoh.bundles import Received
 from bus_schema.zenoh.node import ZenohNode
@@ -40,6 +42,8 @@ DATA_ATTACHMENTS = {
 RUN_METADATA = "run"
 RECORDER_METADATA = "recorder"
 LOST_METADATA = "lost"
+FAILURES_METADATA = "failures"
+"""What the recorder cannot know: a sentence for each process that failed, causes first."""
 _LARGEST_BACKLOG = 200_000
 _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
@@ -96,6 +100,18 @@ def close_log(log: McapLog, lost: Counter[str], forged: int = 0) -> None:
     )
     log.add_metadata(LOST_METADATA, {topic: str(count) for topic, count in missing.items()})
     log.close()
+
+
+def record_failures(path: Path, failures: Sequence[str]) -> None:
+    """Have a recording say what ended the run, wherever it is judged; also a partial one."""
+    for file in (path, partial_path(path)):
+        if failures and file.is_file() and not file.is_symlink():
+            try:
+                append_metadata(
+                    file, FAILURES_METADATA, {str(i): f for i, f in enumerate(failures)}
+                )
+            except OSError as error:
+                logger.warning("%s: what failed is not in it: %s", file, error.strerror)
 
 
 class Recorder:
@@ -201,6 +217,9 @@ class Recorder:
                 " in the name of a process of this run; link.security keeps strangers out",
                 self.disbelieved,
             )  # fmt: skip
+        if rejected := self._mailbox.rejected:
+            self._log.add_metadata("rejected", {topics.RUN_EVENTS.name: str(rejected)})
+            logger.warning("%d run events were left out: not sent by the loop they name", rejected)
         close_log(self._log, self._gaps.missed, self.disbelieved)
         self._node.close()
 

@@ -11,6 +11,7 @@ from deploy.runs.conditions import Conditions, conditions_of_recording
 from deploy.runs.confirmation import CONFIRMATION
 from deploy.runs.fault_record import fault_record
 from deploy.runs.judging.metrics import summarise
+from deploy.runs.judging.verdict import Verdict, decide, with_verdict
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, read_manifest, read_summary
 from deploy.stop_signals import end_if_asked
@@ -19,7 +20,6 @@ from deploy.stop_signals import end_if_asked
 def conclude(
     folder: RunFolder,
     run: RunData,
-    more_faults: Sequence[str] = (),
     *,
     draws_report: bool = True,
     confirmation: Sequence[Mapping[str, Any]] = (),
@@ -29,14 +29,12 @@ def conclude(
     Args:
         folder: where.
         run: its data.
-        more_faults: what the recording cannot know, such as a process that was killed; causes come
-            before what followed from them.
         draws_report: a report takes longer than all else.
         confirmation: what other physics say of it; where there is nothing, what the folder has.
     """
     confirmed = confirmation or read_summary(folder.path).get(CONFIRMATION)
-    summary = summarise(run, more_faults) | ({CONFIRMATION: confirmed} if confirmed else {})
-    write_json(folder.summary, {**summary, "completed": False})  # until all is written
+    summary = summarise(run) | ({CONFIRMATION: confirmed} if confirmed else {})
+    write_json(folder.summary, with_verdict(summary, Verdict.INTERRUPTED))  # until all is written
     try:
         if (record := fault_record(run)) is not None:
             write_json(folder.fault, record)
@@ -47,7 +45,7 @@ def conclude(
             write_report(run, summary, folder.report, conditions_in(folder, run))
     except OSError as error:
         summary["faults"].append(f"{error.filename}: cannot be written: {error.strerror}")
-        summary["completed"] = False
+        summary = with_verdict(summary, decide(summary["faults"]))
     with contextlib.suppress(OSError):  # a full disk has the one from before
         write_json(folder.summary, summary)
     return summary

@@ -1,4 +1,4 @@
-"""The verdict on a run, put into words; `deploy.runs.judging.bounds` is what judges."""
+"""The verdict on a run, put into words; `deploy.runs.judging.verdict` is what decides."""
 
 from __future__ import annotations
 
@@ -10,19 +10,30 @@ from typing import Any, Literal
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.reports.tables import margin_text, number
 from deploy.runs.conditions import granted_and_not
+from deploy.runs.judging.bounds import plant_count
 from deploy.runs.judging.known_ticks import KnownTicks, known_ticks
 from deploy.runs.judging.stalls import STALL_MS
+from deploy.runs.judging.verdict import Verdict, verdict_of
 from deploy.runs.run_data import RunData
 
+Level = Literal["good", "bad", "mixed", "broken"]
 PARTIAL = "The recording is partial: it was not finished properly."
 UNCHECKED = "No checksum covers all of the recording: damage between its messages would not show."
 
+_HEADLINES: Mapping[Verdict, tuple[Level, str]] = {
+    Verdict.KEPT: ("good", "Bounds kept"),
+    Verdict.LOST: ("bad", "Bounds not kept"),
+    Verdict.UNKNOWN: ("broken", "Not known whether bounds were kept"),
+    Verdict.FAULTED: ("broken", "Run faulted"),
+    Verdict.INTERRUPTED: ("broken", "Run incomplete"),
+    Verdict.NOTHING: ("broken", "Run incomplete"),
+}
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
 """Who holds up a loop that lacks a setting."""
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReportHead:
     """The top of a report.
 
     Attributes:
@@ -33,7 +44,7 @@ class Verdict:
         faults: what went wrong, causes before what followed from them.
     """
 
-    level: Literal["good", "bad", "mixed", "broken"]
+    level: Level
     headline: str
     reasons: Sequence[str]
     faults: Sequence[str] = ()
@@ -43,25 +54,22 @@ def verdict_on_run(
     run: RunData,
     summary: dict[str, Any],
     conditions: Mapping[str, str] = MappingProxyType({}),
-) -> Verdict:
+) -> ReportHead:
     """The verdict on a run, which came about under some conditions, where they are known."""
-    bounds, faults = summary["bounds"], summary["faults"]
-    is_judged = bounds["violation_fraction"] is not None
-    known = known_ticks(run)
+    bounds, known = summary["bounds"], known_ticks(run)
     reasons = [
         _bounds_sentence(run, bounds, known),
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
     ]
-    kept = "kept" if bounds["kept"] else "not kept"
-    if summary["completed"] and not faults and is_judged:
-        return Verdict("good" if bounds["kept"] else "bad", f"Bounds {kept}", reasons)
-    broken = "Recording damaged" if run.damage else "Run incomplete"
-    headline = "Run faulted" if faults else broken
-    if is_judged:
-        until = " where it can be read" if run.damage else " until then"
-        headline += f", bounds {kept}" + (until if bounds["kept"] or run.damage else "")
-    return Verdict("broken", headline, reasons, faults)
+    level, headline = _HEADLINES[verdict_of(summary)]
+    if summary["recording"]["damage"]:
+        headline = f"Recording damaged: {headline[0].lower()}{headline[1:]}"
+    if level == "broken" and bounds["violation_fraction"]:
+        headline += ", bounds not kept"
+    elif level == "broken" and bounds["violation_fraction"] is not None:
+        headline += ", inside its bounds where it is known"
+    return ReportHead(level, headline, reasons, summary["faults"])
 
 
 def damaged(damage: Sequence[str]) -> str:
@@ -72,10 +80,12 @@ def damaged(damage: Sequence[str]) -> str:
 def _shortcomings(run: RunData, summary: dict[str, Any], known: KnownTicks) -> list[str]:
     """Everything but faults that makes this less than a whole run on an undisturbed machine."""
     found = []
-    if run.damage:
-        found.append(damaged(run.damage))
+    if summary["recording"]["damage"]:
+        found.append(damaged(summary["recording"]["damage"]))
     elif not run.complete:
         found.append(PARTIAL)
+    if (found or known.missing) and (counted := plant_count(run).get("outside")):
+        found.append(f"The plant itself counted {counted:,} ticks outside its bounds.")
     if known.missing:
         found += [missing_ticks_sentence(known), *_sentences_on_gaps(summary)]
     if run.lacks_checksums:
@@ -132,13 +142,19 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
     )
 
 
+def times_text(bounds: Mapping[str, Any]) -> str:
+    """How far outside its bounds an error was; a state that is no number has no such figure."""
+    margin = bounds["margin_min"]
+    return "an unknown multiple of" if margin is None else f"{number(1.0 - margin)} times"
+
+
 def _bounds_sentence(run: RunData, bounds: dict[str, Any], known: KnownTicks) -> str:
     if bounds["violation_fraction"] is None:
         return "No tick was recorded, so there is nothing to judge."
     is_all = not known.missing and not run.damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
     where = f"the {known.known:,}{of_all} ticks at which it is known"
-    if bounds["kept"]:
+    if not bounds["violation_fraction"]:
         return (
             "The true error of every joint was inside its bounds at"
             f" {f'all {known.ticks:,} ticks' if is_all else where}; the smallest margin was"
@@ -147,6 +163,5 @@ def _bounds_sentence(run: RunData, bounds: dict[str, Any], known: KnownTicks) ->
     return (
         f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
         f" of {'the ticks' if is_all else where}, for the first time at"
-        f" {bounds['first_violation_s']:.3f} s, and at most"
-        f" {number(1.0 - bounds['margin_min'])} times its bound."
+        f" {bounds['first_violation_s']:.3f} s, and at most {times_text(bounds)} its bound."
     )

@@ -8,18 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
+from deploy.runs.run_folder import RunFolderError, load_run
 from deploy.runs.run_rows import Row, held
 from deploy.runs.run_rows import row as run_row
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.configuration import PhysicsConfiguration
+from plant_emulator.faults.process_faults import process_faults
 from plant_emulator.physics.engines import ENGINES, physics_text
 
 CONFIRMATION = "confirmation"
@@ -54,6 +57,37 @@ def check_confirmable(setup: Setup) -> None:
             "--confirm: no other physics is installed: pip install "
             + " ".join(engine.distribution for engine in ENGINES.values())
         )
+
+
+def check_repeatable(setup: Setup) -> None:
+    """Check that a run in processes is the same in one process.
+
+    Raises:
+        ScenarioError: it is not in lockstep, or processes are of its own, or are struck.
+    """
+    scenario, source = setup.scenario, setup.origin
+    if scenario.clock != "lockstep":
+        raise ScenarioError(
+            f"--confirm: {source.of('clock')}: clock = {scenario.clock!r}: must be lockstep, as"
+            " only runs in virtual time are the same again"
+        )
+    if scenario.controller.process is not None or process_faults(scenario.faults):
+        raise ScenarioError(
+            f"--confirm: {source.of('faults')}: must be without controller.process and faults of"
+            " processes, as the run is simulated again in one process"
+        )
+
+
+def simulated_otherwise(setup: Setup, path: Path) -> list[str]:
+    """A sentence where a simulation has another digest or verdict than the run in this folder."""
+    try:
+        found = [summarise(run) for run in (load_run(path)[0], attempt(setup).data())]
+    except RunFolderError:
+        return []  # the command says so itself
+    recorded, simulated = (f"{one['verdict']}, digest {one['digest'][:16]}" for one in found)
+    if recorded == simulated:
+        return []
+    return [f"simulated again in one process, the run is another one: {simulated}; not {recorded}"]
 
 
 def other_physics(setup: Setup) -> dict[str, Setup]:

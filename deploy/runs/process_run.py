@@ -21,6 +21,7 @@ from bus_schema.runtime.signal_names import signal_name
 from deploy.processes.launcher import Launcher
 from deploy.processes.network.free_ports import free_ports
 from deploy.processes.parent import end_with_parent
+from deploy.processes.recorder import record_failures
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolder, RunFolderError, load_run
@@ -79,13 +80,14 @@ def run_process(
         how = f"exit code {code}" if code > 0 else f"killed by {signal_name(-code)}"
         last = (errors.strip() or how).splitlines()[-1]
         failures = [f"the run failed: {last}"]
+        record_failures(RunFolder(path).log, failures)
     else:
         failures = json.loads(said)
     try:
         data, _ = load_run(path)
     except RunFolderError as error:
-        data = failed_simulation(setup, str(error)).data()
-    return ProcessRun(data, summarise(data, failures))
+        data = replace(failed_simulation(setup, str(error)).data(), failures=failures)
+    return ProcessRun(data, summarise(data))
 
 
 def _main(path: Path, parent_pid: int) -> None:

@@ -46,6 +46,7 @@ class RunData:
             the end.
         complete: the recording was finished properly, and is undamaged.
         damage: what is damaged of it, a sentence each.
+        failures: what ended processes of the run, causes before consequences, a sentence each.
         lacks_checksums: no checksum covers all of its data, as in those of older versions.
     """
 
@@ -59,6 +60,7 @@ class RunData:
     lost: Mapping[str, int] | None
     complete: bool
     damage: Sequence[str] = ()
+    failures: Sequence[str] = ()
     lacks_checksums: bool = False
 
     @property
@@ -101,8 +103,8 @@ class RunData:
         return self._told[0].get((role, kind), {})
 
     def faults(self) -> list[str]:
-        """All faults, a sentence each, the first one first."""
-        return [
+        """All faults, a sentence each, causes before what followed from them."""
+        return [*self.failures] + [
             f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
             for event in self.events
             if event.kind == EventKind.FAULT
@@ -136,6 +138,7 @@ def build_run_data(
     lost: Mapping[str, int] | None = MappingProxyType({}),
     complete: bool = True,
     damage: Sequence[str] = (),
+    failures: Sequence[str] = (),
     lacks_checksums: bool = False,
 ) -> RunData:
     """The data of a run from its messages by topic name; unusable messages are left out."""
@@ -162,6 +165,7 @@ def build_run_data(
         lost=lost,
         complete=complete,
         damage=damage,
+        failures=failures,
         lacks_checksums=lacks_checksums,
     )
 

@@ -23,6 +23,7 @@ from controller.laws.custom import custom_laws_left_out
 from deploy.input_error import InputError
 from deploy.processes.recorder import (
     DATA_ATTACHMENTS,
+    FAILURES_METADATA,
     LOST_METADATA,
     ROBOT_ATTACHMENT,
     RUN_METADATA,
@@ -127,8 +128,10 @@ def read_summary(path: Path) -> dict[str, Any]:
     return _read_json(path / "summary.json")
 
 
-def unrecorded_faults(path: Path) -> list[str]:
-    """What went wrong with a run that its recording cannot know, as its folder tells."""
+def _failures(path: Path, contents: LogContents) -> list[str]:
+    """What ended processes of a run: in recordings of older versions, only its folder has it."""
+    if FAILURES_METADATA in contents.metadata:
+        return list(contents.metadata[FAILURES_METADATA].values())
     told = read_summary(path).get("unrecorded_faults")
     return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
 
@@ -189,6 +192,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
         lost=_counts(contents.metadata.get(LOST_METADATA)),
         complete=contents.complete,
         damage=contents.damage,
+        failures=_failures(path if path.is_dir() else path.parent, contents),
         lacks_checksums=contents.lacks_checksums,
     )
     return data, contents

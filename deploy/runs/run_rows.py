@@ -9,6 +9,7 @@ from typing import Any
 
 from bus_schema.percentiles import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from deploy.runs.judging.verdict import Verdict, decide, verdict_of
 from deploy.scenario.yaml_files import ScenarioError
 
 _DIRECTIONS = ("uplink", "downlink")
@@ -22,6 +23,7 @@ _COLUMNS = {
     "ticks": "int64",
     "completed": "bool",
     "error": "string",
+    "verdict": "string",
     "bounds_kept": "bool",
     "violation_fraction": "double",
     "first_violation_s": "double",
@@ -74,8 +76,13 @@ def row(summary: dict[str, Any], seed: int) -> Row:
 
 
 def held(row: Row) -> bool:
-    """Whether a run came to its end, without a fault and inside its bounds."""
-    return bool(row["completed"]) and row["error"] is None and bool(row["bounds_kept"])
+    """Whether a run kept its bounds."""
+    return bool(row["verdict"] == Verdict.KEPT)
+
+
+def left_nothing(row: Row) -> bool:
+    """Whether a run came to nothing that could be judged: it says nothing of its law."""
+    return row["error"] is not None and row["violation_fraction"] is None
 
 
 def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
@@ -87,7 +94,8 @@ def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
 
 def failed_row(seed: int, error: str) -> Row:
     """The row of a run that left nothing to judge."""
-    return dict.fromkeys(_COLUMNS) | {"seed": seed, "completed": False, "error": error}
+    found = {"seed": seed, "completed": False, "error": error, "verdict": decide([error]).value}
+    return dict.fromkeys(_COLUMNS) | found
 
 
 def write_rows(
@@ -125,7 +133,7 @@ def write_rows(
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a Parquet file.
+    """Rows of a Parquet file; those of older versions get their verdict.
 
     Raises:
         ScenarioError: it is damaged.
@@ -143,7 +151,7 @@ def read_rows(path: Path) -> list[Row]:
         raise ScenarioError(f"{path}: cannot be read: {reason}") from error
     if not is_whole:
         raise ScenarioError(f"{path}: is damaged: its rows do not match their checksum")
-    return rows
+    return [{**row, "verdict": verdict_of(row).value} for row in rows]
 
 
 def _digest(table: Any) -> bytes:

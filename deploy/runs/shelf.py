@@ -11,10 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json
+from deploy.runs.judging.verdict import Verdict, verdict_of
 from deploy.runs.new_folder import holds_results
 from deploy.runs.run_folder import read_manifest, read_summary
 from deploy.scenario.yaml_files import ScenarioError
 
+INCOMPLETE = "incomplete"
+_RESULTS = {
+    Verdict.KEPT: "bounds kept",
+    Verdict.LOST: "bounds not kept",
+    Verdict.UNKNOWN: "unknown",
+    Verdict.FAULTED: "faulted",
+    Verdict.INTERRUPTED: INCOMPLETE,
+    Verdict.NOTHING: INCOMPLETE,
+}
 _TAGS = "tags.json"
 _TAG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
@@ -28,9 +38,7 @@ class Shelved:
         kind: ``run``, ``comparison``, ``sweep``, ``margin`` or ``robustness``.
         what: name of the scenario or study, and the law of a run.
         started: when it was begun; None where nothing says so.
-        completed: whether it came to its end, without a fault.
-        faulted: whether it had a fault, and came to its end or to that fault.
-        bounds_kept: of a run; None for all else.
+        result: the verdict on a run; ``complete``, ``faulted`` or ``incomplete`` for all else.
         tags: in alphabetical order.
     """
 
@@ -38,9 +46,7 @@ class Shelved:
     kind: str
     what: str
     started: datetime | None
-    completed: bool
-    faulted: bool
-    bounds_kept: bool | None
+    result: str
     tags: list[str]
 
     @property
@@ -98,32 +104,25 @@ def _looked_at(path: Path) -> Shelved:
     names = [summary.get("name") or summary.get("scenario") or _scenario_of(manifest)]
     if kind == "run":
         names.append(summary.get("law"))
-    bounds, completed = summary.get("bounds"), _is_complete(kind, summary)
     return Shelved(
         path,
         kind,
         " ".join(str(name) for name in names if name),
         _time(manifest.get("started")),
-        completed=completed,
-        faulted=not completed and _has_ended(kind, summary),
-        bounds_kept=bounds.get("kept") if isinstance(bounds, dict) else None,
-        tags=tags_of(path),
+        _result(kind, summary),
+        tags_of(path),
     )
 
 
-def _is_complete(kind: str, summary: dict[str, Any]) -> bool:
+def _result(kind: str, summary: dict[str, Any]) -> str:
+    """The verdict on a run; of several runs, whether they came to their end, or to a fault."""
     laws = summary.get("laws")
     if kind == "comparison" and isinstance(laws, dict):
-        return all(_is_complete("run", law) for law in laws.values() if isinstance(law, dict))
-    return bool(summary.get("completed")) and not summary.get("faults")
-
-
-def _has_ended(kind: str, summary: dict[str, Any]) -> bool:
-    """Whether it came to its end, or to the fault that ended it, be it before the first tick."""
-    laws = summary.get("laws")
-    if kind == "comparison" and isinstance(laws, dict):
-        return all(_has_ended("run", law) for law in laws.values() if isinstance(law, dict))
-    return bool(summary.get("completed") or summary.get("faults"))
+        found = {_RESULTS[verdict_of(law)] for law in laws.values() if isinstance(law, dict)}
+        return next((each for each in (INCOMPLETE, "faulted") if each in found), "complete")
+    if kind == "run" or not summary.get("completed"):
+        return _RESULTS[verdict_of(summary)]
+    return "complete"
 
 
 def _scenario_of(manifest: dict[str, Any]) -> Any:

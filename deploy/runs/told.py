@@ -20,6 +20,7 @@ _AMOUNT = TypeAdapter(Annotated[float, Field(strict=True, ge=0, lt=1e15, allow_i
 _MAYBE = TypeAdapter(
     Annotated[float, Field(strict=True, ge=0, lt=1e15, allow_inf_nan=False)] | None
 )
+_MARGIN = TypeAdapter(Annotated[float, Field(strict=True, le=1.0, allow_inf_nan=False)] | None)
 _TRUTH = TypeAdapter(Annotated[bool, Field(strict=True)])
 _COUNTS = TypeAdapter(dict[str, Annotated[int, Field(strict=True, ge=0, lt=1 << 53)]])
 _TEXT = TypeAdapter(Annotated[str, Field(max_length=100)])
@@ -35,6 +36,7 @@ _EXPECTED: Mapping[str, Mapping[str, Any]] = {
     EventKind.ENDED: {
         "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
         "limits": _COUNTS, "physics": _TEXT,
+        "bounds": {"ticks": _COUNT, "outside": _COUNT, "margin_min": _MARGIN},
     },
     EventKind.COUNTS: {
         "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,

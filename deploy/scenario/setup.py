@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from deploy.link_kinds.kind import LinkKind, LinkRun
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
 from deploy.scenario.explanation import Origin
+from deploy.scenario.truth_watch import TruthWatch
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.faults.scheduler import ScheduledAction
@@ -67,8 +69,8 @@ class Setup:
         limits = self.scenario.limits.of_controller(self.robot, own_rates)
         return ControlTask(
             robot=self.robot,
-            reference=self.reference,
-            funnel=self.funnel,
+            reference=self.reference.copied(),  # a law can write into what it is given
+            funnel=self.funnel.copied(),
             law=controller.build_law(self.gains, self.robot),
             law_name=controller.law,
             limits=limits,
@@ -115,6 +117,7 @@ class Setup:
             takes_targets=self.drive.is_active,
             faults=plant_faults(self.scenario.faults),
             process_actions=process_actions,
+            watch=partial(TruthWatch, self.reference, self.funnel),
         )
 
     @property

@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from typing import Protocol
 
-from deploy.runs.run_rows import Row
+from deploy.runs.run_rows import Row, left_nothing
 from deploy.study.folder import StudyFolder
 from deploy.study.study import Run, Study
 
@@ -45,6 +45,8 @@ def carry_out(
 ) -> bool:
     """Do all runs that a study wants and that its folder lacks; whether all were done.
 
+    Runs that failed before they could be judged are tried again.
+
     Args:
         study: which runs are wanted.
         workers: who does them.
@@ -58,7 +60,7 @@ def carry_out(
         while wanted and in_flight < most_in_flight:
             run = wanted.popleft()
             known = folder.find(run)
-            if known is None:
+            if known is None or left_nothing(known):
                 workers.submit(run)
                 in_flight += 1
             else:

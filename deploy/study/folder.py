@@ -27,7 +27,7 @@ from deploy.runs.run_folder import (
     read_manifest,
     read_summary,
 )
-from deploy.runs.run_rows import Row, read_rows, write_rows
+from deploy.runs.run_rows import Row, left_nothing, read_rows, write_rows
 from deploy.scenario.oddities import oddities_of_all
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
@@ -97,8 +97,7 @@ class StudyFolder(ResultFolder):
             known = self._earlier.get(self._identity({**run.columns, "seed": run.seed}), [])
             if not known:
                 return None
-            same_name = (row for row in known if row["point"] == run.point)
-            row = next(same_name, known[0])
+            row = min(known, key=lambda row: (left_nothing(row), row["point"] != run.point))
             known.remove(row)
             self._rows[run.key] = {**row, "point": run.point}
         return self._rows[run.key]

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from bus_schema.configuration import Number, Whole
-from deploy.runs.run_rows import Row, held
+from deploy.runs.run_rows import Row, held, left_nothing
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -187,6 +187,7 @@ class Robustness(Study):
                 rows
                 for point, seeds in zip(points, case.seeds, strict=True)
                 if len(rows := by_point.get(point, [])) == len(seeds)
+                and not any(map(left_nothing, rows))
             ]
             found.append({"value": value, **_value_summary(value, case, judged)})
             if len(judged) == len(points):

@@ -78,7 +78,7 @@ def measure(name: str) -> Outcome:
         return _run(name)
     data = simulate(setup).data()
     summary = summarise(data)
-    code = int(bool(summary["faults"]) or not summary["completed"])
+    code = int(not summary["completed"])
     return Outcome(data, summary, code, to_safe_state_ms(data))
 
 
@@ -130,9 +130,8 @@ def _reaction(outcome: Outcome) -> str:
         return "goes on, a second recording begins"
     if outcome.code:
         return "the run ends"
-    if bounds["kept"]:
-        return "goes on, bounds kept"
-    return f"goes on, bounds lost at {bounds['first_violation_s']:g} s"
+    lost_at = f" at {bounds['first_violation_s']:g} s" if bounds["violation_fraction"] else ""
+    return f"goes on, bounds {outcome.summary['verdict']}{lost_at}"
 
 
 def _lost(outcome: Outcome) -> str:

@@ -59,7 +59,7 @@ def evaluate(setup: Setup) -> Evaluation:
     return Evaluation(
         rms_mrad=1e3 * np.array(tracking["rms_rad"]),
         variation_nm_per_s=np.array(summary["torque"]["total_variation_nm_per_s"]),
-        kept=bool(summary["bounds"]["kept"] and summary["completed"]),
+        kept=summary["bounds"]["kept"],
         settling_bound_s=tracking["settling_bound_s"],
     )
 

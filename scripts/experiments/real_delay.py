@@ -76,8 +76,8 @@ class Row:
     real: list[Outcome]
 
 
-def outcome_of(run: RunData, failures: Sequence[str] = ()) -> Outcome:
-    """Judge a run; `failures` is what its recording cannot know."""
+def outcome_of(run: RunData) -> Outcome:
+    """Judge a run."""
     summary = summarise(run)
     bounds, timing = summary["bounds"], summary["timing"]
     status = run.tables[topics.CONTROL_STATUS.name]
@@ -85,20 +85,19 @@ def outcome_of(run: RunData, failures: Sequence[str] = ()) -> Outcome:
     horizons_ms = status["horizon_ns"][is_settled] * 1e-6
     compensates = run.setup.scenario.controller.delay_compensation.enabled and len(horizons_ms) > 0
     low, middle, high = np.percentile(horizons_ms, (1, 50, 99)) if compensates else (0.0,) * 3
-    faults = [*failures, *summary["faults"]]
     round_trips = {
         name: None if value is None else 1e-3 * value
         for name, value in timing["round_trip_us"].items()
     }
     return Outcome(
-        kept=bool(bounds["kept"] and summary["completed"] and not faults),
+        kept=bounds["kept"],
         margin_min=bounds["margin_min"],
         first_violation_s=bounds["first_violation_s"],
         round_trip_ms=round_trips,
         horizon_ms=float(middle) if compensates else None,
         horizon_jitter_ms=float(high - low) if compensates else None,
         longest_stall_ms=timing["longest_stall_ms"],
-        faults=faults,
+        faults=summary["faults"],
     )
 
 
@@ -130,7 +129,7 @@ def over_real_delay(setup: Setup, round_trip_ms: float, folder: Path) -> Outcome
         faults = [*outcome.failures, str(error)]
         return Outcome(False, None, None, unknown, None, None, None, faults)
     write_json(files.summary, summarise(data))
-    return outcome_of(data, outcome.failures)
+    return outcome_of(data)
 
 
 def rows(

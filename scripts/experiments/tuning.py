@@ -125,7 +125,8 @@ def cost(setup: Setup, travel_limit_per_s: float | None = None) -> float:
         return float(SATURATED * (1.0 + torque["saturated_fraction"]))
     errors = np.array(summary["tracking"]["rms_rad"]) / setup.funnel.final_rad
     travel = np.array(torque["total_variation_nm_per_s"]) / setup.robot.effort_limits_nm
-    outside = 0.0 if bounds["kept"] else 1.0 + 10.0 * bounds["violation_fraction"]
+    is_outside = bounds["violation_fraction"] > 0.0
+    outside = 1.0 + 10.0 * bounds["violation_fraction"] if is_outside else 0.0
     if travel_limit_per_s is None:
         roughness = SMOOTHNESS_WEIGHT * np.log(travel).mean()
     else:

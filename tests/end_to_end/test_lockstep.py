@@ -211,7 +211,7 @@ def test_summary_has_the_documented_keys(run: Finished) -> None:
     assert set(summary) == {
         "scenario", "law", "clock", "link", "duration_s", "ticks", "completed", "faults",
         "real_time_factor", "bounds", "tracking", "torque", "timing", "transport", "recorder",
-        "limits", "identified", "digest", "recording", "commander", "unrecorded_faults",
+        "limits", "identified", "digest", "recording", "commander", "verdict",
     }  # fmt: skip
     assert set(summary["bounds"]) == {
         "kept", "violation_fraction", "first_violation_s", "margin_min"

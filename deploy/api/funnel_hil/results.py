@@ -22,6 +22,7 @@ from deploy.reports.studies.diff_report import PANELS as DIFF_PANELS
 from deploy.reports.studies.study_content import Study as StudyFigures
 from deploy.reports.studies.study_report import content_of
 from deploy.runs.judging.time_series import SERIES, TRACKING, Columns, series
+from deploy.runs.judging.verdict import Verdict, verdict_of
 from deploy.runs.run_data import RunData, Table
 from deploy.runs.run_rows import Row, row
 
@@ -46,8 +47,7 @@ class Run:
         self.path = path
 
     def __repr__(self) -> str:
-        verdict = "kept" if self.kept else "not kept"
-        return f"<Run of {self.summary['scenario']}, {self.law}: bounds {verdict}>"
+        return f"<Run of {self.summary['scenario']}, {self.law}: {self.verdict}>"
 
     @property
     def law(self) -> str:
@@ -55,10 +55,14 @@ class Run:
         return str(self.summary["law"])
 
     @property
+    def verdict(self) -> str:
+        """``kept``, ``lost``, ``unknown``, ``faulted``, ``interrupted`` or ``nothing``."""
+        return verdict_of(self.summary).value
+
+    @property
     def kept(self) -> bool:
         """Whether the run came to its end without a fault, and no error left the funnel."""
-        whole = self.summary["completed"] and not self.summary["faults"]
-        return bool(whole and self.summary["bounds"]["kept"])
+        return self.verdict == Verdict.KEPT
 
     @property
     def margin(self) -> float | None:

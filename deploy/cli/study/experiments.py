@@ -44,7 +44,6 @@ from deploy.runs.run_folder import (
     RunFolder,
     load_run,
     read_summary,
-    unrecorded_faults,
 )
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
@@ -88,7 +87,7 @@ def compare(
         _conclude_comparison(comparison, folder, console)
         leave(
             interrupted=interrupted,
-            whole=all(run.is_whole for run in comparison.runs),
+            whole=all(run.summary["completed"] for run in comparison.runs),
             kept=all(run.kept_bounds for run in comparison.runs) or not require_bounds,
         )
 
@@ -128,7 +127,7 @@ def report(
         folder.lock()
         with folder:
             with judging(console, folder):
-                summary = conclude(folder, data, unrecorded_faults(folder.path))
+                summary = conclude(folder, data)
             show_summary(console, data, summary, conditions_in(folder, data))
             console.print(f"report: {folder.report}", soft_wrap=True)
         raise typer.Exit(FAULT if data.damage else FINISHED)

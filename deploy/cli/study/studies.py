@@ -160,7 +160,7 @@ def _conduct(
         for base in study.bases:
             check_confirmable(base)
     say_oddities(*study.bases)
-    console = Console()
+    console, stop = Console(), threading.Event()
     path = None if overwrite else find_folder(study, out)
     with DaskWorkers(workers, scheduler, study.laws) as team:
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
@@ -170,17 +170,17 @@ def _conduct(
         folder.lock()
         with folder:
             folder.become()
-            lost = _carry_out(study, team, folder, console)
+            lost = _carry_out(study, team, folder, console, stop)
             completed = _conclude(study, folder, console)
     if completed:
         raise typer.Exit(FINISHED if _has_results(folder) else FAULT)
     reason = f"{lost}; the" if lost else "The"
     console.print(f"{reason} same command goes on from here.", markup=False)
-    raise typer.Exit(FAULT if lost else INTERRUPTED)
+    raise typer.Exit(INTERRUPTED if stop.is_set() and not lost else FAULT)
 
 
 def _carry_out(
-    study: Study, team: Workers, folder: StudyFolder, console: Console
+    study: Study, team: Workers, folder: StudyFolder, console: Console, stop: threading.Event
 ) -> Exception | None:
     """Do the runs that are not done yet, or as many as come before a request to stop.
 
@@ -189,7 +189,6 @@ def _carry_out(
     """
     from deploy.study.dask_workers import ClusterLostError  # heavy
 
-    stop = threading.Event()
     on_stop(stop.set)
     with CommandProgress(console, study.definition.name, study.expected, "runs") as progress:
         try:

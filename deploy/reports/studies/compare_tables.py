@@ -18,8 +18,9 @@ from deploy.reports.tables import (
     scaled,
     short_names,
 )
-from deploy.reports.verdict import Verdict, damaged, missing_ticks_sentence
+from deploy.reports.verdict import ReportHead, damaged, missing_ticks_sentence, times_text
 from deploy.runs.judging.known_ticks import known_ticks
+from deploy.runs.judging.verdict import Verdict
 
 _SHOWN_FAULTS = 2
 _NAMED_JOINTS = 2
@@ -47,21 +48,22 @@ _NUMBERS: list[tuple[Column, Callable[[dict[str, Any]], Value], bool]] = [
 """Columns of the verdict, what stands in them, and whether the smallest is the best."""
 
 
-def verdict_on_laws(comparison: Comparison) -> Verdict:
+def verdict_on_laws(comparison: Comparison) -> ReportHead:
     """The verdict on a comparison."""
     runs = comparison.runs
-    kept, faulted = ([r for r in runs if r.kept_bounds], [r for r in runs if not r.is_whole])
+    kept = [run for run in runs if run.kept_bounds]
+    unsound = [run for run in runs if run.verdict not in (Verdict.KEPT, Verdict.LOST)]
     reasons = [f"{run.law}: {bounds_sentence(run)}" for run in runs]
     reasons += [*recording_sentences(runs), *_ranking(comparison)]
     headline = f"{len(kept)} of {len(runs)} laws kept their bounds"
-    if faulted:
-        unread = " or cannot be read whole" if any(run.data.damage for run in faulted) else ""
-        return Verdict("broken", f"{headline}, {len(faulted)} did not finish{unread}", reasons)
+    if unsound:
+        unread = " or cannot be read whole" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
+        return ReportHead("broken", f"{headline}, {len(unsound)} did not finish{unread}", reasons)
     if len(kept) == len(runs):
-        return Verdict("good", f"All {len(runs)} laws kept their bounds", reasons)
+        return ReportHead("good", f"All {len(runs)} laws kept their bounds", reasons)
     if not kept:
-        return Verdict("bad", "No law kept its bounds", reasons)
-    return Verdict("mixed", headline, reasons)
+        return ReportHead("bad", "No law kept its bounds", reasons)
+    return ReportHead("mixed", headline, reasons)
 
 
 def bounds_sentence(run: LawRun) -> str:
@@ -69,17 +71,18 @@ def bounds_sentence(run: LawRun) -> str:
     faults = run.summary["faults"]
     if faults:
         return "; ".join(faults[:_SHOWN_FAULTS])
-    if run.data.damage:
-        return f"its recording is damaged; where it can be read, it {_bounds_text(run)}"
-    return _bounds_text(run) if run.is_whole else "did not come to its end"
+    if run.verdict is Verdict.INTERRUPTED:
+        return "did not come to its end"
+    is_known = run.verdict is not Verdict.UNKNOWN
+    return f"{'' if is_known else 'not all of it is known; where it is, it '}{_bounds_text(run)}"
 
 
 def recording_sentences(runs: Iterable[LawRun]) -> list[str]:
     """What the recordings of runs lack, each with its law, as far as they lack anything."""
     found = []
     for run in runs:
-        if run.data.damage:
-            found.append(f"{run.law}: {damaged(run.data.damage)}")
+        if damage := run.summary["recording"]["damage"]:
+            found.append(f"{run.law}: {damaged(damage)}")
         if (known := known_ticks(run.data)).missing:
             found.append(f"{run.law}: {missing_ticks_sentence(known)}")
     return found
@@ -89,12 +92,15 @@ def _bounds_text(run: LawRun) -> str:
     bounds = run.summary["bounds"]
     if bounds["violation_fraction"] is None:
         return "has no tick"
-    if bounds["kept"]:
-        return f"kept its bounds, smallest margin {margin_text(bounds['margin_min'])}"
+    if not bounds["violation_fraction"]:
+        if run.verdict is Verdict.LOST:
+            return "left its bounds at ticks that its recording lacks, as the plant counted"
+        inside = "kept" if run.kept_bounds else "was inside"
+        return f"{inside} its bounds, smallest margin {margin_text(bounds['margin_min'])}"
     return (
         f"left its bounds at {bounds['first_violation_s']:.3f} s, outside at"
         f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks, at most"
-        f" {number(1.0 - bounds['margin_min'])} times its bound"
+        f" {times_text(bounds)} its bound"
     )
 
 
@@ -139,11 +145,8 @@ def joint_table(comparison: Comparison, quantity: quantities.JointQuantity) -> T
 
 
 def status_cell(run: LawRun) -> Cell:
-    """Whether a run kept its bounds, as a cell."""
-    if not run.is_whole:
-        is_damaged = run.data.damage and not run.summary["faults"]
-        return Cell("damaged" if is_damaged else "fault", "bad")
-    return Cell("kept", "good") if run.kept_bounds else Cell("lost", "bad")
+    """The verdict on a run, as a cell."""
+    return Cell(run.verdict.value, "good" if run.kept_bounds else "bad")
 
 
 def _mark_best(comparison: Comparison, rows: list[list[Cell]], columns: Iterable[int]) -> None:

@@ -22,20 +22,21 @@ from deploy.reports.tables import (
     percent,
     scaled,
 )
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 from deploy.runs.conditions import conditions_of_runs
 from deploy.runs.judging.bounds import bound_usage
 from deploy.runs.judging.known_ticks import known_ticks
+from deploy.runs.judging.verdict import Verdict
 
 _MRAD = 1e3
 _LONGEST_VALUE = 60
 _PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
 
 
-def verdict_on_runs(compared: RecordedRuns) -> Verdict:
+def verdict_on_runs(compared: RecordedRuns) -> ReportHead:
     """What is the same and what is not, in words."""
     runs, keys = compared.runs, len(compared.differing)
-    faulted = [run for run in runs if not run.is_whole]
+    unsound = [run for run in runs if run.verdict not in (Verdict.KEPT, Verdict.LOST)]
     reasons = [f"{run.law}: {bounds_sentence(run)}" for run in runs]
     has_gaps = any(known_ticks(run.data).missing for run in runs)
     every = "every tick that is known of both" if has_gaps else "every tick"
@@ -49,13 +50,13 @@ def verdict_on_runs(compared: RecordedRuns) -> Verdict:
     reasons.append(f"{keys or 'No'} {differ} between the scenarios.")
     kept = sum(run.kept_bounds for run in runs)
     headline = f"{kept} of {len(runs)} runs kept their bounds; they are {_same(compared, every)}"
-    if faulted:
-        return Verdict(
-            "broken", f"{headline}, {len(faulted)} did not finish or cannot be read whole", reasons
+    if unsound:
+        return ReportHead(
+            "broken", f"{headline}, {len(unsound)} did not finish or cannot be read whole", reasons
         )
     if kept == len(runs):
-        return Verdict("good", headline, reasons)
-    return Verdict("mixed" if kept else "bad", headline, reasons)
+        return ReportHead("good", headline, reasons)
+    return ReportHead("mixed" if kept else "bad", headline, reasons)
 
 
 def run_tables(compared: RecordedRuns) -> list[Table]:

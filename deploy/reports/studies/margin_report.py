@@ -19,7 +19,7 @@ from deploy.reports.studies.study_tables import (
 )
 from deploy.reports.studies.study_text import case_name, ceiling_text, setting_text
 from deploy.reports.tables import ABSENT
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 
 _AS_IT_IS = "as the scenario has it"
 _CEILING = (
@@ -33,7 +33,7 @@ def margin_content(summary: Summary) -> StudyContent:
     durations = ", ".join(f"{arm} {summary['duration_s'][arm]:g} s" for arm in arms)
     return StudyContent(
         kind=f"margins of {summary['quantity']}",
-        verdict=Verdict(
+        verdict=ReportHead(
             "mixed",
             f"{furthest(summary).capitalize()} {summary['title']} at which the bounds are kept",
             [*(_best(summary, arm) for arm in arms), *held_again(summary)],

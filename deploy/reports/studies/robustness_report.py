@@ -21,7 +21,7 @@ from deploy.reports.studies.robustness_tables import (
 )
 from deploy.reports.studies.study_content import Study, StudyContent, Summary
 from deploy.reports.studies.study_text import case_name, setting_text
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 
 _SHOWN_EFFECTS = 12
 
@@ -33,7 +33,7 @@ def robustness_content(summary: Summary) -> StudyContent:
     share = f"{100 * summary['kept_share']:g} %"
     return StudyContent(
         kind=f"margins of {summary['quantity']} over uncertain plants",
-        verdict=Verdict(
+        verdict=ReportHead(
             "mixed",
             f"Largest {summary['title']} at which {share} of {summary['plants']} plants are kept",
             [

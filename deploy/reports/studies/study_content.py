@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from deploy.reports.page import Fact, Panel
 from deploy.reports.tables import Table
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 
 Summary = dict[str, Any]
 
@@ -35,7 +35,7 @@ class StudyContent:
     """
 
     kind: str
-    verdict: Verdict
+    verdict: ReportHead
     facts: Sequence[Fact]
     panels: Sequence[Panel[Study]]
     results: Sequence[Table]

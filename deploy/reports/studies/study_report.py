@@ -13,7 +13,7 @@ from deploy.reports.studies.margin_report import margin_content
 from deploy.reports.studies.robustness_report import robustness_content
 from deploy.reports.studies.study_content import Study, StudyContent
 from deploy.reports.studies.sweep_report import sweep_content
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 from deploy.study.folder import StudyFolder
 
 _CONTENTS = {"sweep": sweep_content, "margin": margin_content, "robustness": robustness_content}
@@ -51,7 +51,7 @@ def write_study_report(summary: dict[str, Any], folder: StudyFolder) -> None:
     )
 
 
-def _with_failures(verdict: Verdict, summary: dict[str, Any]) -> Verdict:
+def _with_failures(verdict: ReportHead, summary: dict[str, Any]) -> ReportHead:
     """The verdict with what kept runs from being judged."""
     failed = summary["runs_failed"]
     if not failed:

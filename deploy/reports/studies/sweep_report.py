@@ -13,7 +13,7 @@ from deploy.reports.figures.studies import many_runs
 from deploy.reports.page import Fact, Panel
 from deploy.reports.studies.study_content import Study, StudyContent, Summary
 from deploy.reports.studies.study_tables import point_table, shown_value
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 
 _MOST_CURVES = 14
 _MOST_HEAT_MAPS = 6
@@ -27,7 +27,7 @@ def sweep_content(summary: Summary) -> StudyContent:
     kept = sum(point["runs_kept"] == point["runs"] for point in points)
     return StudyContent(
         kind="sweep",
-        verdict=Verdict(
+        verdict=ReportHead(
             "good" if kept == len(points) else "mixed" if kept else "bad",
             f"{kept} of {len(points)} points kept their bounds in every run",
             [

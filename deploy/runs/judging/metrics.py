@@ -12,13 +12,14 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
-from deploy.runs.judging.bounds import judge_bounds
+from deploy.runs.judging.bounds import disagreement, judge_bounds, plant_count
 from deploy.runs.judging.chattering import chatter_shares
 from deploy.runs.judging.identified import identified
 from deploy.runs.judging.known_ticks import KnownTicks, Rows, known_ticks, rows_after_gaps
 from deploy.runs.judging.longest_run import longest_run
 from deploy.runs.judging.settling_bound import settling_bound_s
 from deploy.runs.judging.stalls import longest_stall_ms
+from deploy.runs.judging.verdict import decide, with_verdict
 from deploy.runs.run_data import RunData, stamps_s
 
 UNAUTHENTICATED = (
@@ -30,31 +31,34 @@ _MOST_GAPS = 20
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
-def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
-    """The summary of a run, ready for JSON.
-
-    Args:
-        run: the run.
-        more_faults: what its data cannot know, such as a process that was killed; causes come
-            before what followed from them.
-    """
+def summarise(run: RunData) -> dict[str, Any]:
+    """The summary of a run, ready for JSON."""
     setup = run.setup
     outcome = run.last_values(Role.PLANT, EventKind.ENDED)
     known, tracking = known_ticks(run), _tracking(run)
     duration_s = known.ticks * setup.grid.period_ns * 1e-9
     wall_s = float(outcome.get("wall_s", 0.0))
-    return {
+    faults, bounds = run.faults(), judge_bounds(run)
+    is_ended = bool(outcome.get("completed", False)) and known.ticks >= setup.ticks
+    damage = [*run.damage, *disagreement(run, bounds, known)]
+    verdict = decide(
+        faults,
+        is_judged=bounds["violation_fraction"] is not None,
+        was_outside=bool(bounds["violation_fraction"] or plant_count(run).get("outside")),
+        is_known=run.complete and not damage and not known.missing,
+        is_ended=is_ended,
+    )
+    summary = {
         "scenario": setup.scenario.name,
         "law": run.controller,
         "clock": run.clock,
         "link": run.link,
         "duration_s": duration_s,
         "ticks": known.ticks,
-        "completed": bool(outcome.get("completed", False)) and run.complete and not more_faults,
-        "faults": [*more_faults, *run.faults()],
-        "unrecorded_faults": list(more_faults),  # to judge the recording again by
+        "completed": is_ended and run.complete,
+        "faults": faults,
         "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
-        "bounds": judge_bounds(run),
+        "bounds": bounds,
         "tracking": tracking,
         "torque": _torque(run),
         "timing": _timing(run, known, outcome.get("stolen_ms")),
@@ -67,10 +71,11 @@ def summarise(run: RunData, more_faults: Sequence[str] = ()) -> dict[str, Any]:
             "lost_by_topic": None if run.lost is None else dict(run.lost),
             "complete": run.complete,
         },
-        "recording": _recording(run, known, tracking["settling_time_s"]),
+        "recording": _recording(run, known, damage, tracking["settling_time_s"]),
         "commander": _commander(run),
         "digest": run.digest,
     }
+    return with_verdict(summary, verdict)
 
 
 def _tracking(run: RunData) -> dict[str, Any]:
@@ -125,12 +130,12 @@ def _command_times(run: RunData) -> tuple[Vector, Rows]:
 
 
 def _recording(
-    run: RunData, known: KnownTicks, settled_s: Sequence[float | None]
+    run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
 ) -> dict[str, Any]:
     """How whole the recording is."""
     skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
     return {
-        "damage": list(run.damage),
+        "damage": damage,
         "notes": run.notes,
         "ticks_known": known.known,
         "ticks_skipped": int(skipped.max(initial=0)),

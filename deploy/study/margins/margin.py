@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import Field
 
 from bus_schema.configuration import Number, Positive
-from deploy.runs.run_rows import Row, held
+from deploy.runs.run_rows import Row, held, left_nothing
 from deploy.scenario.randomness import seeds_that_differ
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.study_keys import UNCERTAINTY, require_link_effect
@@ -109,6 +109,8 @@ class Margin(Study):
         rows.append(values)
         if len(rows) < self._runs_per_probe(case):
             return ()
+        if any(map(left_nothing, rows)):
+            return ()  # nobody knows whether this value holds, so the search ends here
         case.search.outcomes[steps] = all(held(row) for row in rows)
         return self._next_probe(index)
 

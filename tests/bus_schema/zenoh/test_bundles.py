@@ -298,3 +298,21 @@ def test_commands_are_recorded_though_their_controller_sends_no_bundle_any_more(
         assert plant.await_command(HANG_S)
         plant.publish(topics.RUN_EVENTS, RunEvent(0, Role.PLANT, EventKind.ENDED, "").encode())
         ear.await_heard(topics.JOINT_COMMANDS, 1)
+
+
+def test_an_event_in_another_loops_name_is_counted_and_not_believed() -> None:
+    link = fresh_link()
+    forged = RunEvent(5, "plant", EventKind.ENDED, '{"ticks": 1000, "completed": true}').encode()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        exchange(plant, controller, range(10))
+        ear.await_heard(topics.RUN_EVENTS, 2)
+        controller.publish(topics.RUN_EVENTS, forged)  # in a bundle of the controller's
+        exchange(plant, controller, range(10, 20))
+        ear.await_heard(topics.RUN_EVENTS, 4)
+        assert ear.mailbox.rejected == 1
+        assert forged not in [payload for _, payload in ear.heard[topics.RUN_EVENTS.name]]

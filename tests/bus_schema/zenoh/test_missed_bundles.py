@@ -30,7 +30,7 @@ from tests.bus_schema.zenoh.zenoh_pair import (
 )
 
 SENDER = b"s" * 16
-ENDED = RunEvent(0, Role.CONTROLLER, EventKind.ENDED, "").encode()
+ENDED = {role: RunEvent(0, role, EventKind.ENDED, "").encode() for role in Role}
 
 
 class Wire:
@@ -124,11 +124,12 @@ def test_so_is_what_was_said_where_states_and_torques_go_another_way() -> None:
             plant.publish(topics.JOINT_STATES, b"state %d" % number)
             plant.publish(topics.JOINT_COMMANDS, b"command %d" % number)
             controller.publish(topics.CONTROL_STATUS, b"control %d" % number)
-        for loop in (plant, controller):
-            loop.publish(topics.RUN_EVENTS, ENDED)
+        loops = {Role.PLANT: plant, Role.CONTROLLER: controller}
+        for role, loop in loops.items():
+            loop.publish(topics.RUN_EVENTS, ENDED[role])
         with ear_on(link, plant, controller) as ear:
-            for loop in (plant, controller):
-                loop.publish(topics.RUN_EVENTS, ENDED)
+            for role, loop in loops.items():
+                loop.publish(topics.RUN_EVENTS, ENDED[role])
             ear.await_heard(topics.RUN_EVENTS, 4)
             for topic, name in (
                 (topics.JOINT_STATES, b"state"),
@@ -169,13 +170,13 @@ def test_last_words_are_told_again_to_a_recorder_that_missed_them() -> None:
     ):
         wire.cut()
         await_loss(controller, ear)
-        controller.publish(topics.RUN_EVENTS, ENDED)
+        controller.publish(topics.RUN_EVENTS, ENDED[Role.CONTROLLER])
         wire.mend()
         controller.await_recorder(HANG_S)
         leaving = threading.Thread(target=controller.await_recorded)
         leaving.start()
         ear.await_heard(topics.RUN_EVENTS, 1)
-        assert ear.heard["run_events"] == [(1, ENDED)]
+        assert ear.heard["run_events"] == [(1, ENDED[Role.CONTROLLER])]
         gid = controller._outbox.gid_of(topics.RUN_EVENTS)
         assert gid is not None
         ear.node.acknowledge(gid)

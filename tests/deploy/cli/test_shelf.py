@@ -34,7 +34,7 @@ def shelf(recorded, tmp_path):
     for name, changes, more in (
         ("new", {}, {}),
         ("old", {"started": "2020-01-01T00:00:00+0000"}, {}),
-        ("broken", {}, {"completed": False}),
+        ("broken", {}, {"completed": False, "verdict": "interrupted"}),
     ):
         (tmp_path / name).mkdir()
         write_json(tmp_path / name / "manifest.json", manifest | changes)
@@ -142,14 +142,14 @@ def test_prune_shows_first_and_keeps_what_is_tagged_or_not_ours(funnel_hil, shel
 
 def test_runs_with_a_fault_are_told_from_those_that_came_to_no_end(funnel_hil, shelf):
     summary = json.loads((shelf / "new" / "summary.json").read_text())
-    faulted = {"faults": ["controller: the process is gone"]}
-    nothing = {"kept": False, "violation_fraction": None, "first_violation_s": None}
+    faulted, half = {"verdict": "faulted"}, {"verdict": "interrupted"}
+    old = {"verdict": None, "faults": ["controller: the process is gone"]}  # of older versions
     for name, changes in (
         ("whole", faulted),
-        ("ended", {**faulted, "completed": False}),
-        ("never_began", {**faulted, "completed": False, "bounds": nothing}),
+        ("ended", {**old, "completed": False}),
+        ("never_began", {**old, "completed": False, "bounds": None}),
         ("of_laws", {"kind": "comparison", "laws": {"a": summary, "b": {**summary, **faulted}}}),
-        ("half", {"kind": "comparison", "laws": {"a": {**summary, "completed": False}}}),
+        ("half", {"kind": "comparison", "laws": {"a": {**summary, **half}}}),
     ):  # fmt: skip
         shutil.copytree(shelf / "new", shelf / name)
         write_json(shelf / name / "summary.json", summary | changes)

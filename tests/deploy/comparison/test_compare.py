@@ -112,19 +112,24 @@ def test_report_renders_a_comparison_again_from_its_recordings(compared, funnel_
 
 def test_a_damaged_recording_is_told_with_what_it_lacks(compared, funnel_hil):
     _, _, folder = compared
-    damage_at(folder / "pid" / "run.mcap", 100_000_000)
+    damage_at(folder / "fixed_time_neural" / "run.mcap", 100_000_000)
     code, output = funnel_hil("report", folder)
-    data, _ = load_run(folder / "pid")
+    data, _ = load_run(folder / "fixed_time_neural")
     assert code == 1
     assert data.damage
     words = [line.split() for line in output.splitlines()]
-    assert ["pid", "damaged"] in [each[:2] for each in words]
+    assert ["fixed_time_neural", "unknown"] in [each[:2] for each in words]
     said = " ".join(output.split())
-    assert f"pid: The recording is damaged: {'; '.join(data.damage)}." in said
-    assert f"pid: The true motion is known at {known_ticks(data).known} of 300 ticks" in said
+    assert f"fixed_time_neural: The recording is damaged: {'; '.join(data.damage)}." in said
+    assert (
+        f"fixed_time_neural: The true motion is known at {known_ticks(data).known} of 300 ticks"
+        in said
+    )
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "1 did not finish or cannot be read whole" in page
-    assert "pid: its recording is damaged; where it can be read, it " in page
+    assert (
+        "fixed_time_neural: not all of it is known; where it is, it was inside its bounds" in page
+    )
 
 
 def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):

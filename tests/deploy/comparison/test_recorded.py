@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import funnel_hil as interface
 from deploy.comparison.recorded import recorded_runs
+from deploy.processes.recorder import record_failures
 from deploy.reports.conclude import conclude
 from deploy.reports.studies.diff_tables import (
     difference_table,
@@ -34,7 +36,8 @@ def record(folder: Path, *changes: str, name: str = "paper_arm", faults: tuple[s
     simulation = simulate(load_setup(name, [*SHORT, *changes]))
     with RunFolder.begin(simulation.setup, folder) as place:
         simulation.write_log(place.log)
-        conclude(place, simulation.data(), faults, draws_report=False)
+        record_failures(place.log, faults)
+        conclude(place, replace(simulation.data(), failures=faults), draws_report=False)
     return folder
 
 
@@ -135,7 +138,7 @@ def test_ticks_that_are_missing_are_no_parting(folder, tmp_path, funnel_hil, ord
     said = " ".join(said.split())
     assert "leaves" not in said
     assert "they are the same at every tick that is known of both" in said
-    assert "gap: its recording is damaged" in said
+    assert "gap: not all of it is known" in said
     known = known_ticks(compared.runs[order.index("gap")].data)
     assert f"gap: The true motion is known at {known.known} of 700 ticks: missing are" in said
 
@@ -297,7 +300,7 @@ def test_what_no_recording_knows_is_kept_when_it_is_judged_again(folder, tmp_pat
     assert not read_summary(path)["completed"]
     assert interface.load_run(path).faults == before["faults"]
     compared = recorded_runs([folder / "first", path])
-    assert rows_of(run_table(compared))["Bounds"] == ["kept", "fault"]
+    assert rows_of(run_table(compared))["Bounds"] == ["kept", "faulted"]
 
 
 def test_a_comparison_reported_later_keeps_how_the_process_ended(tmp_path, funnel_hil):

@@ -19,6 +19,7 @@ from deploy.reports.studies import compare_report
 from deploy.reports.studies.compare_report import write_comparison_report
 from deploy.reports.studies.compare_tables import joint_table, verdict_on_laws, verdict_table
 from deploy.runs.judging.metrics import summarise
+from deploy.runs.judging.verdict import Verdict, with_verdict
 from deploy.runs.run_data import build_run_data
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -68,11 +69,13 @@ def with_bounds(run, *, kept, margin=-1.0):
     bounds = {"kept": kept, "violation_fraction": 0.0 if kept else 0.25,
               "first_violation_s": None if kept else 0.125,
               "margin_min": 0.5 if kept else margin}  # fmt: skip
-    return replace(run, summary={**run.summary, "bounds": bounds})
+    summary = {**run.summary, "bounds": bounds}
+    return replace(run, summary=with_verdict(summary, Verdict.KEPT if kept else Verdict.LOST))
 
 
 def faulted(run):
-    return replace(run, summary={**run.summary, "completed": False, "faults": ["it broke"]})
+    summary = {**run.summary, "faults": ["it broke"]}
+    return replace(run, summary=with_verdict(summary, Verdict.FAULTED))
 
 
 def empty(run):

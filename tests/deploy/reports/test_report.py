@@ -119,6 +119,7 @@ def test_the_verdict_on_a_run_that_kept_its_bounds(run, page_of):
 def test_the_verdict_on_a_run_that_left_its_bounds(run, page_of, only):
     only("timeline")
     summary = summarise(run)
+    summary |= {"verdict": "lost"}
     summary["bounds"] |= {"kept": False, "violation_fraction": 0.25, "first_violation_s": 0.125}
     page = page_of(run, summary)
     assert "<h1>Bounds not kept</h1>" in page
@@ -128,7 +129,9 @@ def test_the_verdict_on_a_run_that_left_its_bounds(run, page_of, only):
 def test_a_partial_recording_is_called_partial(run, page_of, only):
     only("timeline")
     page = page_of(replace(run, complete=False))
-    assert "<h1>Run incomplete, bounds kept until then</h1>" in page
+    assert (
+        "<h1>Not known whether bounds were kept, inside its bounds where it is known</h1>" in page
+    )
     assert "recording is partial" in page
 
 
@@ -141,7 +144,7 @@ def test_texts_from_a_run_are_shown_and_never_executed(run, page_of, only):
     summary["tracking"]["joint_names"][0] = HOSTILE
     summary["transport"]["uplink"]["rejected"] = {HOSTILE: 3}
     page = page_of(hostile_run, summary)
-    assert "<h1>Run faulted, bounds kept until then</h1>" in page
+    assert "<h1>Run faulted, inside its bounds where it is known</h1>" in page
     assert "<script>alert" not in page
     assert page.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 6
 

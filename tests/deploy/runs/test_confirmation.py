@@ -11,6 +11,7 @@ from deploy.runs.confirmation import (
     confirmation_of,
     confirmations,
     other_physics,
+    simulated_otherwise,
 )
 from deploy.runs.run_rows import read_rows
 from deploy.runs.simulate import simulate
@@ -43,7 +44,8 @@ def test_other_physics_are_all_but_the_one_in_force():
 def row(kept, margin, others):
     on, its_kept, its_margins = zip(*others, strict=True)
     return {
-        "scenario": "s", "law": "l", "completed": True, "error": None, "bounds_kept": kept,
+        "scenario": "s", "law": "l", "completed": True, "error": None,
+        "verdict": "kept" if kept else "lost", "bounds_kept": kept,
         "margin_min": margin, "confirmed_on": on, "confirmed_kept": its_kept,
         "confirmed_margin_min": its_margins, "confirmed_error_difference_rad": [None] * len(on),
     }  # fmt: skip
@@ -91,3 +93,29 @@ def test_margin_names_the_margin_on_each_physics(funnel_hil, tmp_path):
     assert all(
         len(r["confirmed_on"]) == len(INSTALLED) for r in read_rows(tmp_path / "m/margin.parquet")
     )
+
+
+def test_a_run_that_simulates_otherwise_is_an_alarm(tmp_path):
+    short = ["duration_s=0.2", "metrics.from_s=0.1"]
+    recorded = load_setup("paper_arm", short)
+    simulate(recorded).write_log(tmp_path / "run.mcap")
+    assert simulated_otherwise(recorded, tmp_path) == []
+    changed = load_setup("paper_arm", [*short, "plant.payload_kg=1"])
+    (alarm,) = simulated_otherwise(changed, tmp_path)
+    assert "another one" in alarm
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("clock=realtime", "clock = 'realtime': must be lockstep"),
+        ("faults=[{kind: process_killed, target: plant, at_s: 1}]", "must be without"),
+        ("controller.process=[sleep, '1']", "must be without"),
+    ],
+)
+def test_only_what_is_the_same_again_is_confirmed(nothing_starts, funnel_hil, change, said):
+    words = ["--set", "clock=lockstep", "--set", change]
+    words = words[2:] if change.startswith("clock") else words
+    code, output = funnel_hil("run", "--confirm", *words)
+    assert code == 2
+    assert said in output

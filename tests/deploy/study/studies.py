@@ -46,6 +46,7 @@ def made_up(run, **values):
     return {
         "law": "pid", "point": run.point, **run.columns, "scenario": "made_up", "seed": run.seed,
         "completed": True, "error": None, "bounds_kept": fraction == 0.0,
+        "verdict": "faulted" if values.get("error") else "lost" if fraction else "kept",
         "violation_fraction": fraction, "margin_min": 0.5, "rms_rad": [1e-3, 2e-3, 1e-3],
         "total_variation_nm_per_s": [1.0, 1.0, 1.0], "joint_names": ["a", "b", "c"], **values,
     }  # fmt: skip

@@ -95,7 +95,7 @@ def test_a_run_that_fails_does_not_hold(tmp_path):
 def test_margins_as_a_table_for_documents(tmp_path):
     margin = margin_of(limit=8)
     _, folder = conduct(margin, tmp_path / "out", Here(lambda run: made_up(run) | {
-        "bounds_kept": "pid" not in str(run.overrides)}))  # fmt: skip
+        "verdict": "lost" if "pid" in str(run.overrides) else "kept"}))  # fmt: skip
     assert as_markdown(margins_by_law(margin.summary(folder.rows))).splitlines() == [
         "| law | paper_arm |",
         "| --- | --- |",

@@ -1,0 +1,77 @@
+"""The verdict on a run: the one place that decides whether bounds were kept."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Mapping
+from enum import StrEnum
+from typing import Any
+
+
+class Verdict(StrEnum):
+    """What became of a run; only `KEPT` counts as kept, wherever runs are shown or counted.
+
+    KEPT: every tick is known, none was outside, and the run came to its end without a fault.
+    LOST: the error was outside its bounds at a tick.
+    UNKNOWN: ticks are missing, or the recording is damaged or was not finished.
+    FAULTED: something failed, inside the bounds or not.
+    INTERRUPTED: the run was stopped before its end, inside its bounds until then.
+    NOTHING: no tick was judged.
+    """
+
+    KEPT = "kept"
+    LOST = "lost"
+    UNKNOWN = "unknown"
+    FAULTED = "faulted"
+    INTERRUPTED = "interrupted"
+    NOTHING = "nothing"
+
+
+def decide(
+    faults: Collection[str] = (),
+    *,
+    is_judged: bool = False,
+    was_outside: bool = False,
+    is_known: bool = True,
+    is_ended: bool = True,
+) -> Verdict:
+    """The verdict on a run.
+
+    Args:
+        faults: what failed.
+        is_judged: a tick was judged.
+        was_outside: the error was outside its bounds at a known tick.
+        is_known: every tick is known, from an undamaged recording that was finished.
+        is_ended: the run came to its planned end.
+    """
+    if faults:
+        return Verdict.FAULTED
+    if not is_judged:
+        return Verdict.NOTHING
+    if was_outside:
+        return Verdict.LOST
+    if not is_known:
+        return Verdict.UNKNOWN
+    return Verdict.KEPT if is_ended else Verdict.INTERRUPTED
+
+
+def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
+    """The summary with a verdict, and with what follows from it."""
+    ended = verdict not in (Verdict.FAULTED, Verdict.INTERRUPTED, Verdict.NOTHING)
+    bounds = {**summary["bounds"], "kept": verdict is Verdict.KEPT}
+    completed = bool(summary["completed"] and ended)
+    return {**summary, "verdict": verdict.value, "completed": completed, "bounds": bounds}
+
+
+def verdict_of(values: Mapping[str, Any]) -> Verdict:
+    """The verdict that a summary or a row has; of older versions, which had none, by their rule."""
+    with contextlib.suppress(ValueError):
+        return Verdict(str(values.get("verdict")))
+    bounds = values.get("bounds", {"kept": values.get("bounds_kept")})
+    kept = bounds.get("kept") if isinstance(bounds, Mapping) else None
+    return decide(
+        values.get("faults") or values.get("error") or (),
+        is_judged=kept is not None,
+        was_outside=kept is False,
+        is_ended=bool(values.get("completed")),
+    )
