@@ -21,6 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
+from bus_schema.user_files import read_bytes
 from deploy.scenario.yaml_files import ScenarioError
 
 AUTHORITY_NAME = "funnel-hil authority"
@@ -182,11 +183,11 @@ def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
 
 def _read(path: Path, remedy: str) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bytes(path)
     except FileNotFoundError as error:
         raise ScenarioError(f"{path}: does not exist: {remedy}") from error
     except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _purposes(role: Role) -> list[x509.ObjectIdentifier]:

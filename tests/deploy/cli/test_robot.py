@@ -39,6 +39,7 @@ def folder(tmp_path):
     urdf = tmp_path / "some_robot" / "urdf"
     urdf.mkdir(parents=True)
     (tmp_path / "some_robot" / "links.xacro").write_text(LINKS)
+    (tmp_path / "some_robot" / "package.xml").write_text("<package/>")
     (urdf / "arm.urdf.xacro").write_text(XACRO.replace("{effort}", "5"))
     (tmp_path / "test.yaml").write_text(SCENARIO)
     return tmp_path
