@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.percentiles import PERCENTILES
-from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 
 _DIRECTIONS = ("uplink", "downlink")
 _COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
@@ -111,7 +111,7 @@ def write_rows(
         [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
     )
     with naming_file(path):
-        parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), partial_path(path))
+        parquet.write_table(pa.Table.from_pylist(list(rows), schema=schema), new_partial(path))
     complete(path)
 
 

@@ -167,9 +167,10 @@ def _require_valid_now(path: Path, certificate: x509.Certificate, remedy: str) -
 
 def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
     pem = _read(path, remedy)
-    mode = path.stat().st_mode
-    # A group may be the one of a service, and where systemd hands keys over it is always shown.
-    if mode & stat.S_IRWXO:
+    mode, handed_over = path.stat().st_mode, os.environ.get("CREDENTIALS_DIRECTORY")
+    # Of keys that systemd hands over, the group's rights are those of an access list.
+    is_credential = handed_over is not None and path.resolve().is_relative_to(handed_over)
+    if mode & (stat.S_IRWXO if is_credential else stat.S_IRWXO | stat.S_IRWXG):
         shown = stat.filemode(mode)
         raise ScenarioError(f"{path}: others may read it ({shown}): run `chmod 600 {path}`")
     try:
