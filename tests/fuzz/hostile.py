@@ -87,7 +87,8 @@ def hostile(path: Path, seed: int) -> Iterator[tuple[str, Callable[[], object]]]
         "empty": b"", "NUL": bytes(1000), "no UTF-8": b"\xff\xfe" * 500, "long": b"a" * 25_000_000,
         "deep JSON": b"[" * 100_000, "deep object": b'{"a":' * 90_000 + b"1" + b"}" * 90_000,
         "deep XML": b"<robot>" + b"<a>" * 200_000, "half": valid[: len(valid) // 2],
-        "long number": b"a: " + b"9" * 100_000, "wrong types": b'{"laws": 5, "kind": [], "tags": {}}',
+        "long number": b"a: " + b"9" * 100_000,
+        "wrong types": b'{"laws": 5, "kind": [], "tags": {}}',
         "wrong laws": b'{"kind": "comparison", "laws": {"../..": 1}, "settling": [1]}',
     }  # fmt: skip
     for name, text in texts.items():
