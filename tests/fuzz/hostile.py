@@ -12,6 +12,7 @@ import gc
 import os
 import random
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
+from bus_schema.link.can_configuration import CIA402_EDS
 from deploy import cli
 from deploy.cli.commands import COMMANDS, LazyCommand
 from deploy.scenario.scenario import SHIPPED
@@ -35,19 +37,21 @@ _VALID = {
     ".urdf": _ARM.read_bytes(),
     ".xacro": _ARM.read_bytes(),
     ".xml": b"<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>",
-    ".csv": b"time_s,joint1.position_rad\n0,0\n1,0.1\n",
+    ".csv": b"time_s,base_yaw.position_rad,shoulder.position_rad,elbow.position_rad\n"
+    b"0,0,0,0\n9,0,0,0\n",
     ".obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
     ".stl": b"x" * 80 + b"\x01\0\0\0" + bytes(50),
     ".dae": b"<COLLADA><library_geometries/></COLLADA>",
     ".txt": b"1.0\n2.0\n",
+    ".eds": CIA402_EDS.read_bytes(),
     ".json": b'{"kind": "run", "completed": true, "faults": [], "bounds": {"kept": true}}',
 }
 _RUN = "simulate", "given.yaml", "--no-report", "--out", "out"
 COMMAND_OF = {
     "scenario.yaml": ["simulate", "{}", "--no-report", "--out", "out"],
-    "reference of.yaml": ["reference", "{}", "--out", "reference.csv"],
+    "reference of.yaml": ["reference", "{}", "--csv", "reference.csv"],
     "sweep.yaml": ["sweep", "{}", "--workers", "1", "--out", "out"],
-    "margin.yaml": ["margin", "{}", "--workers", "1", "--out", "out"],
+    "compare.yaml": ["compare", "{}", "--laws", "pid", "--out", "out"],
     "arm.urdf": ["robot", "{}"],
     "arm.xacro": ["robot", "{}"],
     "arm.xml": ["robot", "{}"],
@@ -56,11 +60,12 @@ COMMAND_OF = {
     "mesh.stl": ["robot", "shaped.urdf", "--picture", "p.png"],
     "mesh.dae": ["robot", "shaped.urdf", "--picture", "p.png"],
     "motion.csv": [*_RUN, "--set", "reference={{kind: csv, file: '{}'}}"],
-    "delays.txt": [*_RUN, "--set", "link.uplink.distribution_file={}"],
+    "delays.txt": [*_RUN, "--set",
+                   "link.uplink={{distribution: empirical, distribution_file: '{}'}}"],
     "drive.eds": [*_RUN, "--set", "link.kind=can", "--set", "link.can.interface=virtual",
                   "--set", "link.can.eds={}"],
     "authority.crt": ["record", "given.yaml", "--set", "link.security.enabled=true",
-                      "--set", "link.security.folder=."],
+                      "--set", "link.security.folder={0.parent}"],
     "run/run.mcap": ["report", "run"],
     "exported/run.mcap": ["export", "exported", "--out", "tables"],
     "run/summary.json": ["report", "run"],
@@ -154,6 +159,19 @@ def _end_of(words: list[str], said: Path) -> tuple[str, float, int]:
     return how, taken_s, usage.ru_maxrss
 
 
+def _results(folder: Path) -> dict[str, Path]:
+    """Folders with results, by the name of those to damage."""
+    run, compared, given = folder / "a run", folder / "a comparison", folder / "given.yaml"
+    given.write_text(_SHORT)
+    for words in (
+        ["simulate", str(given), "--no-report", "--out", str(run)],
+        ["compare", str(given), "--laws", "pid", "--out", str(compared)],
+    ):
+        assert _end_of(words, folder / "said")[0] == "exit 0"
+    _VALID[".mcap"] = (run / "run.mcap").read_bytes()
+    return {"run": run, "exported": run, "compared": compared}
+
+
 def campaign(seed: int) -> dict[str, Counter[str]]:
     """Try all; how they ended, by kind."""
     for name in COMMANDS:
@@ -162,11 +180,15 @@ def campaign(seed: int) -> dict[str, Counter[str]]:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     found: dict[str, Counter[str]] = {}
     with tempfile.TemporaryDirectory() as temporary:
+        made = _results(Path(temporary))
         for kind, words in COMMAND_OF.items():
             for index, (name, _) in enumerate(hostile(Path(kind), seed)):
                 folder = Path(temporary) / f"{kind.replace('/', '_')} {index}"
                 path = folder / kind
-                path.parent.mkdir(parents=True)
+                if (part := kind.partition("/")[0]) in made:
+                    shutil.copytree(made[part], folder / part)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.unlink(missing_ok=True)
                 os.chdir(folder)
                 (folder / "given.yaml").write_text(_SHORT)
                 if kind.startswith("mesh"):
