@@ -34,14 +34,14 @@ def name_code(scenario: Scenario, origin: Origin) -> None:
     if said is None or are_left_out():
         return
     if controller.process is not None:
-        what = f"program {shlex.join(controller.process)}"
+        key, what = "controller.process", f"program {shlex.join(controller.process)}"
     elif controller.law == EXTERNAL and controller.external is not None:
-        what = f"program {shlex.join(controller.external.command)}"
+        key, what = "controller.law", f"program {shlex.join(controller.external.command)}"
     elif is_custom(controller.law):
-        what = f"law {controller.law}"
+        key, what = "controller.law", f"law {controller.law}"
     else:
         return
-    line = f"runs code of {origin.of('controller.law')}: {what}"
+    line = f"runs code of {origin.of(key)}: {what}"
     if line not in said:
         said.add(line)
         print(line, file=sys.stderr)
