@@ -27,6 +27,7 @@ from bus_schema.urdf.resolved import (
     resolve_joints,
 )
 from bus_schema.urdf.xacro_files import expanded, is_xacro
+from bus_schema.user_files import read_text
 
 Shapes = Literal["named", "drawable", "none"]
 
@@ -191,15 +192,11 @@ def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
 
 def _parse(path: Path) -> tuple[str, ET.Element]:
     try:
-        text = (
-            expanded(path)
-            if is_xacro(path) and path.is_file()
-            else path.read_text(encoding="utf-8")
-        )
+        text = expanded(path) if is_xacro(path) and path.is_file() else read_text(path)
         root = ET.fromstring(text)
     except FileNotFoundError as error:
         raise RobotDescriptionError(f"{path} does not exist") from error
-    except (OSError, UnicodeDecodeError, ET.ParseError) as error:
+    except (OSError, ET.ParseError) as error:
         raise RobotDescriptionError(f"{path} cannot be read as URDF: {error}") from error
     if root.tag not in ("robot", "mujoco"):
         raise RobotDescriptionError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +15,14 @@ from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import LARGEST, ConfigurationError, shown
 from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
+from bus_schema.user_files import read_text
 
 KEY = "reference.file"
 TIME = "time_s"
 KINDS = ("position_rad", "velocity_rad_s", "acceleration_rad_s2")
 """Columns of a joint, as ``<joint>.<kind>``; in m where it slides."""
 _SHORTEST_STEP_S = 0.999e-6  # a microsecond, as far as a sum of seconds tells it
-_LARGEST_BYTES = 200_000_000
+_LARGEST_BYTES = 50_000_000
 _MOST_WARNINGS = 3
 _AT_REST_RAD_S = 1e-3
 
@@ -73,14 +75,12 @@ def read_rows(file: str, robot: RobotDescription) -> ReferenceRows:
             column, value and what is allowed.
     """
     try:
-        if Path(file).stat().st_size > _LARGEST_BYTES:
-            raise _wrong(file, f"must be of at most {_LARGEST_BYTES // 1_000_000} MB")
-        with Path(file).open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.reader(lines)
-            header = [name.strip() for name in next(reader, [])]
-            places = _places(file, header, robot.joint_names)
-            cells = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = read_text(Path(file), _LARGEST_BYTES, newline="").removeprefix("\ufeff")
+        reader = csv.reader(io.StringIO(text, newline=""))
+        header = [name.strip() for name in next(reader, [])]
+        places = _places(file, header, robot.joint_names)
+        cells = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+    except (OSError, csv.Error) as error:
         raise _wrong(file, f"cannot be read as CSV: {error}") from error
     for line, row in cells:
         if any(map(str.strip, row[len(header) :])):

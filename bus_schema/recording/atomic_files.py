@@ -21,6 +21,14 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
+def new_partial(path: Path) -> Path:
+    """`partial_path` as a new, empty file; a link of that name is replaced, and not followed."""
+    partial = partial_path(path)
+    partial.unlink(missing_ok=True)
+    os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+    return partial
+
+
 def is_partial(path: Path) -> bool:
     """Whether a file has the name of one that is not complete."""
     return path.stem.endswith(".partial")
@@ -61,7 +69,7 @@ def write_whole(path: Path, text: str) -> None:
     partial = partial_path(path)
     try:
         with naming_file(path):
-            partial.write_text(text, encoding="utf-8")
+            new_partial(path).write_text(text, encoding="utf-8")
         complete(path)
     except OSError:
         partial.unlink(missing_ok=True)

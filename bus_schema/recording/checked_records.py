@@ -35,6 +35,7 @@ _CRC = struct.Struct("<I")
 _MESSAGE = struct.Struct("<HIQQ")
 """What a message begins with: channel, sequence number, log time, publish time."""
 _FOOTER_BYTES = 8 + 8 + _CRC.size
+_LARGEST_RECORD_BYTES = 1 << 28
 _LARGEST_CHUNK_BYTES = 1 << 28
 """Unpacked; many times what any recorder writes, and less than would bring a machine down."""
 _DAMAGED = (
@@ -109,7 +110,7 @@ class CheckedRecords:
         start, crc = self._position, self._crc
         if self._size - start >= HEAD.size:
             opcode, length = HEAD.unpack(self._take(HEAD.size))
-            if length <= self._size - self._position:
+            if opcode and length <= min(self._size - self._position, _LARGEST_RECORD_BYTES):
                 return _Raw(start, opcode, self._take(length), crc)
         self.cut_off_at = start
         return None

@@ -19,7 +19,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 
 from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
-from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, partial_path
+from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, new_partial
 from bus_schema.recording.checked_records import CheckedRecords
 from bus_schema.recording.mcap_writer import PlainWriter, QuickWriter, can_be_quick
 from bus_schema.recording.older_messages import Translate, translation
@@ -66,7 +66,7 @@ class McapLog:
         # Kept free for what has to be said when the disk is full: how much is missing.
         self._reserve = TemporaryFile(dir=path.parent)  # noqa: SIM115
         os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE_BYTES)
-        self._file = RecordFile(partial_path(path))
+        self._file = RecordFile(new_partial(path))
         chunk_size = int(min(max(bytes_per_s / 4, 1024), _LARGEST_CHUNK_BYTES))
         writer = QuickWriter if can_be_quick() else PlainWriter
         self._writer = writer(cast("IO[bytes]", self._file), chunk_size)

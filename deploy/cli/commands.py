@@ -8,6 +8,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from deploy.scenario.foreign_code import code_is_named
+
 COMMANDS = {
     "run": (
         "deploy.cli.run:run",
@@ -112,6 +114,9 @@ COMMANDS = {
 }
 """Where each command is, a function or a group of commands, and the first line of its help."""
 
+LOOKING = {"view", "report", "diff", "reference", "robot", "export", "ros2-control"}
+"""Commands that read scenarios and run nothing of what these name: no law, program or process."""
+
 
 class LazyCommand(TyperCommand):
     """Stands for a command until it is called; knows but its name and the first line of its help.
@@ -127,8 +132,18 @@ class LazyCommand(TyperCommand):
         self.place = place
 
     def make_context(self, *args: Any, **extra: Any) -> Any:
-        """That of the command itself, which does all the rest."""
-        return self.load().make_context(*args, **extra)
+        """That of the command itself, which does all the rest.
+
+        A command that only looks runs no code of the files it looks at; any other one says whose.
+        """
+        context = self.load().make_context(*args, **extra)
+        if self.name in LOOKING:
+            from controller.laws.custom import custom_laws_left_out  # as the command itself does
+
+            context.with_resource(custom_laws_left_out())
+        elif context.params.get("parent_pid") is None:
+            context.with_resource(code_is_named())
+        return context
 
     def load(self) -> Any:
         """The command itself."""

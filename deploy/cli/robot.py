@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from rich.console import Console
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
+from bus_schema.urdf.xacro_files import INCLUDE
 from deploy.reports.figures.arm.pictures import arm_picture
 from deploy.reports.robot_tables import funnel_line, gains_table, joints_table, other_joints_table
 from deploy.reports.terminal import print_table
@@ -34,11 +36,16 @@ def robot(
     repair: Annotated[
         bool, typer.Option("--repair", help="Mend inertias that no body has, however far off.")
     ] = False,
+    include: Annotated[
+        list[Path] | None,
+        typer.Option("--include", metavar="FOLDER", help="More folders that xacro may read."),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the arm.")
     ] = None,
 ) -> None:
     """Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd."""
+    os.environ[INCLUDE] = os.pathsep.join([*map(str, include or []), os.environ.get(INCLUDE, "")])
     chosen = None if joints is None else [name.strip() for name in joints.split(",")]
     try:
         path = find_urdf(file, Path.cwd())

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from bus_schema.errors import did_you_mean
-from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.runs.judging.time_series import SERIES, series
 from deploy.runs.run_data import RunData
 from deploy.scenario.yaml_files import ScenarioError
@@ -45,7 +45,7 @@ def export_series(
         for kind in formats:
             file = folder / f"{name}.{kind}"
             with naming_file(file):
-                write[kind](table, str(partial_path(file)))
+                write[kind](table, str(new_partial(file)))
             complete(file)
             files.append(file)
     return files

@@ -19,6 +19,7 @@ from typing import Any, Self
 
 from bus_schema.recording.atomic_files import partial_path, write_json
 from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.user_files import read_text
 from controller.laws.custom import custom_laws_left_out
 from deploy.input_error import InputError
 from deploy.processes.recorder import (
@@ -125,7 +126,7 @@ class RunFolder(ResultFolder):
 
 def read_summary(path: Path) -> dict[str, Any]:
     """What ``summary.json`` of a folder says; empty where there is none."""
-    return _read_json(path / "summary.json")
+    return read_json(path / "summary.json")
 
 
 def _failures(path: Path, contents: LogContents) -> list[str]:
@@ -138,13 +139,14 @@ def _failures(path: Path, contents: LogContents) -> list[str]:
 
 def read_manifest(path: Path) -> dict[str, Any]:
     """What ``manifest.json`` of a folder says; empty where there is none."""
-    return _read_json(path / "manifest.json")
+    return read_json(path / "manifest.json")
 
 
-def _read_json(file: Path) -> dict[str, Any]:
+def read_json(file: Path) -> dict[str, Any]:
+    """What a JSON file says; empty where it is missing, or holds no mapping."""
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        values = json.loads(read_text(file))
+    except (OSError, ValueError, RecursionError):
         return {}
     return values if isinstance(values, dict) else {}
 

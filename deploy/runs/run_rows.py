@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.percentiles import PERCENTILES
-from bus_schema.recording.atomic_files import complete, naming_file, partial_path
+from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.runs.judging.verdict import Verdict, decide, verdict_of
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -127,7 +127,7 @@ def write_rows(
     metadata = {**(table.schema.metadata or {}), _DIGEST: _digest(table)}
     with naming_file(path):
         parquet.write_table(
-            table.replace_schema_metadata(metadata), partial_path(path), write_page_checksum=True
+            table.replace_schema_metadata(metadata), new_partial(path), write_page_checksum=True
         )
     complete(path)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Any
 from bus_schema.recording.atomic_files import write_json
 from deploy.runs.judging.verdict import Verdict, verdict_of
 from deploy.runs.new_folder import holds_results
-from deploy.runs.run_folder import read_manifest, read_summary
+from deploy.runs.run_folder import read_json, read_manifest, read_summary
 from deploy.scenario.yaml_files import ScenarioError
 
 INCOMPLETE = "incomplete"
@@ -85,10 +84,7 @@ def tag(path: Path, add: Sequence[str], remove: Sequence[str]) -> list[str]:
 
 def tags_of(path: Path) -> list[str]:
     """Tags of a folder of results."""
-    try:
-        told = json.loads((path / _TAGS).read_text(encoding="utf-8"))["tags"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
+    told = read_json(path / _TAGS).get("tags")
     return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
 
 

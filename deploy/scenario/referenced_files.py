@@ -9,10 +9,10 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError, did_you_mean
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.urdf.resolved import pybullet_data
+from bus_schema.user_files import is_file
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
 from deploy.scenario.definition import Scenario
-from deploy.scenario.yaml_files import is_file
 from plant_emulator.channel.jitter import read_delays_ms
 
 DIRECTIONS = ("uplink", "downlink")

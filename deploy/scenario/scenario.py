@@ -20,6 +20,7 @@ from controller.configuration import PROCESS
 from deploy.scenario.checks import check
 from deploy.scenario.definition import Scenario
 from deploy.scenario.explanation import Origin
+from deploy.scenario.foreign_code import name_code
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -65,6 +66,7 @@ def build_setup(
     """
     origin = Origin(source, tuple(overrides), given_by)
     scenario = validated(given_values(values, source, overrides), Scenario, origin)
+    name_code(scenario, origin)
     with naming(origin):
         scenario = _judged_over_some_time(scenario, origin)
     return check(scenario, origin)

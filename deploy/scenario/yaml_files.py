@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import ConfigurationError, shortened, shown
 from bus_schema.errors import did_you_mean
+from bus_schema.user_files import is_file, read_text
 from deploy.input_error import InputError
 from deploy.scenario.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
@@ -85,14 +86,6 @@ def find_yaml(
     )
 
 
-def is_file(path: Path) -> bool:
-    """Whether there is a file; not where the path is none that a file can have."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
-
-
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file that holds a mapping.
 
@@ -100,7 +93,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ScenarioError: it cannot be read, or holds something else.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
         if text.lstrip().startswith(_XML):
             raise ScenarioError(
                 f"{path}: must be a mapping of keys to values in YAML, and is XML: an arm in URDF"
@@ -110,7 +103,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
             values = values_of(text)
     except yaml.YAMLError as error:
         raise ScenarioError(f"{path}: cannot be read as YAML: {problem_in(error)}") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise ScenarioError(f"{path}: cannot be read as YAML: {error}") from error
     if not isinstance(values, dict):
         raise ScenarioError(f"{path}: must be a mapping of keys to values")

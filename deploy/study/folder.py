@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
+from bus_schema.user_files import is_file
 from deploy.runs.conditions import Conditions
 from deploy.runs.confirmation import CONFIRMATION_COLUMNS
 from deploy.runs.new_folder import new_folder, resolved_out
@@ -33,7 +34,7 @@ from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.written import effective_scenario, write_scenario
-from deploy.scenario.yaml_files import ScenarioError, is_file, read_yaml, to_yaml
+from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
 from deploy.study.growth import hindrances
 from deploy.study.margins.margin import Margin

@@ -17,6 +17,7 @@ import numpy as np
 
 from bus_schema.arrays import Vector, elementwise
 from bus_schema.link.channel_configuration import ChannelConfiguration
+from bus_schema.user_files import read_text
 from plant_emulator.channel.random_numbers import endless
 
 Quantile = Callable[[float], float]
@@ -41,8 +42,8 @@ def read_delays_ms(path: Path) -> Vector:
         ValueError: there is no such file, or it holds something else.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = read_text(path).splitlines()
+    except OSError as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
     delays: list[float] = []
     for number, line in enumerate(lines, start=1):

@@ -13,7 +13,6 @@ from rich.console import Console
 
 from bus_schema.errors import Stopped
 from controller.laws import LAWS
-from controller.laws.custom import custom_laws_left_out
 from deploy.cli.common import judging, leave, parse_laws, say_oddities, show_places, watching
 from deploy.cli.options import Confirm, Out, Overrides, Overwrite, RequireBounds, ScenarioArgument
 from deploy.cli.study.studies import is_study, report_study
@@ -99,13 +98,12 @@ def report(
 ) -> None:
     """Judge what was recorded again: summary.json and report.html of what a folder holds.
 
-    No law of one's own is imported. A damaged recording is judged as far as it can be read, and
+    A damaged recording is judged as far as it can be read, and
     ends with exit code 1.
     """
     console = Console()
     if is_study(run_dir):
-        with custom_laws_left_out():
-            report_study(run_dir, console)
+        report_study(run_dir, console)
     elif read_summary(run_dir).get("kind") == KIND:
         comparison_folder = ComparisonFolder(run_dir)
         comparison_folder.lock()

@@ -21,6 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
+from bus_schema.user_files import read_bytes
 from deploy.scenario.yaml_files import ScenarioError
 
 AUTHORITY_NAME = "funnel-hil authority"
@@ -166,9 +167,10 @@ def _require_valid_now(path: Path, certificate: x509.Certificate, remedy: str) -
 
 def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
     pem = _read(path, remedy)
-    mode = path.stat().st_mode
-    # A group may be the one of a service, and where systemd hands keys over it is always shown.
-    if mode & stat.S_IRWXO:
+    mode, handed_over = path.stat().st_mode, os.environ.get("CREDENTIALS_DIRECTORY")
+    # Of keys that systemd hands over, the group's rights are those of an access list.
+    is_credential = handed_over is not None and path.resolve().is_relative_to(handed_over)
+    if mode & (stat.S_IRWXO if is_credential else stat.S_IRWXO | stat.S_IRWXG):
         shown = stat.filemode(mode)
         raise ScenarioError(f"{path}: others may read it ({shown}): run `chmod 600 {path}`")
     try:
@@ -182,11 +184,11 @@ def _read_key(path: Path, remedy: str) -> ec.EllipticCurvePrivateKey:
 
 def _read(path: Path, remedy: str) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bytes(path)
     except FileNotFoundError as error:
         raise ScenarioError(f"{path}: does not exist: {remedy}") from error
     except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _purposes(role: Role) -> list[x509.ObjectIdentifier]:

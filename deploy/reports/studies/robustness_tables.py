@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from bus_schema.recording.atomic_files import write_whole
 from deploy.reports.studies.study_text import case_name, optional_columns
 from deploy.reports.tables import ABSENT, Column, Table, Value, quotable
 
@@ -129,6 +130,4 @@ def _effect(one: dict[str, Any]) -> str:
 
 def write_robustness_table(summary: dict[str, Any], path: Path) -> None:
     """Write the shares as a Markdown table, with the conditions that hold for them."""
-    path.write_text(
-        quotable(robustness_table(summary), summary.get("conditions", {})), encoding="utf-8"
-    )
+    write_whole(path, quotable(robustness_table(summary), summary.get("conditions", {})))

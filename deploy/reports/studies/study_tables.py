@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from bus_schema.recording.atomic_files import write_whole
 from deploy.reports.studies.robustness_tables import interval_text, share_text
 from deploy.reports.studies.study_text import (
     CaseText,
@@ -165,6 +166,4 @@ def margins_by_law(summary: dict[str, Any]) -> Table:
 
 def write_margin_table(summary: dict[str, Any], path: Path) -> None:
     """Write margins as a Markdown table: a row per law, a column per arm and compensation."""
-    path.write_text(
-        quotable(margins_by_law(summary), summary.get("conditions", {})), encoding="utf-8"
-    )
+    write_whole(path, quotable(margins_by_law(summary), summary.get("conditions", {})))

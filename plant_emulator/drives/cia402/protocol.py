@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import canopen
+from canopen.objectdictionary import ODVariable
 
 from bus_schema.can.cia402.codec import Cia402Codec, rated_torque_nm
 from bus_schema.can.cia402.master import Cia402Master
@@ -16,6 +19,7 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
+from bus_schema.user_files import read_bytes
 from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
 from plant_emulator.drives.protocol import DriveProtocol
 
@@ -59,7 +63,12 @@ class Cia402Protocol(DriveProtocol):
         if can.eds is None:
             return
         try:
+            read_bytes(Path(can.eds))
             dictionary = canopen.import_od(can.eds, 1)
+            for each in dictionary.values():
+                for variable in (each,) if isinstance(each, ODVariable) else each.values():
+                    if (variable.data_type or 1) < 1:
+                        raise ValueError(f"{variable.name} has data type {variable.data_type}")
         except Exception as error:  # the parser raises whatever comes its way
             allowed = f"must be a file that is an EDS of a CiA 402 drive: {error}"
             raise ConfigurationError("link.can.eds", can.eds, allowed) from error

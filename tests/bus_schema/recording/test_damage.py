@@ -159,3 +159,11 @@ def test_chunks_are_read_as_the_library_reads_them(recording):
         each for each in theirs if isinstance(each, known)
     ]
     assert sum(isinstance(each, Message) for each in ours) == COUNT
+
+
+def test_a_sparse_file_is_no_recording_and_is_not_read_to_its_end(tmp_path):
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        file.write(b"\x89MCAP0\r\n")
+        file.truncate(3 << 30)
+    assert read_log(path).damage[0] == f"nothing from byte 8 of {3 << 30} on can be read"

@@ -43,6 +43,7 @@ def folder(tmp_path):
     urdf = tmp_path / "some_robot" / "urdf"
     urdf.mkdir(parents=True)
     (tmp_path / "some_robot" / "links.xacro").write_text(LINKS)
+    (tmp_path / "some_robot" / "package.xml").write_text("<package/>")
     (urdf / "arm.urdf.xacro").write_text(XACRO.replace("{effort}", "5"))
     (tmp_path / "test.yaml").write_text(SCENARIO)
     return tmp_path
@@ -137,3 +138,25 @@ def test_missing_limits_are_said_loudly_unless_the_scenario_has_them(folder):
     quiet = CliRunner().invoke(app, [*arguments, str(folder / "b"), *limits])
     assert quiet.exit_code == 0
     assert "UNLIMITED" not in quiet.stderr
+
+
+@pytest.mark.parametrize(
+    ("mesh", "content"), [("a.dae", "<COLLADA/>"), ("a.obj", "v 0 0 0\nv 1 0 0\nf 1 2 999999999\n")]
+)
+def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil, mesh, content):
+    (tmp_path / mesh).write_text(content)
+    shape = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+    arm = XACRO.replace("{effort}", "5")
+    links = LINKS.partition("<xacro:macro")[2].rpartition("</robot>")[0]
+    arm = arm.replace(
+        '<xacro:include filename="$(find some_robot)/links.xacro"/>', f"<xacro:macro{links}"
+    ).replace('<link name="base"/>', f'<link name="base">{shape}</link>')
+    (tmp_path / "arm.xacro").write_text(arm)
+    code, said = funnel_hil("robot", tmp_path / "arm.xacro", "--picture", tmp_path / "a.png")
+    assert code == 2
+    assert "Bullet cannot draw the arm: a mesh file is damaged or too large (killed by SIG" in said
+    (tmp_path / "test.yaml").write_text(SCENARIO.replace("some_robot/urdf/arm.urdf", "arm"))
+    code, said = funnel_hil("simulate", tmp_path / "test.yaml", "--out", tmp_path / "run")
+    assert code == 0
+    assert "warning: the report has no pictures of the arm: Bullet cannot draw" in said
+    assert (tmp_path / "run" / "report.html").exists()

@@ -3,7 +3,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import threading
 from contextlib import closing
 from dataclasses import replace
 
@@ -241,26 +240,6 @@ def test_the_pictures_of_a_report_show_start_middle_and_end(run):
         image = Image.open(io.BytesIO(picture.png))
         assert (image.format, image.size) == ("PNG", (480, 420))
         assert 500 < (np.asarray(image) < 255).any(axis=2).sum() < 480 * 420 / 2
-
-
-def test_what_is_printed_while_another_thread_renders_the_arm_is_not_lost(
-    run, page_of, only, monkeypatch
-):
-    """Bullet prints while it loads an arm, which is kept from everybody's output."""
-    pytest.importorskip("pybullet")
-    from plant_emulator.physics.bullet import camera
-
-    loaded_by = []
-
-    class Camera(camera.ArmCamera):
-        def __init__(self, robot):
-            loaded_by.append(threading.current_thread())
-            super().__init__(robot)
-
-    only("arm")
-    monkeypatch.setattr(camera, "ArmCamera", Camera)
-    assert 'id="arm"' in page_of(run, summarise(run))  # written anew
-    assert loaded_by == [threading.main_thread()]
 
 
 def test_a_panel_from_outside_is_one_entry_of_the_table(run, page_of, only, monkeypatch):

@@ -1,3 +1,5 @@
+import pytest
+
 from deploy.runs.new_folder import new_folder
 
 
@@ -9,3 +11,16 @@ def test_folder_that_is_overwritten_keeps_no_recording_of_the_run_before_and_all
     new_folder("again", tmp_path, overwrite=True)
     left = sorted(file.name for file in tmp_path.iterdir())
     assert left == ["can-trace.log", "notes.txt", "run-mine.mcap"]
+
+
+@pytest.mark.parametrize("name", ["summary.json", "manifest.json", "tags.json"])
+def test_deep_json_in_one_folder_breaks_no_list_of_all(tmp_path, funnel_hil, name):
+    for folder in ("good", "deep"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "summary.json").write_text('{"scenario": "s", "completed": true}')
+        (tmp_path / folder / "manifest.json").write_text("{}")
+    (tmp_path / "deep" / name).write_text("[" * 100_000)
+    code, said = funnel_hil("runs", "list", tmp_path)
+    assert code == 0
+    assert "good" in said
+    assert "deep" in said

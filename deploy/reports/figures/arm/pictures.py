@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bus_schema.arrays import Matrix, Vector
+from bus_schema.arrays import Vector
 from bus_schema.messages import topics
 from bus_schema.robot_description import RobotDescription
 from deploy.input_error import InputError
@@ -22,53 +21,57 @@ from deploy.runs.run_data import RunData
 from plant_emulator.physics.engines import ENGINES
 
 if TYPE_CHECKING:
-    from plant_emulator.physics.bullet.camera import ArmCamera
+    from plant_emulator.physics.bullet.render import Rendering
 
 _WIDTH_PX, _HEIGHT_PX = 480, 420
 _OVERSAMPLING = 1.5
 _RENDERED_PX = round(_OVERSAMPLING * _WIDTH_PX), round(_OVERSAMPLING * _HEIGHT_PX)
 
 
-def arm_pictures(run: RunData) -> Callable[[], list[Picture]] | None:
-    """What renders the arm at the start, in the middle and at the end of a run by one camera.
+def arm_pictures(run: RunData) -> Callable[[], list[Picture] | None] | None:
+    """What gives the arm at the start, in the middle and at the end of a run by one camera.
 
-    Any thread may call it; the arm is loaded here, where nothing else prints meanwhile: what is
-    printed while Bullet loads is lost. None if nothing was recorded, or Bullet is not installed.
+    A process of its own draws it from now on. None if nothing was recorded, or Bullet is not
+    installed, or cannot draw this arm.
     """
     if not ENGINES["bullet"].is_installed:
         return None
-    from plant_emulator.physics.bullet.camera import ArmCamera
+    from plant_emulator.physics.bullet.render import Rendering
 
     times_s = run.times_s(topics.PLANT_TRUTH)
     if not len(times_s):
         return None
     ticks = sorted({0, len(times_s) // 2, len(times_s) - 1})
     positions = run.tables[topics.PLANT_TRUTH.name]["position"][ticks]
-    return partial(_rendered, ArmCamera(run.setup.robot), times_s[ticks], positions)
+    return partial(_drawn, Rendering(run.setup.robot, positions, *_RENDERED_PX), times_s[ticks])
 
 
-def _rendered(camera: ArmCamera, times_s: Vector, positions: Matrix) -> list[Picture]:
-    """The arm at each time, and the end of the camera."""
-    with closing(camera):
-        extent = camera.extent(positions)
-        rendered = (camera.render(position, *_RENDERED_PX, extent) for position in positions)
-        with ThreadPoolExecutor(max_workers=1) as executor:  # one is written, the next rendered
-            files = list(executor.map(_png, rendered))
-    return [Picture(float(time_s), png) for time_s, png in zip(times_s, files, strict=True)]
+def _drawn(rendering: Rendering, times_s: Vector) -> list[Picture] | None:
+    from plant_emulator.physics.bullet.render import RenderError
+
+    try:
+        pictures = rendering.pictures()
+    except RenderError as error:
+        print(f"warning: the report has no pictures of the arm: {error}", file=sys.stderr)
+        return None
+    return [Picture(float(at_s), _png(each)) for at_s, each in zip(times_s, pictures, strict=True)]
 
 
 def arm_picture(robot: RobotDescription, position_rad: Vector) -> bytes:
     """A PNG file of the arm in one posture, shape (joints,).
 
     Raises:
-        InputError: Bullet, which draws it, is not installed.
+        InputError: Bullet, which draws it, is not installed, or cannot draw it.
     """
     if not ENGINES["bullet"].is_installed:
         raise InputError("--picture: Bullet draws it and is not installed: pip install pybullet")
-    from plant_emulator.physics.bullet.camera import ArmCamera
+    from plant_emulator.physics.bullet.render import RenderError, Rendering
 
-    with closing(ArmCamera(robot)) as camera:
-        return _png(camera.render(position_rad, *_RENDERED_PX))
+    try:
+        (pixels,) = Rendering(robot, position_rad[np.newaxis], *_RENDERED_PX).pictures()
+    except RenderError as error:
+        raise InputError(f"--picture: {robot.path}: {error}") from error
+    return _png(pixels)
 
 
 def _png(pixels: NDArray[np.uint8]) -> bytes:

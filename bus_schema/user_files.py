@@ -1,0 +1,54 @@
+"""Files that a user names, which may be a stranger's: regular ones of a size that can be read."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+MOST_BYTES = 20_000_000
+
+
+class UserFileError(OSError):
+    """A file is none to read; the message says why, without its name."""
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a regular file; False for a path that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, RuntimeError, ValueError):  # too long, links in a circle, or a NUL in it
+        return False
+
+
+def read_bytes(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """The content of a regular file; devices and pipes, which may have no end, are not opened.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is too large.
+    """
+    try:
+        path.stat()
+    except (RuntimeError, ValueError) as error:
+        raise UserFileError(str(error)) from error
+    if not path.is_file():
+        raise UserFileError("is a folder" if path.is_dir() else "is no regular file")
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise UserFileError(f"is larger than {most_bytes / 1e6:g} MB")
+    return content
+
+
+def read_text(path: Path, most_bytes: int = MOST_BYTES, *, newline: str | None = None) -> str:
+    """The content of a regular file in UTF-8; `newline` as `open` has it.
+
+    Raises:
+        OSError: as `read_bytes`, or it is not in UTF-8.
+    """
+    content = io.BytesIO(read_bytes(path, most_bytes))
+    try:
+        return io.TextIOWrapper(content, encoding="utf-8", newline=newline).read()
+    except UnicodeDecodeError as error:
+        raise UserFileError(f"is no text in UTF-8: {error}") from error

@@ -1,0 +1,47 @@
+"""Says whose code a command runs, before any of it is run."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the command line needs this module before it loads the program
+    from deploy.scenario.definition import Scenario
+    from deploy.scenario.explanation import Origin
+
+_said: ContextVar[set[str] | None] = ContextVar("lines that were said", default=None)
+
+
+@contextmanager
+def code_is_named() -> Iterator[None]:
+    """Meanwhile `name_code` says on standard error what it finds, each line once."""
+    before = _said.set(set())
+    try:
+        yield
+    finally:
+        _said.reset(before)
+
+
+def name_code(scenario: Scenario, origin: Origin) -> None:
+    """Name the law or program of the user's own that a scenario is about to run."""
+    from controller.laws.custom import EXTERNAL, are_left_out, is_custom
+
+    said, controller = _said.get(), scenario.controller
+    if said is None or are_left_out():
+        return
+    if controller.process is not None:
+        key, what = "controller.process", f"program {shlex.join(controller.process)}"
+    elif controller.law == EXTERNAL and controller.external is not None:
+        key, what = "controller.law", f"program {shlex.join(controller.external.command)}"
+    elif is_custom(controller.law):
+        key, what = "controller.law", f"law {controller.law}"
+    else:
+        return
+    line = f"runs code of {origin.of(key)}: {what}"
+    if line not in said:
+        said.add(line)
+        print(line, file=sys.stderr)
