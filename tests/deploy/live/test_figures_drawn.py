@@ -8,7 +8,7 @@ from browser import CHROMIUM, opened
 from deploy.reports.figures import style
 from deploy.reports.figures.studies import many_runs
 from deploy.reports.page import Panel, write_page
-from deploy.reports.verdict import Verdict
+from deploy.reports.verdict import ReportHead
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
 
@@ -43,7 +43,7 @@ def test_every_logarithmic_axis_has_ticks_enough_to_be_read_and_none_in_another(
               for name, (kind, span) in draws.items()]  # fmt: skip
     path = tmp_path / "report.html"
     write_page(
-        path, "diff.html", panels, None, title="ticks", verdict=Verdict("good", "drawn", []),
+        path, "diff.html", panels, None, title="ticks", verdict=ReportHead("good", "drawn", []),
         facts=[], conditions={}, run_tables=[], joint_tables=[], timing_tables=[],
     )  # fmt: skip
     shown = {}
