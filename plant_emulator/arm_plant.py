@@ -23,10 +23,8 @@ from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.arm_faults import PayloadFault
 from plant_emulator.faults.fault import Fault
 from plant_emulator.faults.faulty_arm import ArmFaults
-from plant_emulator.physics.engine import ArmSpecification
+from plant_emulator.physics.engine import ANY_PAYLOAD_KG, ArmSpecification
 from plant_emulator.physics.engines import engine_in_force, physics_in_force
-
-_ANY_PAYLOAD_KG = 1.0
 
 
 class ArmPlant:
@@ -120,7 +118,7 @@ class ArmPlant:
         Encoders(configuration.encoder, np.zeros((2, robot.joints)), random)
         # Any payload stands for all: arms that differ in theirs alone need not be loaded anew.
         engine_in_force(configuration).arm_type.check(
-            robot, bool(configuration.payload_kg) * _ANY_PAYLOAD_KG, gui=configuration.gui
+            robot, bool(configuration.payload_kg) * ANY_PAYLOAD_KG, gui=configuration.gui
         )
 
     def read_encoders(self, now_ns: int = 0) -> None:

@@ -32,7 +32,7 @@ _INDEX_BYTES = struct.calcsize("<HI")
 
 
 class PlainWriter(Writer):
-    """The same file and the same methods by what mcap makes public, at three times the time.
+    """The same messages and methods by what mcap makes public, at three times the time.
 
     Args:
         file: empty.

@@ -152,5 +152,5 @@ def run_in_virtual_time(options: RunOptions) -> None:
         finish(
             console, folder, RunOutcome(interrupted=stop.is_set()), data=data,
             require_bounds=options.require_bounds, draws_report=options.draws_report,
-            confirms=options.confirms,
+            confirms=options.confirms and not stop.is_set(),
         )  # fmt: skip

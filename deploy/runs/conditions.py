@@ -10,7 +10,7 @@ from bus_schema.messages.topics import Role
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
 from deploy.runs.run_data import RunData
 from deploy.scenario.setup import Setup
-from plant_emulator.physics.engines import physics_in_force
+from plant_emulator.physics.engines import DEFAULT_ENGINE, ENGINES, default_note, physics_in_force
 
 Conditions = dict[str, str]
 """Sentences or numbers with their unit, by what they tell of."""
@@ -52,7 +52,7 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
     """
     conditions = {**conditions_of_runs([run.setup], manifest), "law": run.controller}
     if physics := run.last_values(Role.PLANT, EventKind.ENDED).get("physics"):
-        conditions["physics"] = physics
+        conditions["physics"] = physics + _note_of_default(physics, manifest)
     if run.clock == "realtime" and not manifest.get("realtime"):
         conditions["granted"] = _GRANTED_IN_SILENCE
     return conditions
@@ -60,7 +60,16 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
 
 def physics_of(setups: Sequence[Setup]) -> str:
     """Engine and integrator of the plants."""
-    return ", ".join(dict.fromkeys(physics_in_force(setup.scenario.plant) for setup in setups))
+    plants = [setup.scenario.plant for setup in setups]
+    return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
+
+
+def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
+    """That nobody chose the engine of a recorded run, where it is not the default one."""
+    section = manifest.get("scenario", {}).get("plant", {}).get("physics", {"engine": ""})
+    title = ENGINES[DEFAULT_ENGINE].title
+    was_chosen = section.get("engine") is not None
+    return "" if was_chosen or physics.startswith(title) else f" ({title} was not installed)"
 
 
 def provenance_of(manifest: Mapping[str, Any]) -> Conditions:

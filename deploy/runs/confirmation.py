@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from bus_schema.errors import RobotDescriptionError
 from deploy.runs.judging.metrics import summarise
 from deploy.runs.run_data import RunData
 from deploy.runs.run_folder import RunFolderError, load_run
@@ -21,15 +22,16 @@ from deploy.runs.run_rows import row as run_row
 from deploy.runs.simulate import attempt
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
+from deploy.stop_signals import end_if_asked
 from plant_emulator.configuration import PhysicsConfiguration
 from plant_emulator.faults.process_faults import process_faults
-from plant_emulator.physics.engines import ENGINES, physics_text
+from plant_emulator.physics.engines import ENGINES, engine_name, physics_text
 
 CONFIRMATION = "confirmation"
 """Key of `confirmations` in ``summary.json``."""
 NEAR_ZERO = 0.03
-"""Where verdicts differ, a smallest margin nearer to zero than this share of the bound is too near
-to call: either physics may be right."""
+"""Verdicts that differ are too near to call where either smallest margin is as near to zero as this
+share of the bound: either physics may be right."""
 
 CONFIRMATION_COLUMNS = {
     "confirmed_on": "list<string>",
@@ -44,7 +46,8 @@ def check_confirmable(setup: Setup) -> None:
     """Check that a scenario can be simulated on other physics.
 
     Raises:
-        ScenarioError: its controller is a process of its own, or there is no other physics.
+        ScenarioError: its controller is a process of its own, or there is no other physics, or
+            another one cannot load the arm.
     """
     process = setup.scenario.controller.process
     if process is not None:
@@ -52,7 +55,14 @@ def check_confirmable(setup: Setup) -> None:
             f"--confirm: {setup.origin.of('controller.process')}: controller.process ="
             f" {list(process)!r}: must be left out, as the run is simulated again in one process"
         )
-    if not other_physics(setup):
+    others = other_physics(setup)
+    for name, other in others.items():
+        plant = other.scenario.plant
+        try:
+            ENGINES[engine_name(plant)].arm_type.check(setup.robot, plant.payload_kg, gui=False)
+        except RobotDescriptionError as error:
+            raise ScenarioError(f"--confirm: {name} cannot load this arm: {error}") from error
+    if not others:
         raise ScenarioError(
             "--confirm: no other physics is installed: pip install "
             + " ".join(engine.distribution for engine in ENGINES.values())
@@ -115,6 +125,7 @@ def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Ro
     values = run_row(dict(summary), setup.scenario.seed)
     values |= {name: [] for name in CONFIRMATION_COLUMNS}
     for name, other in other_physics(setup).items():
+        end_if_asked()
         run = attempt(other).data()
         found = run_row(summarise(run), setup.scenario.seed)
         values["confirmed_on"].append(name)

@@ -9,6 +9,7 @@ from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.errors import JointNameError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
+from controller.laws.custom import are_left_out
 from controller.reference import Reference, sample_positions
 from deploy.link_kinds.table import LINK_KINDS
 from deploy.scenario.definition import Scenario
@@ -86,7 +87,8 @@ def _check_sides(setup: Setup) -> None:
         allowed = "must be zenoh, which controller.process speaks"
         raise ConfigurationError("link.kind", scenario.link.kind, allowed, ["controller.process"])
     setup.link_kind.check(setup.link_run(lockstep=scenario.clock == "lockstep"))
-    ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
+    if not are_left_out():  # what is only looked at needs no physics engine
+        ArmPlant.check(scenario.plant, setup.robot, setup.grid, scenario.limits)
     if scenario.uncertainty:
         check_uncertainty(scenario.uncertainty, plain(scenario), setup.robot.joints)
 

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from dataclasses import replace
 from typing import Protocol
 
 from deploy.runs.run_rows import Row, left_nothing
+from deploy.scenario.yaml_files import override
 from deploy.study.folder import StudyFolder
 from deploy.study.study import Run, Study
+from plant_emulator.physics.engines import engine_name
 
 _POLL_S = 0.2
 _LEAST_IN_FLIGHT = 64
@@ -61,7 +64,7 @@ def carry_out(
             run = wanted.popleft()
             known = folder.find(run)
             if known is None or left_nothing(known):
-                workers.submit(run)
+                workers.submit(_on_our_engine(run, study))
                 in_flight += 1
             else:
                 folder.keep_scenario(run)
@@ -77,6 +80,16 @@ def carry_out(
     if stop.is_set():
         _take_known(study, folder, wanted)
     return not stop.is_set()
+
+
+def _on_our_engine(run: Run, study: Study) -> Run:
+    """The run with the engine that is the default here, so that no worker takes another one."""
+    key = "plant.physics.engine"
+    plants = [base.scenario.plant for base in study.bases]
+    is_chosen = any(plant.physics.engine for plant in plants)
+    if is_chosen or any(text.startswith(key) for text in run.overrides):
+        return run
+    return replace(run, overrides=(override(key, engine_name(plants[0])), *run.overrides))
 
 
 def retrace(study: Study, folder: StudyFolder) -> None:

@@ -14,6 +14,9 @@ from bus_schema.runtime.clock import TickGrid
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import Integrator
 
+ANY_PAYLOAD_KG = 1.0
+"""Stands for any other."""
+
 
 @dataclass(frozen=True)
 class ArmSpecification:
@@ -36,6 +39,11 @@ class ArmSpecification:
     payload_kg: float = 0.0
     payload_changes: bool = False
     gui: bool = False
+
+    @property
+    def loaded_kg(self) -> float:
+        """The payload to load the arm with: what is picked up later needs a body from the start."""
+        return self.payload_kg or (ANY_PAYLOAD_KG if self.payload_changes else 0.0)
 
 
 class ArmPhysics(ABC):

@@ -81,10 +81,17 @@ def physics_text(plant: PlantConfiguration) -> str:
 
 
 def physics_in_force(plant: PlantConfiguration) -> str:
-    """The same with the engine's version, and whether the default engine was to be had."""
-    engine, default = ENGINES[engine_name(plant)], ENGINES[DEFAULT_ENGINE]
-    lacking = "" if default.is_installed else f" ({default.title} is not installed)"
-    return f"{engine.title} {engine.version}, {plant.physics.integrator}{lacking}"
+    """The same with the engine's version, where it is installed."""
+    engine = ENGINES[engine_name(plant)]
+    version = f" {engine.version}" if engine.is_installed else ""
+    return f"{engine.title}{version}, {plant.physics.integrator}"
+
+
+def default_note(plant: PlantConfiguration) -> str:
+    """That the engine is not the default one, where a scenario names none; else nothing."""
+    default = ENGINES[DEFAULT_ENGINE]
+    is_second_choice = plant.physics.engine is None and not default.is_installed
+    return f" ({default.title} is not installed)" if is_second_choice else ""
 
 
 def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:

@@ -29,7 +29,6 @@ _INTEGRATORS = {
 _SWITCHED_OFF = ("CONTACT", "LIMIT", "EULERDAMP", "AUTORESET", "SENSOR", "ACTUATION")
 _HELD_KG_M2 = 1e12
 """Inertia of a joint that its brake holds: no torque moves it by as much as rounding does."""
-_ANY_PAYLOAD_KG = 1.0
 _HARDEST = 0.9999
 """The hardest constraint that MuJoCo takes."""
 
@@ -70,7 +69,8 @@ class Bodies(NamedTuple):
 class MujocoArm(ArmPhysics):
     """An arm in a world of its own, without contacts, joint limits or damping of MuJoCo's own.
 
-    Brakes are ideal: a joint that they hold stops at once, and does not slip.
+    Brakes are ideal: a joint that they hold stops at once, and does not slip. The others take over
+    the impulse of that stop.
 
     Raises:
         RobotDescriptionError: MuJoCo cannot load the arm.
@@ -79,10 +79,7 @@ class MujocoArm(ArmPhysics):
     def __init__(self, specification: ArmSpecification) -> None:
         super().__init__(specification)
         robot, grid = specification.robot, specification.grid
-        loaded_kg = self.payload_kg
-        if specification.payload_changes:  # what is picked up needs a body from the start
-            loaded_kg = loaded_kg or _ANY_PAYLOAD_KG
-        model = _compiled_model(robot, loaded_kg)
+        model = _compiled_model(robot, specification.loaded_kg)
         model.opt.timestep = grid.substep_s
         model.opt.integrator = _INTEGRATORS[specification.integrator]
         self._model, self._data = model, mujoco.MjData(model)
@@ -103,7 +100,7 @@ class MujocoArm(ArmPhysics):
             if step is None
             else bind(_advance, *fixed, free=["int64", "int64"])
         )
-        if loaded_kg != self.payload_kg:
+        if specification.loaded_kg != self.payload_kg:
             self.carry(self.payload_kg)
 
     @staticmethod
@@ -120,8 +117,15 @@ class MujocoArm(ArmPhysics):
         _read(bodies, self.motion)
 
     def hold(self, joints: Sequence[bool]) -> None:
-        bodies = self._bodies
+        model, data, bodies = self._model, self._data, self._bodies
+        momentum = np.zeros(model.nv)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_mulM(model, data, momentum, bodies.velocities)
         bodies.held[bodies.places] = np.where(joints, _HELD_KG_M2, 0.0)
+        # A brake acts on its own joint alone: along the free ones, momentum stays what it was.
+        mujoco.mj_forward(model, data)
+        mujoco.mj_solveM(model, data, bodies.velocities[None], momentum[None])
+        _read(bodies, self.motion)
 
     def carry(self, payload_kg: float) -> None:
         super().carry(payload_kg)
@@ -150,10 +154,8 @@ def _advance(
 ) -> tuple[bool, int]:  # fmt: skip
     saturated, hits = False, 0
     for number in range(first, end):
-        time_s = (number * period_ns // substeps) * 1e-9
-        saturated, new_hits = joint_torques(motion, time_s, tables)
+        saturated, new_hits = _apply(bodies, motion, period_ns, substeps, tables, number)
         hits |= new_hits
-        _apply(bodies, tables.torques_nm[TOTAL])
         step(bodies.model, bodies.data)
         _read(bodies, motion)
     return saturated, hits
@@ -166,19 +168,22 @@ def _advance_slowly(
     """The same bits by MuJoCo's Python function, for a MuJoCo that does not show its addresses."""
     saturated, hits = False, 0
     for number in range(first, end):
-        time_s = (number * period_ns // substeps) * 1e-9
-        saturated, new_hits = joint_torques(motion, time_s, tables)
+        saturated, new_hits = _apply(bodies, motion, period_ns, substeps, tables, number)
         hits |= new_hits
-        _apply(bodies, tables.torques_nm[TOTAL])
         mujoco.mj_step(model, data)
         _read(bodies, motion)
     return saturated, hits
 
 
 @compiled
-def _apply(bodies: Bodies, torques_nm: Vector) -> None:
-    for i in range(torques_nm.size):
-        bodies.torques[bodies.places[i]] = torques_nm[i]
+def _apply(
+    bodies: Bodies, motion: Matrix, period_ns: int, substeps: int, tables: TorqueTables, number: int
+) -> tuple[bool, int]:
+    """Apply the torques of a substep; what `joint_torques` returns."""
+    found = joint_torques(motion, (number * period_ns // substeps) * 1e-9, tables)
+    for i in range(motion.shape[1]):
+        bodies.torques[bodies.places[i]] = tables.torques_nm[TOTAL, i]
+    return found
 
 
 @compiled

@@ -201,14 +201,20 @@ def _case_summary(case: Case) -> dict[str, Any]:
 
 def _margins_elsewhere(case: Case) -> dict[str, int | None]:
     """Of the values tried, the last one up to which all were kept, by other physics, in steps."""
+    kept = {steps: list(map(_kept_elsewhere, rows)) for steps, rows in sorted(case.rows.items())}
     found: dict[str, int | None] = {}
-    lost: set[str] = set()
-    for steps, rows in sorted(case.rows.items()):
-        for place, physics in enumerate(rows[0].get("confirmed_on") or ()):
-            kept = all((row.get("confirmed_kept") or [False] * 9)[place] for row in rows)
-            lost |= set() if kept else {physics}
-            found[physics] = found.get(physics) if physics in lost else steps
+    for physics in dict.fromkeys(name for rows in kept.values() for row in rows for name in row):
+        found[physics] = None
+        for steps, rows in kept.items():
+            if not all(row.get(physics) for row in rows):
+                break
+            found[physics] = steps
     return found
+
+
+def _kept_elsewhere(row: Row) -> dict[str, bool]:
+    """Whether a run kept its bounds, by other physics; of a failed one nothing is known."""
+    return dict(zip(row.get("confirmed_on") or (), row.get("confirmed_kept") or (), strict=True))
 
 
 def _probe_summary(case: Case, steps: int, rows: list[Row]) -> dict[str, Any]:

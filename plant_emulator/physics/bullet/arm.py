@@ -64,7 +64,7 @@ class BulletArm(ArmPhysics):
         robot, grid, gui = specification.robot, specification.grid, specification.gui
         self._server = BulletServer(
             robot, grid.substep_s, payload_kg=specification.payload_kg,
-            payload_changes=specification.payload_changes, gui=gui, shapes=_shapes(gui=gui),
+            loaded_kg=specification.loaded_kg, gui=gui, shapes=_shapes(gui=gui),
         )  # fmt: skip
         limits = robot.effort_limits_nm
         self._brake_torques: Vector = np.where(

@@ -38,7 +38,6 @@ _USE_SIMPLE_BROADPHASE = 4
 _USE_INERTIA_FROM_FILE = 2
 _BASE_LINK = -1
 _MOST_ITERATIONS = 500
-_ANY_PAYLOAD_KG = 1.0
 
 
 class Joint(NamedTuple):
@@ -126,7 +125,7 @@ class BulletServer:
         robot: description of the arm.
         substep_s: length of one physics step.
         payload_kg: point mass at the tip.
-        payload_changes: whether there will be another one, see `carry`.
+        loaded_kg: the same with which the arm is loaded, as Bullet cannot add a link later.
         gui: open Bullet's window (needs a display).
         shapes: of the links; physics needs none.
 
@@ -141,7 +140,7 @@ class BulletServer:
 
     def __init__(
         self, robot: RobotDescription, substep_s: float, *,
-        payload_kg: float = 0.0, payload_changes: bool = False, gui: bool = False,
+        payload_kg: float = 0.0, loaded_kg: float = 0.0, gui: bool = False,
         shapes: Shapes = "none",
     ) -> None:  # fmt: skip
         with quiet():
@@ -151,9 +150,7 @@ class BulletServer:
         _set_reset_flags(reset, _USE_SIMPLE_BROADPHASE)
         self.submit(reset)
         try:
-            # Bullet cannot add a link later: one without mass is there for what is picked up.
-            at_first_kg = payload_kg or (_ANY_PAYLOAD_KG if payload_changes else 0.0)
-            urdf = robot.resolved_urdf(at_first_kg, shapes)
+            urdf = robot.resolved_urdf(loaded_kg, shapes)
             self.body = _load(self.handle, robot.path, urdf)
         except RobotDescriptionError:
             self.close()
@@ -163,7 +160,7 @@ class BulletServer:
         self._payload_links = [
             joint.link for joint, link_name in names.values() if link_name == PAYLOAD_LINK
         ]
-        if at_first_kg != payload_kg:
+        if loaded_kg != payload_kg:
             self.carry(payload_kg)
         self._set_up_world(substep_s, len(names), iterates=bool(robot.followers))
         self._followers = [

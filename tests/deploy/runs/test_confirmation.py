@@ -17,8 +17,10 @@ from deploy.runs.run_rows import read_rows
 from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.physics.engines import ENGINES
 from tests.arms import INSTALLED
 
+TWICE = '<robot name="a"><link name="a"/><link name="a"/></robot>'
 BOTH = pytest.mark.skipif(len(INSTALLED) < 2, reason="needs pybullet beside MuJoCo")
 
 
@@ -70,6 +72,30 @@ def test_controller_process_cannot_be_confirmed():
     foreign = replace(setup, scenario=setup.scenario.model_copy(update={"controller": controller}))
     with pytest.raises(ScenarioError, match=r"--confirm: .*controller\.process = \['true'\]"):
         check_confirmable(foreign)
+
+
+@BOTH
+def test_arm_that_another_engine_cannot_load_is_refused(tmp_path):
+    text = load_setup("paper_arm").robot.path.read_text()
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(text)
+    setup = load_setup("paper_arm", [f"robot.urdf={urdf}"])
+    object.__setattr__(setup.robot, "resolved_urdf", lambda *_: TWICE)
+    with pytest.raises(ScenarioError, match=r"--confirm: MuJoCo, .* cannot load this arm: "):
+        check_confirmable(setup)
+
+
+def test_recording_of_an_engine_that_is_not_installed_is_judged(funnel_hil, tmp_path, monkeypatch):
+    words = ["simulate", "paper_arm", "--set", "duration_s=0.2", "--out", tmp_path / "run"]
+    funnel_hil(*words, "--no-report", "--set", "plant.physics.engine=mujoco")
+    scenario = tmp_path / "run/scenario.yaml"
+    monkeypatch.setattr(type(ENGINES["mujoco"]), "is_installed", False)
+    for command in ("report", "replay"):
+        code, shown = funnel_hil(command, tmp_path / "run")
+        assert code == 0, shown
+    code, shown = funnel_hil("simulate", scenario, "--out", tmp_path / "again")
+    assert code == 2
+    assert "MuJoCo is not installed (pip install mujoco)" in shown
 
 
 def test_simulate_and_report_keep_the_confirmation(funnel_hil, tmp_path):

@@ -122,7 +122,7 @@ def test_a_run_that_fails_is_a_row_and_not_the_end(tmp_path):
     first, _ = sweep.first()
     missing = execute(type(first)(first.point, "gone.yaml", (), 1, first.columns))
     assert "gone.yaml" in missing["error"]
-    workers = Here(lambda run: missing if run == first else made_up(run))
+    workers = Here(lambda run: missing if run.key == first.key else made_up(run))
     whole, folder = conduct(sweep, tmp_path / "out", workers)
     assert whole
     assert [row["error"] is None for row in folder.rows] == [False, True]

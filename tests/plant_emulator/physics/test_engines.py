@@ -10,6 +10,7 @@ import pytest
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
+from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics import mujoco_arm
@@ -80,6 +81,24 @@ def test_a_brake_holds_its_joint_while_the_others_fall(engine):
         free.arm.hold([False] * 3)
         free.push(np.zeros(3), substeps=200)
         assert abs(free.position[1] - START[1]) > 0.01
+
+
+@every_engine
+def test_brake_of_a_moving_joint_passes_its_momentum_on(engine):
+    """What the free joints gain is M_ff⁻¹ M_fh q̇_h: the brake acts on its own joint alone."""
+    robot = arm_of()
+    with closing(FreeArm(robot, engine, 1e-4)) as free:
+        free.place(np.array(START))
+        free.push(np.zeros(3), substeps=2000)
+        position, velocity = free.position.copy(), free.velocity.copy()
+        mass = ManipulatorModel(robot).mass_matrix(position)
+        others = np.ix_([0, 2], [0, 2])
+        gained = np.linalg.solve(mass[others], mass[[0, 2], 1] * velocity[1])
+        assert np.abs(gained).max() > 0.5
+        free.arm.hold([False, True, False])
+        free.push(np.zeros(3), substeps=60)  # in which Bullet's brake stops it
+        assert free.velocity[1] == pytest.approx(0.0, abs=1e-3)
+        np.testing.assert_allclose(free.velocity[[0, 2]], velocity[[0, 2]] + gained, atol=0.15)
 
 
 @every_engine
