@@ -20,8 +20,8 @@ OVERHEAD_BYTES = 100
 """What else of each message is in the queue: key, attachment, headers."""
 _PATIENCE_S = 60.0
 _FIRST_PATIENCE_S = 15.0
-"""For one that has never said how far it has come, as anybody can announce a recorder. A slow machine
-may hold a true one up for seconds."""
+"""For one that has never said how far it has come: anybody can announce one. A slow machine may hold
+a true one up for seconds."""
 
 
 class FlowControl:
