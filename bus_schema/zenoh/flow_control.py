@@ -20,8 +20,8 @@ OVERHEAD_BYTES = 100
 """What else of each message is in the queue: key, attachment, headers."""
 _PATIENCE_S = 60.0
 _FIRST_PATIENCE_S = 15.0
-"""For one that has never said how far it has come: anybody can announce one. A slow machine may hold
-a true one up for seconds."""
+"""For one that has never said how far it has come: anybody can announce one. But a true one may be
+held up for seconds by a slow machine."""
 
 
 class FlowControl:
