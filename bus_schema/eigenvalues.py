@@ -20,7 +20,7 @@ _MOST_SWEEPS = 50
 def eigenvalues(matrix: Matrix) -> tuple[Vector, Matrix]:
     """Eigenvalues of a symmetric matrix, in no order, and its unit eigenvectors as columns.
 
-    By Jacobi's rotations, row after row, until all that is off the diagonal is below rounding.
+    By Jacobi's rotations, row after row, until everything off the diagonal is below rounding.
     """
     n = matrix.shape[0]
     a, vectors = matrix.copy(), np.eye(n)

@@ -25,7 +25,7 @@ class ArmSpecification:
     Attributes:
         robot: description of the arm.
         grid: ticks and physics steps of the run.
-        torques: all that acts on the joints.
+        torques: everything that acts on the joints.
         integrator: the rule that integrates motion over a substep.
         payload_kg: point mass at the tip.
         payload_changes: whether there will be another one, see `ArmPhysics.carry`.

@@ -225,7 +225,7 @@ _checked = lru_cache(maxsize=16)(_compiled)
 def _for_mujoco(urdf: str) -> str:
     """A resolved URDF as MuJoCo reads every number in it: joints without ends, links as they are.
 
-    Links get names of their own, as MuJoCo has one that is called ``world``.
+    Links are renamed, as MuJoCo has a body called ``world``.
     """
     root = ET.fromstring(urdf)
     for joint in root.findall("joint"):
