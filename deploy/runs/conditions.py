@@ -66,9 +66,11 @@ def physics_of(setups: Sequence[Setup]) -> str:
 
 def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
     """That nobody chose the engine of a recorded run, where it is not the default one."""
-    section = manifest.get("scenario", {}).get("plant", {}).get("physics", {"engine": ""})
+    section: Any = manifest
+    for key in ("scenario", "plant", "physics"):  # older manifests lack the last one
+        section = section.get(key) if isinstance(section, dict) else None
     title = ENGINES[DEFAULT_ENGINE].title
-    was_chosen = section.get("engine") is not None
+    was_chosen = not isinstance(section, dict) or section.get("engine") is not None
     return "" if was_chosen or physics.startswith(title) else f" ({title} was not installed)"
 
 
