@@ -59,12 +59,13 @@ class ScenarioMismatchError(BusError):
         keys: dotted keys.
     """
 
-    def __init__(self, peer: str, keys: Sequence[str]) -> None:
+    def __init__(self, peer: str, keys: Sequence[str], *, may_be_forged: bool = False) -> None:
         shown = ", ".join(keys[:_SHOWN_KEYS])
         more = f" and {len(keys) - _SHOWN_KEYS} more" if len(keys) > _SHOWN_KEYS else ""
+        forged = f"; or a stranger claims to be the {peer}: link.security keeps strangers out"
         super().__init__(
             f"the {peer} runs another scenario; what differs: {shown}{more}: start both with the"
-            " same file and the same --set"
+            f" same file and the same --set{forged if may_be_forged else ''}"
         )
         self.keys = list(keys)
 
@@ -87,6 +88,10 @@ def did_you_mean(unknown: str, names: Iterable[str], alike: float = 0.6) -> str:
     """
     found = get_close_matches(unknown[:_LONGEST], list(names), n=1, cutoff=alike)
     return f"; did you mean {found[0]}?" if found else ""
+
+
+class InputError(Exception):
+    """What the user gave cannot be used; the message says what, and what is allowed."""
 
 
 class Stopped(BaseException):

@@ -44,12 +44,20 @@ class Registry(Generic[T]):
             allowed = f"must be {', '.join(others)} or {last}"
             raise ConfigurationError(self._key, name, allowed + did_you_mean(name, self.names))
 
-    def build(self, name: str) -> T:
-        """An instance of the class that a name stands for.
+    def load(self, name: str) -> type[T]:
+        """The class that a name stands for.
 
         Raises:
             ConfigurationError: there is no such name.
         """
         self.check(name)
         module, attribute = self.places[name].split(":")
-        return cast(T, getattr(import_module(module), attribute)())
+        return cast(type[T], getattr(import_module(module), attribute))
+
+    def build(self, name: str) -> T:
+        """An instance of the class that a name stands for, made without arguments.
+
+        Raises:
+            ConfigurationError: there is no such name.
+        """
+        return self.load(name)()

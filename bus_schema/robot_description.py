@@ -13,7 +13,7 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number
+from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number, joint_ends
 from bus_schema.urdf.inertia import check_moved_masses, judge_inertias, massless_inertias
 from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
 from bus_schema.urdf.resolved import (
@@ -221,15 +221,9 @@ def _limits(joints: list[ET.Element], attribute: str, missing: float) -> Vector:
 
 
 def _tip_link(root: ET.Element) -> str:
-    parents = {}
-    for joint in root.findall("joint"):
-        ends = {end.tag: end.get("link", "") for end in joint if end.tag in ("parent", "child")}
-        parents[ends["child"]] = ends["parent"]
+    parents = {child: parent for parent, child in map(joint_ends, root.findall("joint"))}
 
     def depth(link: str) -> int:
-        steps = 0
-        while link in parents and steps <= len(parents):
-            link, steps = parents[link], steps + 1
-        return steps
+        return 1 + depth(parents[link]) if link in parents else 0
 
     return max(parents, key=depth)

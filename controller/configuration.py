@@ -38,8 +38,7 @@ from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.compensation.model_identification import identification
 from controller.control_law import ControlLaw
-from controller.external.configuration import ExternalLawConfiguration
-from controller.external.external_law import ExternalLaw
+from controller.external.external_law import ExternalLaw, ExternalLawConfiguration
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, LeftOut, are_left_out, build_custom, is_custom
 from controller.laws.settling import LargestInertia
@@ -130,15 +129,18 @@ class ControllerConfiguration(StrictModel):
         gains: gains by law; ``custom`` are keyword arguments for a law of the user's own. A law
             without an entry derives its gains from the arm's nominal inertia.
         external: that program.
-        model_scale: factor on the masses and inertias of the nominal model.
+        model_scale: factor on the masses and inertias of the nominal model, rotors and all.
+        rotor_scale: one more factor on its inertias of rotors, which are else the plant's
+            (plant.actuator.rotor_inertia_kg_m2).
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
     """
 
-    law: str = "fixed_time_neural"
+    law: str = "fixed_time_adaptive"
     process: Annotated[tuple[Word, ...] | None, Field(min_length=1, validate_default=True)] = None
     gains: GainsByLaw = Field(default_factory=dict, validate_default=True)
     external: ExternalLawConfiguration | None = None
     model_scale: Annotated[Number, Field(ge=1e-6, le=1e6)] = 1.0
+    rotor_scale: NonNegative = 1.0
     torque_rate_limit_nm_s: PerJointPositive | None = None
     delay_compensation: DelayCompensationConfiguration = DelayCompensationConfiguration()
     drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
@@ -208,8 +210,10 @@ class ControllerConfiguration(StrictModel):
             gains = LAWS[self.law].gains.from_inertia(inertia_kg_m2)
         return expand_fields(gains, robot.joints, f"controller.gains.{self.law}")
 
-    def build_law(self, gains: Any, robot: RobotDescription) -> ControlLaw:
-        """The configured law with gains from `build_gains`.
+    def build_law(
+        self, gains: Any, robot: RobotDescription, rotors_kg_m2: Vector | None = None
+    ) -> ControlLaw:
+        """The configured law with gains from `build_gains`; rotors as for `nominal_model`.
 
         Raises:
             ConfigurationError: a law of the user's own cannot be made; a process is no law.
@@ -222,14 +226,33 @@ class ControllerConfiguration(StrictModel):
                 return LeftOut(robot.joints)
             assert self.external is not None  # as a validator saw to
             return ExternalLaw(self.external, robot.effort_limits_nm)
-        model = self.nominal_model(robot)
+        model = self.nominal_model(robot, rotors_kg_m2)
         if self.law not in LAWS:
             return build_custom(self.law, gains, model)
         return LAWS[self.law].build(gains, model, robot.effort_limits_nm)
 
-    def nominal_model(self, robot: RobotDescription) -> ManipulatorModel:
-        """What the controller believes about the arm."""
-        return ManipulatorModel(robot, scale=self.model_scale)
+    def nominal_model(
+        self,
+        robot: RobotDescription,
+        rotors_kg_m2: Vector | None = None,
+        *,
+        payload_kg: float = 0.0,
+    ) -> ManipulatorModel:
+        """What the controller believes about the arm.
+
+        Args:
+            robot: the arm.
+            rotors_kg_m2: true inertia of each joint's rotor, shape (joints,); None for no rotors.
+            payload_kg: point mass at the tip.
+        """
+        if rotors_kg_m2 is not None:
+            rotors_kg_m2 = self.model_scale * self.rotor_scale * rotors_kg_m2
+        return ManipulatorModel(
+            robot,
+            scale=self.model_scale,
+            payload_kg=payload_kg,
+            rotor_inertia_kg_m2=rotors_kg_m2,
+        )
 
     def build_compensation(
         self,
@@ -237,6 +260,7 @@ class ControllerConfiguration(StrictModel):
         inertia_kg_m2: Vector,
         drive: DriveGains,
         link: LinkConfiguration,
+        rotors_kg_m2: Vector | None = None,
     ) -> DelayCompensation | None:
         """The configured delay compensation; None for none.
 
@@ -245,15 +269,20 @@ class ControllerConfiguration(StrictModel):
             inertia_kg_m2: nominal inertia that governs each joint, shape (joints,).
             drive: what the drives add of their own.
             link: no torque acts sooner than its play-out time after the state it answers.
+            rotors_kg_m2: as for `nominal_model`.
         """
         settings = self.delay_compensation
         if not settings.enabled:
             return None
-        loaded = ManipulatorModel(robot, scale=self.model_scale, payload_kg=1.0)
+        nominal = self.nominal_model(robot, rotors_kg_m2)
+        loaded = self.nominal_model(robot, rotors_kg_m2, payload_kg=1.0)
         return DelayCompensation(
-            nominal_arm(self.nominal_model(robot), loaded, robot.effort_limits_nm),
+            nominal_arm(nominal, loaded, robot.effort_limits_nm),
             identification(
-                inertia_kg_m2, model=settings.identify_model, friction=settings.learn_friction
+                inertia_kg_m2,
+                model=settings.identify_model,
+                friction=settings.learn_friction,
+                rotors=rotors_kg_m2 is not None and bool(rotors_kg_m2.any()),
             ),
             drive,
             observer_bandwidth_rad_s=settings.observer_bandwidth_rad_s,

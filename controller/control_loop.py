@@ -31,9 +31,8 @@ from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
 from controller.control_law import ControlLaw, Tracking
 from controller.control_status import ControlStatus
-from controller.errors import ControllerError
+from controller.errors import ControllerError, LawError, is_of_the_law
 from controller.funnel import Funnel
-from controller.law_error import LawError, is_of_the_law
 from controller.reference import Reference
 from controller.torque_guard import TorqueGuard
 

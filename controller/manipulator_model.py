@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+from itertools import count, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +14,73 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription
-from controller.joint_places import JointPlaces
 from controller.rigid_bodies import RigidBodies
 from controller.rigid_bodies.vectors import invert, product
+
+
+class JointPlaces:
+    """Values per driven joint, in the URDF's order, and per moving joint, in the library's.
+
+    Mimic joints move with the joints that they follow: q = S q_driven + o, with constant S. So
+    torques come back as Sᵀ τ, and matrices as Sᵀ M S.
+
+    Args:
+        order: place of each driven joint in the library's lists, shape (joints,).
+        followers: place, number of the driven joint, multiplier and offset of each mimic joint.
+
+    Attributes:
+        order: as above.
+        couples: whether any joint follows another one.
+    """
+
+    def __init__(
+        self, order: NDArray[np.int64], followers: list[tuple[int, int, float, float]]
+    ) -> None:
+        self.order = order
+        self.couples = bool(followers)
+        self._joints, total = order.size, order.size + len(followers)
+        # S has one number in each row: which joint moves this one, and how many times as far.
+        self._leader = np.empty(total, dtype=np.int64)
+        self._leader[order] = np.arange(order.size)
+        self._factor: Vector = np.ones(total)
+        self._offset: Vector = np.zeros(total)
+        for place, leader, multiplier, offset in followers:
+            self._leader[place], self._factor[place] = leader, multiplier
+            self._offset[place] = offset
+        self._pairs = (self._joints * self._leader[:, None] + self._leader).ravel()
+        # Symmetric matrices have their upper triangle filled.
+        self._upper = (np.minimum.outer(order, order), np.maximum.outer(order, order))
+
+    def positions(self, position: Vector) -> Vector:
+        """Positions of all joints in the library's order."""
+        moved = self.rates(position)
+        return moved + self._offset if self.couples else moved
+
+    def rates(self, values: Vector) -> Vector:
+        """Velocities or accelerations of all joints in the library's order."""
+        moved = values[self._leader]
+        return moved * self._factor if self.couples else moved
+
+    def torques(self, full: Vector) -> Vector:
+        """Torques as the driven joints feel them, shape (joints,)."""
+        if self.couples:  # not by @, which rounds as BLAS does on this CPU
+            return np.asarray(np.bincount(self._leader, full * self._factor, self._joints), float)
+        return full[self.order]
+
+    def square(self, full: Matrix) -> Matrix:
+        """A matrix between velocities and torques, shape (joints, joints)."""
+        if self.couples:
+            felt = self._factor[:, None] * full * self._factor
+            total = np.bincount(self._pairs, felt.ravel(), self._joints**2)
+            return np.asarray(total, float).reshape(self._joints, self._joints)
+        return np.ascontiguousarray(full[np.ix_(self.order, self.order)])
+
+    def symmetric(self, full: Matrix) -> Matrix:
+        """The same for a symmetric one of which the upper triangle is filled."""
+        if self.couples:
+            return self.square(np.triu(full) + np.triu(full, 1).T)
+        return np.asarray(full[self._upper])
+
 
 _fault = ""
 try:
@@ -22,6 +88,7 @@ try:
 except ImportError as error:  # pin 3.9.0 for one; commands that need no model of an arm go on
     _fault = f"pinocchio cannot be imported ({error}): pip install --upgrade pin"
 
+_POSITIONS = 500
 _NO_INERTIA = "each joint must move some mass off its axis, or some inertia"
 
 
@@ -32,13 +99,19 @@ class ManipulatorModel:
         robot: description of the arm.
         scale: factor on all masses and inertias (1 for the arm as described).
         payload_kg: point mass at the tip, not scaled.
+        rotor_inertia_kg_m2: what each joint's rotor adds, not scaled; shape (joints,), None for 0.
 
     Attributes:
         joints: number of joints.
     """
 
     def __init__(
-        self, robot: RobotDescription, *, scale: float = 1.0, payload_kg: float = 0.0
+        self,
+        robot: RobotDescription,
+        *,
+        scale: float = 1.0,
+        payload_kg: float = 0.0,
+        rotor_inertia_kg_m2: Vector | None = None,
     ) -> None:
         if _fault:
             raise RobotDescriptionError(f"{robot.path}: {_fault}")
@@ -68,6 +141,12 @@ class ManipulatorModel:
             ],
         )
         self._slides = np.array(robot.slides)
+        self._rotors: Vector = np.zeros(robot.joints)
+        if rotor_inertia_kg_m2 is not None:
+            self._rotors = rotor_inertia_kg_m2
+            armature = np.zeros(self._model.nv)
+            armature[self._places.order] = rotor_inertia_kg_m2
+            self._model.armature = armature
 
     def rigid_bodies(self) -> RigidBodies:
         """The arm's structure, for compiled code.
@@ -100,9 +179,10 @@ class ManipulatorModel:
         )
 
     def inertia_table(self) -> Matrix:
-        """Inertia of every body, shape (joints, 10), as `RigidBodies` has it."""
+        """Inertia of every body and rotor, shape (joints, 11), as `RigidBodies` has it."""
         numbers = (self._model.getJointId(name) for name in self._names)
-        return np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
+        links = np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
+        return np.column_stack([links, self._rotors])
 
     def mass_matrix(self, position: Vector) -> Matrix:
         """M(q), shape (joints, joints), kg m² (kg for joints that slide)."""
@@ -153,6 +233,11 @@ class ManipulatorModel:
             self._model, self._data, self._places.positions(position)
         )
         return self._places.torques(full)
+
+    @property
+    def moved_kg(self) -> float:
+        """Mass of all that moves."""
+        return float(sum(inertia.mass for inertia in self._model.inertias[1:]))
 
     def inverse_dynamics(self, position: Vector, velocity: Vector, acceleration: Vector) -> Vector:
         """Torque of a motion, shape (joints,), N m."""
@@ -256,3 +341,35 @@ def _largest_eigenvalue(matrices: Iterable[Matrix], weights: Vector) -> float:
     """Of W M W over symmetric matrices M, W = diag(weights)."""
     weighted = (weights[:, None] * matrix * weights for matrix in matrices)
     return max(float(eigenvalues(each)[0].max()) for each in weighted)
+
+
+def spread_positions(robot: RobotDescription) -> Matrix:
+    """Joint positions all over the joint ranges, always the same, shape (samples, joints), rad.
+
+    Zero, and a multiple of the square roots of primes modulo one, which fills the ranges evenly.
+    """
+    lower = np.where(np.isfinite(robot.lower_rad), robot.lower_rad, -math.pi)
+    upper = np.where(np.isfinite(robot.upper_rad), robot.upper_rad, math.pi)
+    primes = (
+        number for number in count(2) if all(number % divisor for divisor in range(2, number))
+    )
+    steps = np.sqrt(list(islice(primes, robot.joints)))
+    spread = np.outer(np.arange(_POSITIONS), steps) % 1.0
+    straight = np.clip(np.zeros(robot.joints), lower, upper)
+    return np.vstack([straight, lower + spread * (upper - lower)])
+
+
+def largest_load_kg(robot: RobotDescription, limits_nm: Vector) -> float:
+    """The heaviest point mass that an arm holds up in any posture, at most its own moved mass.
+
+    Args:
+        robot: the arm.
+        limits_nm: largest torques of the joints, shape (joints,).
+    """
+    model, loaded = ManipulatorModel(robot), ManipulatorModel(robot, payload_kg=1.0)
+    positions = spread_positions(robot)
+    own = np.array([model.gravity(position) for position in positions])
+    of_load = np.array([loaded.gravity(position) for position in positions]) - own
+    with np.errstate(divide="ignore", invalid="ignore"):
+        most = (limits_nm - np.sign(of_load) * own) / np.abs(of_load)
+    return min(model.moved_kg, max(0.0, float(np.nanmin(most))))

@@ -20,9 +20,8 @@ from plant_emulator.arm.drive_loop import add_drive_torques
 from plant_emulator.arm.joint_hardware import Encoders
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
-from plant_emulator.faults.arm_faults import PayloadFault
+from plant_emulator.faults.arm_faults import ArmFaults, PayloadFault
 from plant_emulator.faults.fault import Fault
-from plant_emulator.faults.faulty_arm import ArmFaults
 from plant_emulator.physics.engine import ANY_PAYLOAD_KG, ArmSpecification
 from plant_emulator.physics.engines import engine_in_force, physics_in_force
 
@@ -80,6 +79,7 @@ class ArmPlant:
             ArmSpecification(
                 robot, grid, self.torques, configuration.physics.integrator,
                 configuration.payload_kg,
+                configuration.actuator.rigid_rotor_inertia(robot.joints),
                 payload_changes=any(isinstance(fault, PayloadFault) for fault in faults),
                 gui=configuration.gui,
             )
@@ -91,7 +91,9 @@ class ArmPlant:
         self.position: Vector = self._arm.position
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
-        self._encoders = Encoders(configuration.encoder, self.motion, randoms[1])
+        sees_motors = configuration.actuator.encoder_side == "motor"
+        seen = self.torques.tables.trains.rotors if sees_motors else self.motion
+        self._encoders = Encoders(configuration.encoder, seen, randoms[1])
         self.measured: Matrix = self._encoders.shown
         self._set_brakes(engaged=True)
         self.mode = Mode.IDLE

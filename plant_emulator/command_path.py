@@ -13,7 +13,28 @@ from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.playout import PlayoutBuffer
 from plant_emulator.command_gate import Command, CommandGate
 from plant_emulator.telemetry import PlantTelemetry
-from plant_emulator.watchdog import Watchdog
+
+
+class Watchdog:
+    """Knows when the arm must stop: some time after the last valid command took effect.
+
+    `PlantLoop` looks at it before each physics substep.
+
+    Args:
+        timeout_ns: longest silence during a run.
+        first_command_ns: instant by which the first command must have taken effect.
+
+    Attributes:
+        expires_ns: the arm must stop after this instant, unless a command comes before.
+    """
+
+    def __init__(self, timeout_ns: int, first_command_ns: int) -> None:
+        self._timeout_ns = timeout_ns
+        self.expires_ns = first_command_ns
+
+    def feed(self, now_ns: int) -> None:
+        """A valid command took effect."""
+        self.expires_ns = now_ns + self._timeout_ns
 
 
 class CommandPath:

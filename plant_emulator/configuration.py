@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from bus_schema.arrays import Vector
 from bus_schema.configuration import (
     NonNegative,
     Number,
@@ -30,7 +32,10 @@ class FrictionConfiguration(StrictModel):
     Attributes:
         enabled: false for none at all.
         coulomb_nm: dry friction at speed.
+        coulomb_share: more of it, as a share of the joint's rated torque, the URDF's effort limit.
+        load_share: more of it, as a share of the torque that the gear transmits.
         viscous_nm_s: friction per rad/s.
+        viscous_share_s: more of it, as a share of rated torque per rad/s.
         stribeck_nm: dry friction beyond Coulomb's near standstill.
         stribeck_velocity_rad_s: speed over which that excess dies away.
         smoothing_velocity_rad_s: speed over which dry friction changes its sign.
@@ -38,7 +43,10 @@ class FrictionConfiguration(StrictModel):
 
     enabled: bool = True
     coulomb_nm: PerJointNonNegative = Field(default_factory=_zero)
+    coulomb_share: PerJointNonNegative = Field(default_factory=_zero)
+    load_share: PerJointNonNegative = Field(default_factory=_zero)
     viscous_nm_s: PerJointNonNegative = Field(default_factory=_zero)
+    viscous_share_s: PerJointNonNegative = Field(default_factory=_zero)
     stribeck_nm: PerJointNonNegative = Field(default_factory=_zero)
     stribeck_velocity_rad_s: PerJointPositive = Field(default_factory=lambda: np.array([0.1]))
     smoothing_velocity_rad_s: PerJointPositive = Field(default_factory=lambda: np.array([0.01]))
@@ -121,16 +129,88 @@ class EncoderConfiguration(StrictModel):
     velocity_noise_rad_s: PerJointNonNegative = Field(default_factory=_zero)
 
 
+ROTOR_INERTIA_S2_RAD = 0.008
+"""Inertia of a geared rotor over the joint's largest torque, kg m² per N m, where it is not known.
+
+An estimate of ours; motors of the same torque differ by a factor of 3 and more.
+"""
+
+
 class ActuatorConfiguration(StrictModel):
-    """What stands between a commanded torque and the joint.
+    """What stands between a commanded torque and the link: motor, gear and encoder.
+
+    All is as felt at the joint, beyond the gear. An inertia of the rotor, an elastic gear and
+    cogging are MuJoCo's; Bullet has none of them.
 
     Attributes:
         saturation_nm: largest torque; by default the URDF's effort limits.
         lag_ms: time constant of the torque loop; 0 for none.
+        current_loop_hz: bandwidth f of the torque loop, another way to write lag_ms = 1 / (2π f).
+        rated_speed_rad_s: up to this speed the largest torque is there; by default half of
+            no_load_speed_rad_s.
+        no_load_speed_rad_s: from the rated speed on the largest torque falls, to none at this
+            speed; none by default.
+        rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared; 0 for none. The
+            controller's nominal model knows it, see controller.rotor_scale.
+        gear_stiffness_nm_rad: of the gear between rotor and link; by default it is rigid.
+        gear_damping_nm_s: of an elastic gear.
+        encoder_side: where positions and velocities are measured, at the ``link`` or, before an
+            elastic gear, at the ``motor``.
+        cogging_nm: amplitude of the torque that pulls the rotor to its poles.
+        cogging_periods: of that torque, in a turn of the joint.
     """
 
     saturation_nm: PerJointPositive | None = None
     lag_ms: NonNegative = 0.0
+    current_loop_hz: Positive | None = None
+    rated_speed_rad_s: PerJointPositive | None = None
+    no_load_speed_rad_s: PerJointPositive | None = None
+    rotor_inertia_kg_m2: PerJointNonNegative = Field(default_factory=_zero)
+    gear_stiffness_nm_rad: PerJointPositive | None = None
+    gear_damping_nm_s: PerJointNonNegative = Field(default_factory=_zero)
+    encoder_side: Literal["link", "motor"] = "link"
+    cogging_nm: PerJointNonNegative = Field(default_factory=_zero)
+    cogging_periods: Positive = 100.0
+
+    @model_validator(mode="after")
+    def _check(self) -> ActuatorConfiguration:
+        if self.current_loop_hz is not None and self.lag_ms:
+            raise ValueError("with lag_ms or current_loop_hz, not both: they are the same")
+        if self.rated_speed_rad_s is not None and self.no_load_speed_rad_s is None:
+            raise ValueError("with no_load_speed_rad_s where rated_speed_rad_s is given")
+        is_rigid = self.gear_stiffness_nm_rad is None
+        if is_rigid and (self.gear_damping_nm_s.any() or self.encoder_side == "motor"):
+            raise ValueError(
+                "with gear_stiffness_nm_rad where gear_damping_nm_s or encoder_side: motor is given"
+            )
+        return self
+
+    @property
+    def lag_s(self) -> float:
+        """Time constant of the torque loop, s; 0 for none."""
+        if self.current_loop_hz is None:
+            return self.lag_ms * 1e-3
+        return 1.0 / (2.0 * math.pi * self.current_loop_hz)
+
+    @property
+    def has_rotors(self) -> bool:
+        """Whether it asks for what only an engine with rotors has."""
+        return self.gear_stiffness_nm_rad is not None or bool(
+            self.rotor_inertia_kg_m2.any() or self.cogging_nm.any()
+        )
+
+    def rotor_inertia(self, joints: int) -> Vector:
+        """Inertia of each joint's rotor, shape (joints,), kg m².
+
+        Raises:
+            ConfigurationError: the number of values is neither 1 nor that of the joints.
+        """
+        return expand(self.rotor_inertia_kg_m2, joints, "plant.actuator.rotor_inertia_kg_m2")
+
+    def rigid_rotor_inertia(self, joints: int) -> Vector | None:
+        """The same where rotor and link are one mass; None where they are two, or there is none."""
+        is_rigid = self.gear_stiffness_nm_rad is None and self.rotor_inertia_kg_m2.any()
+        return self.rotor_inertia(joints) if is_rigid else None
 
 
 Integrator = Literal["semi_implicit_euler", "runge_kutta_4"]
@@ -149,7 +229,7 @@ class PhysicsConfiguration(StrictModel):
     integrator: Integrator = "semi_implicit_euler"
 
 
-class DriveFeedbackConfiguration(StrictModel):
+class DriveLoopConfiguration(StrictModel):
     """A loop closed at the drives, around targets that come with the torques.
 
     Attributes:
@@ -188,6 +268,8 @@ class PlantConfiguration(StrictModel):
     Attributes:
         substeps: physics steps per tick.
         payload_kg: point mass at the tip that the nominal model does not know of.
+        payload_share: more of it, as a share of the heaviest mass that the arm holds up in any
+            posture, or of its own moved mass where it holds more than that.
         command_timeout_ms: time without a valid command after which the arm is stopped; an outage
             of 100 ms is survived by default.
         safe_stop: how it is stopped: by the brakes, by damping torques, or by zero torque.
@@ -198,6 +280,7 @@ class PlantConfiguration(StrictModel):
 
     substeps: Annotated[Whole, Field(ge=1, le=100)] = 4
     payload_kg: Annotated[NonNegative, Field(le=1e6)] = 0.0
+    payload_share: Annotated[NonNegative, Field(le=1)] = 0.0
     command_timeout_ms: Positive = 200.0
     safe_stop: Literal["brake", "damping", "zero_torque"] = "brake"
     stop_damping_nm_s: PerJointPositive = Field(default_factory=lambda: np.array([20.0]))
@@ -208,4 +291,4 @@ class PlantConfiguration(StrictModel):
     disturbance: DisturbanceConfiguration = DisturbanceConfiguration()
     encoder: EncoderConfiguration = EncoderConfiguration()
     actuator: ActuatorConfiguration = ActuatorConfiguration()
-    drive_feedback: DriveFeedbackConfiguration = DriveFeedbackConfiguration()
+    drive_feedback: DriveLoopConfiguration = DriveLoopConfiguration()

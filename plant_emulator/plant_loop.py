@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
+from typing import cast
 
 from bus_schema.link.interface import PlantLink
 from bus_schema.messages.run_event import EventKind, RunEvent
@@ -22,15 +23,14 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_path import CommandPath
+from plant_emulator.command_path import CommandPath, Watchdog
 from plant_emulator.exchange import Exchange
-from plant_emulator.faults.channel_faults import channel_faults
 from plant_emulator.faults.faulty_link import FaultyLink
+from plant_emulator.faults.message_faults import channel_faults
 from plant_emulator.measurement import Instruments, Measurement
 from plant_emulator.plant_task import PlantOutcome, PlantTask
 from plant_emulator.supervisor import Supervisor
 from plant_emulator.telemetry import PlantTelemetry
-from plant_emulator.watchdog import Watchdog
 
 
 class PlantLoop:
@@ -239,4 +239,5 @@ def _with_faults(task: PlantTask, link: PlantLink, clock: Clock, gate: CommandGa
     if not task.faults and not task.process_actions:
         return link
     names = task.robot.joint_names
-    return FaultyLink(link, clock, gate, names, task.faults, task.process_actions, task.seed)
+    faulty = FaultyLink(link, clock, gate, names, task.faults, task.process_actions, task.seed)
+    return cast(PlantLink, faulty)

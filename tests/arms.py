@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus_schema.drive_feedback import no_drive_feedback
+from bus_schema.drive_feedback import DriveGains, no_drive_feedback
 from bus_schema.limits import LimitsConfiguration
+from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.urdf.resolved import pybullet_data
+from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm.joint_torques import JointTorques
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engine import ArmSpecification
@@ -26,6 +28,25 @@ INSTALLED = [name for name, engine in ENGINES.items() if engine.is_installed]
 """Names of the physics engines that this Python has."""
 
 
+def shipped_arm(name: str) -> RobotDescription:
+    """The description of a shipped arm."""
+    return load_robot(find_urdf(name, Path()))
+
+
+PAPER_ARM = shipped_arm("paper_arm")
+
+
+def torques_of(
+    plant: PlantConfiguration, robot: RobotDescription = PAPER_ARM, *,
+    step_s: float = 2.5e-4, seed: int = 0, gains: DriveGains | None = None,
+) -> JointTorques:  # fmt: skip
+    """All that acts on the joints of an arm, of which nothing has acted yet."""
+    return JointTorques(
+        plant, robot, step_s, np.random.default_rng(seed), LimitsConfiguration(),
+        gains or no_drive_feedback(robot.joints),
+    )  # fmt: skip
+
+
 class FreeArm:
     """An arm on a physics engine; by default nothing acts on it but the torques of a test.
 
@@ -39,10 +60,7 @@ class FreeArm:
 
     def __init__(self, robot, engine="mujoco", step_s=1e-3, plant=None, **specification):
         grid, plant = TickGrid(1.0 / step_s, 1), plant or PlantConfiguration()
-        self.torques = JointTorques(
-            plant, robot, step_s, np.random.default_rng(0), LimitsConfiguration(),
-            no_drive_feedback(robot.joints),
-        )  # fmt: skip
+        self.torques = torques_of(plant, robot, step_s=step_s)
         kind = ENGINES[engine].arm_type
         self.arm = kind(ArmSpecification(robot, grid, self.torques, **specification))
         self.position, self.velocity = self.arm.position, self.arm.velocity

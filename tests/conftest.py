@@ -13,7 +13,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from deploy.stop_signals import STOPS
+from deploy.run.stop_signals import STOPS, stop_at_once
 
 # On a new machine any test may be the first to need a kernel: what it reads stays the same.
 os.environ["FUNNEL_HIL_HAS_SAID_THAT_IT_COMPILES"] = "1"
@@ -39,6 +39,7 @@ def heeded_signals() -> Iterator[None]:
     for number in STOPS:
         signal.signal(number, signal.default_int_handler)
     yield
+    stop_at_once()  # forgets the requests of this test
     for number, handler in before.items():
         signal.signal(number, handler)
 

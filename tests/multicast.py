@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.processes.network.free_ports import free_ports
+from deploy.run.network.links import free_ports
 
 
 def own_place() -> tuple[str, int]:

@@ -32,7 +32,7 @@ HANG_S = 300.0
 
 IMPORTED = (
     "deploy.cli.processes", "deploy.cli.one_run", "deploy.cli.study.experiments",
-    "deploy.cli.study.studies", "deploy.reports.run_report",
+    "deploy.cli.study.studies", "deploy.reports.run_reports",
     "distributed.cli.dask_scheduler", "distributed.cli.dask_worker",
 )  # fmt: skip
 FUNNEL_HIL = "deploy.cli:main"
@@ -107,7 +107,7 @@ class WarmProcess:
 @contextmanager
 def no_report() -> Iterator[None]:
     """Runs are judged and leave all files but the report: to draw it costs more than to judge."""
-    with mock.patch("deploy.reports.run_report.write_report"):
+    with mock.patch("deploy.reports.run_reports.write_report"):
         yield
 
 

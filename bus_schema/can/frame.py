@@ -53,6 +53,8 @@ class CanBus(Protocol):
 
     def send_all(self, frames: Sequence[CanFrame]) -> None:
         """Send frames one after the other; whoever waits for them may be woken once."""
+        for frame in frames:
+            self.send(frame)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         """The next frame that another node sent; None if none came within `timeout_s`."""

@@ -109,7 +109,7 @@ class CanControllerLink(ControllerLink):
             target = np.array([fields["position"], fields["velocity"]])
             # A drive holds a target still: it is sent as of when it gets there.
             target[0] += 1e-9 * self._run.link.emulated_round_trip_ns * target[1]
-            self._master.aim(target, self._run.gains)
+            self._master.aim(target)
         self._is_answered = True
         self._commands += 1
         return self._commands

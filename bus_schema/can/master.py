@@ -12,7 +12,6 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
-from bus_schema.drive_feedback import DriveGains
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
 
@@ -53,6 +52,7 @@ class CanMaster(ABC):
         self._is_powered = [False] * len(node_ids)
         self._faults: list[str] = []
         self._is_stopping = False
+        self._target: Matrix | None = None
         self._strangers: Counter[str] = Counter()
         self._samplings, self._answers = 0, [0] * len(node_ids)
         self._skipped = np.zeros((2, len(node_ids)))
@@ -156,16 +156,17 @@ class CanMaster(ABC):
         return "; ".join(sentences)
 
     def command(self, torque_nm: Vector) -> None:
-        """Send torques, shape (joints,)."""
-        self._send(self._codec.torque_frames(torque_nm))
+        """Send torques, shape (joints,), with the last target if there is one and no stop."""
+        target = None if self._is_stopping else self._target
+        self._send(self._codec.command_frames(torque_nm, target))
 
-    def aim(self, target: Matrix, gains: DriveGains) -> None:  # noqa: B027 (most take torques alone)
-        """What drives that take targets are to add to the next torques.
+    def aim(self, target: Matrix) -> None:
+        """Set the targets of drives with position loops. They are sent with the next torques.
 
         Args:
             target: positions, rad, and velocities, rad/s, as rows, shape (2, joints); NaN for none.
-            gains: of the loop they close around it.
         """
+        self._target = None if np.isnan(target).any() else target
 
     def begin_stop(self) -> None:
         """From now on drives are to come to rest, whatever torques say; faults are expected."""
@@ -187,16 +188,14 @@ class CanMaster(ABC):
     def leave(self) -> None:
         """Leave the drives in the state in which they wait for a master."""
 
-    @abstractmethod
-    def _send_heartbeat(self) -> None:
+    def _send_heartbeat(self) -> None:  # noqa: B027 (a protocol may have none)
         """Do what keeps drives and master aware of each other, every `heartbeat_ms`."""
 
     def _only_master_sends(self, _frame: CanFrame) -> str | None:
         """What a frame is called that a master alone sends to these drives; None for others."""
         return None
 
-    @abstractmethod
-    def _handle_report(self, frame: CanFrame) -> None:
+    def _handle_report(self, frame: CanFrame) -> None:  # noqa: B027 (a protocol may have none)
         """Take in a data frame that is no state, and note the faults it reports."""
 
     def _missed_heartbeats(self) -> list[str]:

@@ -12,16 +12,15 @@ from __future__ import annotations
 import math
 import random
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schema.can.candump import CandumpLog
 from bus_schema.can.frame import CanFrame
-from bus_schema.can.frame_bits import FrameBits, count_bits
-from bus_schema.can.frame_table import FrameTable, frame_table
+from bus_schema.can.frame_timing import FrameTable, count_bits, frame_table
 from bus_schema.link.can_configuration import CanConfiguration
 
 _ERROR_FLAG_BITS = (6, 12)
@@ -30,6 +29,52 @@ _LOAD_WINDOW_NS = 100_000_000
 _MOST_NAMES = 1000
 _OTHERS, _NOBODY = -1, -2
 _WORTHWHILE, _MOST_WAITING = 128, 1024
+_ERROR_FLAG, _IDENTIFIER = 0x2000_0000, 0x1FFF_FFFF
+_MOST_BYTES = 64
+
+
+def candump_lines(times_ns: NDArray[np.int64], channel: str, frames: Iterable[CanFrame]) -> str:
+    """Frames as ``candump -L`` writes them: ``(seconds.microseconds) channel identifier#data``.
+
+    python-can's own writer makes the same lines, at several times the cost of each.
+
+    Args:
+        times_ns: when each was on the bus, shape (frames,).
+        channel: name of the bus.
+        frames: the frames.
+    """
+    lines = []
+    times_us = (times_ns // 1000).tolist()
+    for time_us, frame in zip(times_us, frames, strict=True):
+        identifier, data, is_extended, is_remote, is_error, is_fd = frame
+        number = identifier & _IDENTIFIER | is_error * _ERROR_FLAG
+        digits = 8 if is_extended or is_error else 3
+        flags = "#1" if is_fd else ""  # the bit rate was switched
+        content = "R" if is_remote else data[:_MOST_BYTES].hex().upper()
+        time = f"{time_us // 1_000_000}.{time_us % 1_000_000:06}"
+        lines.append(f"({time}) {channel} {number:0{digits}X}#{flags}{content}\n")
+    return "".join(lines)
+
+
+class CandumpLog:
+    """A file of frames in the format of ``candump -L``, which every CAN tool reads.
+
+    Args:
+        path: the file; overwritten.
+        channel: name of the bus.
+    """
+
+    def __init__(self, path: Path, channel: str) -> None:
+        self._file = path.open("w", encoding="utf-8")
+        self._channel = channel
+
+    def write(self, times_ns: NDArray[np.int64], frames: Iterable[CanFrame]) -> None:
+        """Append frames, see `candump_lines`."""
+        self._file.write(candump_lines(times_ns, self._channel, frames))
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
 
 
 class CanMedium:
@@ -91,19 +136,22 @@ class CanMedium:
         """Work out when what was sent so far was on the bus, count it and write it down."""
         if not self._frames:
             return
-        table, ready_ns = frame_table(self._frames), np.array(self._ready_ns, dtype=np.int64)
+        frames, ready_ns = self._frames, np.array(self._ready_ns, dtype=np.int64)
+        table = frame_table(frames)
         sizes = np.array(self._together)
         self._frames, self._ready_ns, self._together = [], [], []
         bits, group = count_bits(table), np.repeat(np.arange(sizes.size), sizes)
         order = np.lexsort((bits.arbitration, group))
-        table, durations_ns = table.take(order), self._durations_ns(bits)[order]
+        seconds = bits.nominal / self._bitrate + bits.fast / self._data_bitrate
+        table, durations_ns = table.take(order), np.rint(1e9 * seconds).astype(np.int64)[order]
         if self._error_probability:
             durations_ns = np.array([self._with_errors_ns(each) for each in durations_ns.tolist()])
         ends_ns = self._ends_ns(ready_ns[group], durations_ns)
         starts_ns = ends_ns - durations_ns
         first = np.cumsum(sizes) - sizes
         if self._log is not None:
-            self._log.write(self._start_ns + ends_ns, table)
+            in_order = [frames[place] for place in order.tolist()]
+            self._log.write(self._start_ns + ends_ns, in_order)
         self._note_load(starts_ns, durations_ns)
         self._note_frames(table, ends_ns - starts_ns[first][group])
         self.free_ns = int(ends_ns[-1])
@@ -137,11 +185,6 @@ class CanMedium:
         self.settle()
         if self._log is not None:
             self._log.close()
-
-    def _durations_ns(self, bits: FrameBits) -> NDArray[np.int64]:
-        """How long frames are on the wire if nothing happens to them."""
-        seconds = bits.nominal / self._bitrate + bits.fast / self._data_bitrate
-        return np.rint(1e9 * seconds).astype(np.int64)
 
     def _ends_ns(
         self, ready_ns: NDArray[np.int64], durations_ns: NDArray[np.int64]

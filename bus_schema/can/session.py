@@ -7,7 +7,6 @@ import errno
 import logging
 import os
 import socket
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.sockets.drops import dropped_by_socket
-from bus_schema.can.sockets.multicast import Envelopes, MulticastBus
+from bus_schema.can.multicast import Envelopes, MulticastBus, dropped_by_socket
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -32,7 +30,7 @@ class CanSessionError(BusError, ConnectionError):
     """The bus was lost during a run; the message says on which channel."""
 
 
-class PythonCanBus:
+class PythonCanBus(CanBus):
     """A node's access to a bus by way of python-can.
 
     Args:
@@ -54,11 +52,6 @@ class PythonCanBus:
             self._bus.send(to_message(frame), timeout=_SEND_TIMEOUT_S)
         except (can.CanError, OSError) as error:
             raise CanSessionError(f"CAN channel {self._channel}: {error}") from error
-
-    def send_all(self, frames: Sequence[CanFrame]) -> None:
-        """Send frames one after the other; raises as `send` does."""
-        for frame in frames:
-            self.send(frame)
 
     def receive(self, timeout_s: float) -> CanFrame | None:
         """The next frame that another node sent; None if none came within `timeout_s`.

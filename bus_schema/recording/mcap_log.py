@@ -21,7 +21,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, new_partial
 from bus_schema.recording.checked_records import CheckedRecords
-from bus_schema.recording.mcap_writer import PlainWriter, QuickWriter, can_be_quick
+from bus_schema.recording.mcap_writer import McapWriter, append_metadata
 from bus_schema.recording.older_messages import Translate, translation
 
 logger = logging.getLogger(__name__)
@@ -68,8 +68,7 @@ class McapLog:
         os.posix_fallocate(self._reserve.fileno(), 0, _RESERVE_BYTES)
         self._file = RecordFile(new_partial(path))
         chunk_size = int(min(max(bytes_per_s / 4, 1024), _LARGEST_CHUNK_BYTES))
-        writer = QuickWriter if can_be_quick() else PlainWriter
-        self._writer = writer(cast("IO[bytes]", self._file), chunk_size)
+        self._writer = McapWriter(cast("IO[bytes]", self._file), chunk_size)
         self._writer.start(profile="ros2", library="funnel-hil")
         self._channels: dict[str, int] = {}
         self._in_file: Counter[str] = Counter()
@@ -101,7 +100,7 @@ class McapLog:
         """
         name = topic.name
         if name not in self._channels and self.failure is None:
-            self._attempt(lambda: self._register(topic), closes_chunk=True)
+            self._register(topic)
         if self.failure is not None:
             self.lost[name] += 1
             return
@@ -111,7 +110,7 @@ class McapLog:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file."""
-        self._attempt(lambda: self._writer.add_attachment(0, 0, name, media_type, data))
+        self._attempt(lambda: self._writer.add_attachment(name, media_type, data))
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Add a table of metadata."""
@@ -240,6 +239,23 @@ class _Sorter:
         self.contents.payloads[topic].append(data)
         self.contents.sequences[topic].append(message.sequence)
         self.messages += 1
+
+
+def record_afterwards(path: Path, name: str, values: dict[str, str]) -> None:
+    """Add a table of metadata to a recording that its recorder has finished, or was killed over.
+
+    A damaged recording stays as it is.
+
+    Raises:
+        OSError: the file is not there, or the disk does not take it.
+    """
+    size = path.stat().st_size
+    with path.open("r+b") as file:
+        records = CheckedRecords(file, size)
+        for _ in records:
+            pass
+        if not records.damage and not records.lacks_checksums:
+            append_metadata(file, records.cut_off_at, name, values)
 
 
 def read_log(path: Path) -> LogContents:

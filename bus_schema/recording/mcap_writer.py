@@ -1,78 +1,54 @@
-"""mcap's writer, at a third of the time for what there are thousands of a second.
+"""Writes MCAP files in chunks, with all checksums and indices.
 
-The file is the same, byte for byte. mcap packs messages and their entries in indices field by
-field; here each message's head, and all entries of an index, are packed at once. All else is left
-to mcap.
+The file is byte for byte what mcap's own writer makes of the same, at a third of its time: that
+packs messages and their entries in indices field by field. Here each message's head, and all
+entries of an index, are packed at once; all other records are mcap's.
 """
 
 from __future__ import annotations
 
 import struct
-import sys
-from collections import Counter, defaultdict
-from functools import cache
-from io import BytesIO
+import zlib
+from collections import defaultdict
 from typing import IO
 
-from mcap.data_stream import RecordBuilder
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, MessageIndex, Schema, Statistics
-from mcap.writer import CompressionType, Writer
+from mcap.reader import make_reader
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
-try:
-    from mcap._chunk_builder import ChunkBuilder
-except ImportError:  # mcap keeps it to itself
-    ChunkBuilder = object  # type: ignore[assignment, misc]
+from bus_schema.recording.checked_records import HEAD, MAGIC
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _IS_MESSAGE = int(Opcode.MESSAGE)
 _MESSAGE_BYTES = struct.calcsize("<HIQQ")  # of its content, but for the payload
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of all entries
 _INDEX_BYTES = struct.calcsize("<HI")
+_CRC = struct.Struct("<I")
+_DATA_END_BYTES = HEAD.size + _CRC.size
 
 
-class PlainWriter(Writer):
-    """The same messages and methods by what mcap makes public, at three times the time.
+class McapWriter:
+    """Writes an MCAP file.
 
-    Args:
-        file: empty.
-        chunk_bytes: size of a chunk, not packed, beyond which it is full.
-    """
-
-    def __init__(self, file: IO[bytes], chunk_bytes: int) -> None:
-        super().__init__(
-            file,
-            chunk_size=sys.maxsize,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
-        )
-        self._chunk_bytes, self._bytes = chunk_bytes, 0
-        self._waiting: Counter[int] = Counter()
-
-    def add_message(
-        self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
-    ) -> bool:
-        """Add a message to the chunk; whether that is as large now as one should be."""
-        super().add_message(channel_id, log_time, data, publish_time, sequence)
-        self._waiting[channel_id] += 1
-        self._bytes += len(data) + _MESSAGE.size
-        return self._bytes > self._chunk_bytes
-
-    def flush(self) -> None:
-        """End the chunk, and write it."""
-        super().flush()  # type: ignore[no-untyped-call]
-        self._waiting.clear()
-        self._bytes = 0
-
-    def waiting(self, channel_id: int) -> int:
-        """How many messages of a channel wait in the chunk."""
-        return self._waiting[channel_id]
-
-
-class QuickWriter(Writer):
-    """Writes an MCAP file in chunks, with all checksums.
-
-    Messages wait for the end of their chunk; who adds them ends it by `flush` when it is full.
+    Messages wait for the end of their chunk; who adds them ends it by `flush` when it is full. What
+    the file does not take is not counted.
 
     Args:
         file: empty.
@@ -80,18 +56,65 @@ class QuickWriter(Writer):
     """
 
     def __init__(self, file: IO[bytes], chunk_bytes: int) -> None:
-        super().__init__(
-            file,
-            chunk_size=chunk_bytes,
-            compression=CompressionType.ZSTD,
-            enable_data_crcs=True,
+        self._file, self._chunk_bytes = file, chunk_bytes
+        self._crc = 0
+        self._chunk = bytearray()
+        self._entries: defaultdict[int, list[int]] = defaultdict(list)
+        """Log time and place of each message in turn, by channel."""
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._chunks: list[ChunkIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._counts = Statistics(
+            attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0,
+            message_count=0, message_end_time=0, message_start_time=0, metadata_count=0,
+            schema_count=0,
+        )  # fmt: skip
+
+    @staticmethod
+    def reopened(file: IO[bytes]) -> McapWriter:
+        """Continue a finished file after its last record. The caller has checked the file."""
+        file.seek(0)
+        summary, writer = make_reader(file).get_summary(), McapWriter(file, 0)
+        assert summary is not None
+        assert summary.statistics is not None
+        writer._schemas, writer._channels = (
+            [*summary.schemas.values()],
+            [*summary.channels.values()],
         )
-        own = vars(self)  # what mcap keeps to itself, as of 1.6; see `can_be_quick`
-        self._chunk = own["_Writer__chunk_builder"] = _QuickChunk(own["_Writer__statistics"])
-        self._chunk_bytes = chunk_bytes
+        writer._chunks, writer._attachments = summary.chunk_indexes, summary.attachment_indexes
+        writer._metadata, writer._counts = summary.metadata_indexes, summary.statistics
+        file.seek(-len(MAGIC) - len(_encoded(Footer(0, 0, 0))) + HEAD.size, 2)
+        data_end_at = Footer.read(ReadDataStream(file)).summary_start - _DATA_END_BYTES
+        file.seek(data_end_at + HEAD.size)
+        writer._crc = DataEnd.read(ReadDataStream(file)).data_section_crc
+        file.seek(data_end_at)
+        return writer
+
+    def start(self, profile: str, library: str) -> None:
+        """Write what a file begins with."""
+        self._write(MAGIC + _encoded(Header(profile, library)))
+
+    def register_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Describe a type of messages; its id."""
+        self._schemas.append(Schema(len(self._schemas) + 1, data, encoding, name))
+        self._counts.schema_count += 1
+        self._chunk += _encoded(self._schemas[-1])
+        return self._schemas[-1].id
+
+    def register_channel(
+        self, topic: str, message_encoding: str, schema_id: int, metadata: dict[str, str]
+    ) -> int:
+        """Describe a channel; its id."""
+        number = len(self._channels) + 1
+        self._channels.append(Channel(number, topic, message_encoding, metadata, schema_id))
+        self._counts.channel_count += 1
+        self._chunk += _encoded(self._channels[-1])
+        return number
 
     def add_message(
-        self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0
+        self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> bool:
         """Add a message to the chunk; whether that is as large now as one should be.
 
@@ -100,101 +123,126 @@ class QuickWriter(Writer):
         """
         length = len(data) + _MESSAGE_BYTES
         head = _MESSAGE.pack(_IS_MESSAGE, length, channel_id, sequence, log_time, publish_time)
-        chunk = self._chunk
-        content, entries = chunk.content, chunk.entries[channel_id]
-        entries += (log_time, len(content))
-        content += head
-        content += data
-        chunk.num_messages += 1
-        return len(content) > self._chunk_bytes
+        chunk, entries = self._chunk, self._entries[channel_id]
+        entries += (log_time, len(chunk))
+        chunk += head
+        chunk += data
+        return len(chunk) > self._chunk_bytes
 
     def waiting(self, channel_id: int) -> int:
         """How many messages of a channel wait in the chunk."""
-        return len(self._chunk.entries.get(channel_id, ())) // 2
+        return len(self._entries.get(channel_id, ())) // 2
+
+    def flush(self) -> None:
+        """End the chunk, and write it with its indices: both or none."""
+        if not self._entries:
+            return
+        times_ns = [entries[::2] for entries in self._entries.values()]
+        chunk = Chunk(
+            compression="zstd",
+            data=zstandard.compress(self._chunk),
+            message_start_time=min(map(min, times_ns)),
+            message_end_time=max(map(max, times_ns)),
+            uncompressed_crc=zlib.crc32(self._chunk),
+            uncompressed_size=len(self._chunk),
+        )
+        start, record, indices = self._file.tell(), _encoded(chunk), bytearray()
+        places: dict[int, int] = {}
+        for channel, entries in self._entries.items():
+            places[channel] = start + len(record) + len(indices)
+            size = 8 * len(entries)
+            indices += _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_BYTES + size, channel, size)
+            indices += struct.pack(f"<{len(entries)}Q", *entries)
+        self._write(record + indices)
+        self._chunks.append(
+            ChunkIndex(
+                chunk_length=len(record),
+                chunk_start_offset=start,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=len(indices),
+                message_index_offsets=places,
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+        self._count(chunk)
+        self._chunk, self._entries = bytearray(), defaultdict(list)
+
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Write an attached file."""
+        start = self._file.tell()
+        record = _encoded(Attachment(0, 0, name, media_type, data))
+        self._write(record)
+        index = AttachmentIndex(start, len(record), 0, 0, len(data), name, media_type)
+        self._attachments.append(index)
+        self._counts.attachment_count += 1
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write a table of metadata."""
+        start, record = self._file.tell(), _encoded(Metadata(name, values))
+        self._write(record)
+        self._metadata.append(MetadataIndex(start, len(record), name))
+        self._counts.metadata_count += 1
+
+    def finish(self) -> None:
+        """Write the summary, and the end of the file."""
+        self.flush()
+        self._write(_encoded(DataEnd(self._crc)))
+        start, summary, offsets = self._file.tell(), RecordBuilder(), []
+        for opcode, records in (
+            (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [self._counts]), (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, self._attachments), (Opcode.METADATA_INDEX, self._metadata),
+        ):  # fmt: skip
+            place = summary.count
+            for record in records:
+                record.write(summary)
+            offsets.append(SummaryOffset(opcode, start + place, summary.count - place))
+        footer = _encoded(Footer(start, start + summary.count, 0))[: -_CRC.size]
+        for offset in offsets:
+            offset.write(summary)
+        end = bytes(summary.end()) + footer  # type: ignore[no-untyped-call]
+        self._file.write(end + _CRC.pack(zlib.crc32(end)) + MAGIC)
+
+    def _write(self, data: bytes) -> None:
+        self._file.write(data)
+        self._crc = zlib.crc32(data, self._crc)
+
+    def _count(self, chunk: Chunk) -> None:
+        """Count a chunk that is in the file."""
+        counts, is_first = self._counts, self._counts.message_count == 0
+        start_ns = chunk.message_start_time if is_first else counts.message_start_time
+        counts.message_start_time = min(start_ns, chunk.message_start_time)
+        counts.message_end_time = max(counts.message_end_time, chunk.message_end_time)
+        counts.chunk_count += 1
+        by_channel = counts.channel_message_counts
+        for channel in self._entries:
+            counts.message_count += self.waiting(channel)
+            by_channel[channel] = by_channel.get(channel, 0) + self.waiting(channel)
 
 
-class _QuickChunk(ChunkBuilder):
-    """A chunk in the making, whose messages count once it is in the file.
+def append_metadata(file: IO[bytes], at: int | None, name: str, values: dict[str, str]) -> None:
+    """Append a metadata table to a finished recording.
 
-    Attributes:
-        content: its bytes so far.
-        entries: log time and place of each message in turn, by channel.
+    Args:
+        file: undamaged, open to be read and written.
+        at: where a file that was not finished is cut off; None for one that was.
+        name: of the table.
+        values: the table.
     """
-
-    def __init__(self, statistics: Statistics) -> None:
-        super().__init__()
-        self._statistics = statistics
-        self.content = bytearray()
-        self.entries: defaultdict[int, list[int]] = defaultdict(list)
-
-    @property
-    def count(self) -> int:
-        return len(self.content)
-
-    def add_schema(self, schema: Schema) -> None:
-        super().add_schema(schema)
-        self._keep_record()
-
-    def add_channel(self, channel: Channel) -> None:
-        super().add_channel(channel)
-        self._keep_record()
-
-    def end(self) -> bytearray:
-        times_ns = [entries[::2] for entries in self.entries.values()]
-        self.message_start_time = min(map(min, times_ns))
-        self.message_end_time = max(map(max, times_ns))
-        for channel, entries in self.entries.items():
-            self.message_indices[channel] = _QuickIndex(channel, entries)  # type: ignore[arg-type]
-        return self.content
-
-    def reset(self) -> None:
-        """Begin the next one: this one is in the file."""
-        self._count()
-        super().reset()  # type: ignore[no-untyped-call]
-        self.content, self.entries = bytearray(), defaultdict(list)
-
-    def _keep_record(self) -> None:
-        self.content += self.record_writer.end()  # type: ignore[no-untyped-call]
-
-    def _count(self) -> None:
-        counts, is_first = self._statistics, self._statistics.message_count == 0
-        start_ns = self.message_start_time if is_first else counts.message_start_time
-        counts.message_start_time = min(start_ns, self.message_start_time)
-        counts.message_end_time = max(counts.message_end_time, self.message_end_time)
-        counts.message_count += self.num_messages
-        for channel, entries in self.entries.items():
-            counts.channel_message_counts[channel] += len(entries) // 2
+    if at is None:
+        writer = McapWriter.reopened(file)
+        writer.add_metadata(name, values)
+        writer.finish()
+    else:
+        file.seek(at)
+        file.write(_encoded(Metadata(name, values)))
+    file.truncate()
 
 
-class _QuickIndex(MessageIndex):
-    """An index whose entries are one list: log time and place of each in turn."""
-
-    def write(self, stream: RecordBuilder) -> None:
-        entries = struct.pack(f"<{len(self.records)}Q", *self.records)
-        size = len(entries)
-        stream.write(_INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX_BYTES + size, self.channel_id, size))
-        stream.write(entries)
-
-
-@cache
-def can_be_quick() -> bool:
-    """Whether mcap is inside as `QuickWriter` knows it: a small file is the same either way."""
-    try:
-        return _small_file(QuickWriter) == _small_file(PlainWriter)
-    except (AttributeError, KeyError, TypeError):
-        return False
-
-
-def _small_file(kind: type[QuickWriter | PlainWriter]) -> bytes:
-    """Two chunks with two channels, whose times go back."""
-    file = BytesIO()
-    writer = kind(file, 1024)
-    writer.start()
-    for name in ("one", "two"):
-        writer.register_channel(name, "cdr", writer.register_schema(name, "ros2msg", b"bool x"))
-    for number in (3, 1, 2, 4):
-        writer.add_message(1 + number % 2, number, b"data", number, number)
-        if number == 1:
-            writer.flush()
-    writer.finish()  # type: ignore[no-untyped-call]
-    return file.getvalue()
+def _encoded(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

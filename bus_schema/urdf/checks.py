@@ -33,7 +33,7 @@ def check_urdf(root: ET.Element) -> None:
     for joint in root.findall("joint"):
         _check_joint(joint)
     for link in root.findall("link"):
-        check_inertial(link)
+        _check_inertial(link)
     _check_tree(root)
 
 
@@ -163,20 +163,15 @@ def _check_joint(joint: ET.Element) -> None:
                 finite_number(owner, name, limit.attrib[name])
 
 
-def check_inertial(link: ET.Element) -> ET.Element | None:
-    """The link's element inertial, if it has one: with a mass, an inertia, and a place.
-
-    Raises:
-        RobotDescriptionError: something of it is not there or no number, or the mass is negative.
-    """
+def _check_inertial(link: ET.Element) -> None:
+    """Check that an element inertial has a mass, an inertia, and a place."""
     owner, inertial = _owner(link), link.find("inertial")
     if inertial is None:
-        return None
+        return
     _check_places(owner, inertial)
     if mass_of(link) < 0.0:
         raise RobotDescriptionError(f"mass={mass_of(link):g} of {owner} must not be negative")
     inertia_of(link)
-    return inertial
 
 
 def joint_ends(joint: ET.Element) -> tuple[str, str]:

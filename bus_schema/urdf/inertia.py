@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,40 +10,25 @@ from numpy.typing import NDArray
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf.checks import INERTIA, check_inertial, inertia_of, joint_ends, mass_of
+from bus_schema.urdf.checks import INERTIA, inertia_of, joint_ends, mass_of
 
 _ROUNDING = 1e-3
 _SLIGHT = 0.15
 """What real robots' files get wrong: by rounding to few digits, or fitting boxes to meshes."""
 
 
-@dataclass(frozen=True)
-class OddInertia:
-    """An inertia that no body has: a principal moment exceeds the sum of the others.
+def odd_inertias(root: ET.Element) -> dict[str, Vector]:
+    """Principal moments by link, kg m², where one is negative or exceeds the sum of the others.
 
-    Attributes:
-        link: whose.
-        excess: by how much, as a share of the largest moment.
+    What exceeds it by no more than rounding is left out. `check_urdf` holds of the URDF.
     """
-
-    link: str
-    excess: float
-
-
-def odd_inertias(root: ET.Element) -> list[OddInertia]:
-    """Links whose inertia breaks the triangle rule by more than rounding, or has a negative moment.
-
-    Raises:
-        RobotDescriptionError: an inertia or a mass is no number, or a mass is negative.
-    """
-    found = []
+    found = {}
     for link in root.findall("link"):
-        if check_inertial(link) is None:
+        if link.find("inertial") is None:
             continue
-        principal = _principal_moments(link)
-        excess = _excess(principal)
-        if excess > _ROUNDING or principal[0] < 0.0:
-            found.append(OddInertia(link.get("name", ""), excess))
+        principal = np.sort(eigenvalues(_tensor(link))[0])
+        if _excess(principal) > _ROUNDING or principal[0] < 0.0:
+            found[link.get("name", "")] = principal
     return found
 
 
@@ -60,21 +44,21 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
         RobotDescriptionError: one is too far off.
     """
     said = []
-    still = standing_links(root, moving)
-    for odd in odd_inertias(root):
-        if odd.link in still:
+    mover = movers(root, moving)
+    for link, principal in odd_inertias(root).items():
+        excess = _excess(principal)
+        if mover[link] is None:
             continue
-        if odd.excess > _SLIGHT and not repair:
-            link = next(each for each in root.findall("link") if each.get("name") == odd.link)
+        if excess > _SLIGHT and not repair:
             raise RobotDescriptionError(
-                f"link {odd.link} has principal moments of inertia"
-                f" {_principal_moments(link).tolist()}; none may be negative or exceed the"
+                f"link {link} has principal moments of inertia"
+                f" {principal.tolist()}; none may be negative or exceed the"
                 " sum of the others (robot.repair: true raises the smaller ones until they do not)"
             )
-        if odd.excess <= _ROUNDING:
+        if excess <= _ROUNDING:
             continue
         said.append(
-            f"the inertia of link {odd.link} breaks the triangle rule by {100 * odd.excess:.2g} %"
+            f"the inertia of link {link} breaks the triangle rule by {100 * excess:.2g} %"
             " of its largest moment: its smaller moments are raised until it does not"
         )
     return said
@@ -82,37 +66,36 @@ def judge_inertias(root: ET.Element, moving: set[str], *, repair: bool) -> list[
 
 def massless_inertias(root: ET.Element, moving: set[str]) -> list[str]:
     """Names of moving links with a rotational inertia but no mass."""
-    still = standing_links(root, moving)
+    mover = movers(root, moving)
     return [
         name
         for link in root.findall("link")
-        if (name := link.get("name", "")) not in still
-        and check_inertial(link) is not None
+        if mover[name := link.get("name", "")] is not None
         and mass_of(link) == 0.0
         and any(inertia_of(link))
     ]
 
 
-def standing_links(root: ET.Element, moving: set[str]) -> set[str]:
-    """Names of the links that no moving joint carries."""
+def movers(root: ET.Element, moving: set[str]) -> dict[str, str | None]:
+    """By link, the last moving joint on the way to it; None for one that stands still."""
     carriers: dict[str, tuple[str, str]] = {}
     for joint in root.findall("joint"):
         parent, child = joint_ends(joint)
         carriers[child] = (joint.get("name", ""), parent)
 
-    def stands(link: str) -> bool:
+    def mover(link: str) -> str | None:
         while link in carriers:
             joint, link = carriers[link]
             if joint in moving:
-                return False
-        return True
+                return joint
+        return None
 
-    return {name for link in root.findall("link") if stands(name := link.get("name", ""))}
+    return {name: mover(name) for link in root.findall("link") if (name := link.get("name", ""))}
 
 
 def mend_inertias(root: ET.Element) -> None:
     """Replace inertias that no body has by the nearest ones with the same largest moment."""
-    odd = {each.link for each in odd_inertias(root)}
+    odd = odd_inertias(root)
     for link in root.findall("link"):
         if link.get("name") in odd:
             tensor = _mended(_tensor(link))
@@ -131,11 +114,6 @@ def _mended(tensor: Matrix) -> Matrix:
     if lacking > 0.0:
         moments[:2] += lacking / 2
     return np.asarray(((axes * moments)[:, None, :] * axes).sum(axis=2))
-
-
-def _principal_moments(link: ET.Element) -> Vector:
-    """In ascending order."""
-    return np.sort(eigenvalues(_tensor(link))[0])
 
 
 def _excess(principal: NDArray[np.floating]) -> float:
@@ -159,26 +137,17 @@ def check_moved_masses(root: ET.Element, moving: set[str]) -> None:
     Raises:
         RobotDescriptionError: a link that a joint moves weighs nothing, nor what is fixed to it.
     """
-    rigid: dict[str, list[str]] = {}
-    moved: list[tuple[str, str]] = []
-    for joint in root.findall("joint"):
-        parent, child = joint_ends(joint)
-        if joint.get("name") in moving:
-            moved.append((joint.get("name", ""), child))
-        else:
-            rigid.setdefault(parent, []).append(child)
+    mover = movers(root, moving)
     heavy = {
-        link.get("name", "")
+        mover[link.get("name", "")]
         for link in root.findall("link")
         if mass_of(link) > 0.0 or any(inertia_of(link))
     }
-    for joint_name, link_name in moved:
-        body = [link_name]
-        for each in body:  # which grows
-            body += rigid.get(each, [])
-        if heavy.isdisjoint(body):
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        if name in moving and name not in heavy:
             raise RobotDescriptionError(
-                f"link {link_name}, which joint {joint_name} moves, has no inertia, nor has any"
-                " link fixed to it: give it an <inertial> with a mass, make the joint fixed, or"
+                f"link {joint_ends(joint)[1]}, which joint {name} moves, has no inertia, nor has"
+                " any link fixed to it: give it an <inertial> with a mass, make the joint fixed, or"
                 " leave it out of robot.joints"
             )

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bus_schema.errors import JointNameError, RobotDescriptionError, did_you_mean
-from bus_schema.urdf.checks import MOVING_TYPES, finite_number, shortened
+from bus_schema.urdf.checks import MOVING_TYPES, finite_number, joint_ends, shortened
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,11 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
     """
     joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
     moving = {name: j for name, j in joints.items() if j.get("type") in MOVING_TYPES}
-    mimics = {name: _follower(joint) for name, joint in moving.items() if _mimic(joint) is not None}
+    mimics = {
+        name: _follower(joint, element)
+        for name, joint in moving.items()
+        if (element := joint.find("mimic")) is not None
+    }
     if wanted is not None:
         _check_wanted(wanted, [name for name in moving if name not in mimics])
     reasons = _held(joints, mimics, wanted)
@@ -66,7 +70,8 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
         else:
             reasons[mimic.name] = f"mimics {first.leader}, which is held"
     if not driven:
-        raise RobotDescriptionError(f"has no joint to drive; {_told(reasons)}")
+        held_joints = ", ".join(f"{name} is held: {why}" for name, why in reasons.items())
+        raise RobotDescriptionError(f"has no joint to drive; {shortened(held_joints)}")
     held = tuple(
         HeldJoint(name, joint.get("type", ""), reasons[name])
         for name, joint in joints.items()
@@ -75,15 +80,11 @@ def joint_roles(root: ET.Element, wanted: Sequence[str] | None) -> JointRoles:
     return JointRoles(driven, tuple(followers), held)
 
 
-def _told(reasons: dict[str, str]) -> str:
-    return shortened(", ".join(f"{name} is held: {reason}" for name, reason in reasons.items()))
-
-
 def _held(
     joints: dict[str, ET.Element], mimics: dict[str, Follower], wanted: Sequence[str] | None
 ) -> dict[str, str]:
     """Reasons to hold joints that mimic no other, by name."""
-    beside = Counter(_parent(j) for j in joints.values() if j.get("type") in MOVING_TYPES)
+    beside = Counter(joint_ends(j)[0] for j in joints.values() if j.get("type") in MOVING_TYPES)
     reasons = {}
     for name, joint in joints.items():
         kind = joint.get("type", "")
@@ -93,7 +94,7 @@ def _held(
             reasons[name] = f"{kind} joints have no motor"
         elif wanted is not None and name not in wanted:
             reasons[name] = "not among robot.joints"
-        elif wanted is None and kind == "prismatic" and beside[_parent(joint)] > 1:
+        elif wanted is None and kind == "prismatic" and beside[joint_ends(joint)[0]] > 1:
             reasons[name] = (
                 "a gripper's finger: slides beside another joint (robot.joints may drive it)"
             )
@@ -108,18 +109,8 @@ def _check_wanted(wanted: Sequence[str], possible: list[str]) -> None:
             raise JointNameError(f"{allowed}; not {shortened(name)!r}{hint}")
 
 
-def _parent(joint: ET.Element) -> str:
-    parent = joint.find("parent")
-    return "" if parent is None else parent.get("link", "")
-
-
-def _mimic(joint: ET.Element) -> ET.Element | None:
-    return joint.find("mimic")
-
-
-def _follower(joint: ET.Element) -> Follower:
-    name, mimic = joint.get("name", ""), _mimic(joint)
-    assert mimic is not None
+def _follower(joint: ET.Element, mimic: ET.Element) -> Follower:
+    name = joint.get("name", "")
     owner = f"mimic of joint {name}"
     return Follower(
         name,

@@ -1,116 +1,57 @@
 """URDFs written with xacro's macros, expanded without ROS.
 
 The file may be a stranger's. The package xacro evaluates expressions by Python's `eval` and reads
-any file; so the functions by which it does are replaced here: expressions are evaluated by our own
-rules, files are read below the folders of `_Expansion` only, and what a file may expand to is
-limited.
+any file, so a process of limited time and memory expands it, in which functions of the package are
+replaced: expressions have the parts in `_NODES` and `_METHODS` alone and reach nothing but
+`_NAMES`, and files are read below the folders of `_Folders` only.
 """
 
 from __future__ import annotations
 
+import ast
+import json
 import math
 import os
-import re
-import time
-import xml.dom.minidom
+import sys
 from pathlib import Path
 from typing import Any
-from xml.parsers.expat import ExpatError
-
-import xacro
-import yaml
 
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.urdf.xacro_expressions import FUNCTIONS, bounded, evaluate
-from bus_schema.user_files import UserFileError, read_text
+from bus_schema.runtime.limited_process import (
+    LimitedProcess,
+    LimitedProcessError,
+    limit_this_process,
+)
 
 INCLUDE = "FUNNEL_HIL_INCLUDE"
 """Environment variable with more folders that files may be included from."""
 
-_MOST_BYTES = 1_000_000
-_MOST_COMMENTS = 10_000
-_MOST_YAML = 100_000
 _MOST_EXPANDED = 5_000_000
-_ELEMENT = 100
-"""What an element costs of `_MOST_EXPANDED`, as a text of so many characters does."""
-_LONGEST_S = 5.0
-_REFUSED = (
-    xacro.XacroException, ExpatError, OSError, ValueError, TypeError, LookupError, NameError,
-    AttributeError, ArithmeticError, AssertionError, SyntaxError,
+_TOO_MUCH = "takes more time or memory than an arm may"
+_NODES = (
+    ast.Constant, ast.Name, ast.expr_context, ast.List, ast.Tuple, ast.Dict, ast.IfExp,
+    ast.UnaryOp, ast.BinOp, ast.BoolOp, ast.Compare, ast.unaryop, ast.operator, ast.boolop,
+    ast.cmpop, ast.Subscript, ast.Slice, ast.Attribute, ast.Call, ast.keyword,
 )  # fmt: skip
-"""What the package says, or lets through, of files that are none of xacro's."""
-
-
-class _Expansion:
-    """A file that is expanded: where files may be included from, and what is left to it."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path.resolve()
-        more = os.environ.get(INCLUDE, "").split(os.pathsep)
-        self.folders = [self.path.parent, *(Path(each).resolve() for each in more if each)]
-        self.left = _MOST_EXPANDED
-        self.until_s = time.monotonic() + _LONGEST_S
-
-    def spend(self, characters: int) -> None:
-        """Take from what is left.
-
-        Raises:
-            XacroException: it is not enough.
-        """
-        self.left -= characters
-        if self.left < 0 or time.monotonic() > self.until_s:
-            raise xacro.XacroException("expands to more than an arm can be")
-
-    def package(self, name: str) -> str:
-        """The folder of a ROS package in `INCLUDE`'s folders, or at, above or beside the file.
-
-        A folder above the file is one where it has ``package.xml``.
-
-        Raises:
-            RobotDescriptionError: there is none.
-        """
-        for folder in (*self.folders[1:], *self.path.parents):
-            for candidate in (folder, folder / name):
-                is_package = folder in self.folders[1:] or (candidate / "package.xml").is_file()
-                if candidate.name == name and candidate.is_dir() and is_package:
-                    self.folders.append(candidate.resolve())
-                    return str(candidate)
-        raise RobotDescriptionError(
-            f"{self.path}: no folder {name!r} with a package.xml at or above it for $(find {name});"
-            f" {INCLUDE} may name more folders"
-        )
-
-    def allowed(self, name: str) -> Path:
-        """The path of a file to read.
-
-        Raises:
-            XacroException: it is outside of the folders.
-        """
-        path = Path(name).resolve()
-        if not any(path.is_relative_to(folder) for folder in self.folders):
-            raise xacro.XacroException(
-                f"{name}: must be below {self.folders[0]}, or a folder that {INCLUDE} names"
-            )
-        return path
-
-
-_under_way: list[_Expansion] = []
-
-
-class _Loader(yaml.SafeLoader):
-    """The safe loader, with the units that xacro knows."""
-
-
-def _with_unit(_loader: _Loader, node: yaml.ScalarNode) -> float:
-    return _UNITS[node.tag] * float(evaluate(node.value, FUNCTIONS))
-
-
-_UNITS = {
-    "!radians": 1.0, "!degrees": math.pi / 180.0,
-    "!meters": 1.0, "!millimeters": 0.001, "!foot": 0.3048, "!inches": 0.0254,
+_METHODS = {
+    str: {
+        "capitalize", "count", "endswith", "find", "isalpha", "isdigit", "isspace", "join", "lower",
+        "lstrip", "replace", "rfind", "rstrip", "split", "startswith", "strip", "title", "upper",
+    },
+    list: {"count", "index"},
+    dict: {"get", "items", "keys", "values"},
 }  # fmt: skip
-for _unit in _UNITS:
-    _Loader.add_constructor(_unit, _with_unit)
+_PYTHON = {
+    "True", "False", "abs", "all", "any", "bool", "dict", "divmod", "enumerate", "float", "int",
+    "len", "list", "map", "max", "min", "range", "reversed", "round", "sorted", "str", "sum",
+    "tuple", "zip",
+}  # fmt: skip
+_XACRO = {
+    "abs_filename", "arg", "dotify", "error", "fatal", "load_yaml", "message", "print_location",
+    "tokenize", "warning",
+}  # fmt: skip
+_NAMES = {"math", "python", "xacro", *_PYTHON, *_XACRO, *vars(math)}
+"""What expressions may name, beside what a file defines."""
 
 
 def is_xacro(path: Path) -> bool:
@@ -126,113 +67,179 @@ def expanded(path: Path) -> str:
     Raises:
         RobotDescriptionError: xacro refuses it; the file is named.
     """
-    _under_way.append(_Expansion(path))
     try:
-        return str(xacro.process_file(str(path)).toxml())
-    except RecursionError as error:
-        what = "macros, includes or elements are nested too deep, or without an end"
-        raise RobotDescriptionError(f"{path}: xacro: {what}") from error
-    except _REFUSED as error:
-        said = " ".join(str(error).split())[:500]
-        raise RobotDescriptionError(f"{path}: xacro: {said}") from error
-    finally:
-        _under_way.pop()
+        answer = LimitedProcess(__name__, bytes(path)).answer()
+    except LimitedProcessError as error:
+        raise RobotDescriptionError(f"{path}: xacro: {_TOO_MUCH} ({error})") from error
+    is_urdf, text = json.loads(answer)
+    if not is_urdf:
+        raise RobotDescriptionError(f"{path}: xacro: {text}")
+    return str(text)
 
 
-def _parsed(_given: None, filename: str) -> xml.dom.minidom.Document:
-    """In place of xacro's: a file as a tree."""
+def main() -> None:
+    """Expand the file that standard input names: whether that is a URDF, and it or why not."""
+    limit_this_process(cpu_s=3)
+    path = Path(os.fsdecode(sys.stdin.buffer.read()))
+    json.dump(_expanded_here(path), sys.stdout)
+
+
+def _expanded_here(path: Path) -> tuple[bool, str]:
     try:
-        text = read_text(_under_way[-1].allowed(filename), _MOST_BYTES)
-    except OSError as error:
-        xacro.filestack.pop()
-        name = filename if isinstance(error, UserFileError) else None
-        raise xacro.XacroException(name, exc=error) from error
-    if text.count("<!--") > _MOST_COMMENTS:
-        raise xacro.XacroException(f"{filename}: has more than {_MOST_COMMENTS} comments")
-    return xml.dom.minidom.parseString(text)
+        text = _safe_xacro(path).process_file(str(path)).toxml()
+    except RecursionError:
+        return False, "macros, includes or elements are nested too deep, or without an end"
+    except MemoryError:
+        return False, _TOO_MUCH
+    except Exception as error:  # noqa: BLE001 (xacro lets through what Python says to a file)
+        return False, " ".join(str(error).split())[:500]
+    is_small = len(text) <= _MOST_EXPANDED
+    return is_small, text if is_small else _TOO_MUCH
 
 
-def _load_yaml(name: str) -> Any:
-    path = _under_way[-1].allowed(xacro.abs_filename_spec(name))
-    return bounded(yaml.load(read_text(path, _MOST_YAML), _Loader), _MOST_YAML)
+class _Folders:
+    """Where files may be read: in the xacro file's folder, ROS packages and what `INCLUDE` names.
+
+    Args:
+        file: the xacro file.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file.resolve()
+        more = os.environ.get(INCLUDE, "").split(os.pathsep)
+        self._named = [Path(each).resolve() for each in more if each]
+        self._folders = [self.file.parent, *self._named]
+
+    def package(self, name: str) -> str:
+        """The folder of a ROS package in `INCLUDE`'s folders, or at, above or beside the file.
+
+        A folder above the file is one where it has ``package.xml``.
+
+        Raises:
+            OSError: there is none.
+        """
+        is_name = name not in ("", ".", "..") and "/" not in name
+        for folder in (*self._named, *self.file.parents) if is_name else ():
+            for candidate in (folder, folder / name):
+                is_package = folder in self._named or (candidate / "package.xml").is_file()
+                if candidate.name == name and candidate.is_dir() and is_package:
+                    self._folders.append(candidate.resolve())
+                    return str(candidate)
+        raise OSError(
+            f"no folder {name!r} with a package.xml at or above the file for $(find {name});"
+            f" {INCLUDE} may name more folders"
+        )
+
+    def allowed(self, name: str) -> str:
+        """The path of a file to read, or a pattern of such.
+
+        Raises:
+            ValueError: it is outside of the folders, or no regular file.
+        """
+        path = Path(name).resolve()
+        if not any(path.is_relative_to(folder) for folder in self._folders):
+            raise ValueError(
+                f"{name}: must be below {self._folders[0]}, or a folder that {INCLUDE} names"
+            )
+        if path.exists() and not path.is_file():
+            raise ValueError(f"{name}: is no regular file")
+        return str(path)
 
 
-def _argument(name: str) -> Any:
-    return xacro.substitution_args_context["arg"][name]
+def _safe_xacro(path: Path) -> Any:
+    """The package xacro, with the functions replaced by which it evaluates and reads."""
+    import xacro
+
+    folders = _Folders(path)
+    parse, abs_filename = xacro.parse, xacro.abs_filename_spec
+
+    def extension(text: str) -> str:
+        """The value of ``$(find …)``, ``$(arg …)`` and the like."""
+        command, _, rest = text[2:-1].strip().partition(" ")
+        return _extension(xacro, folders, command, rest.strip())
+
+    ours = {
+        "safe_eval": lambda text, names, _locals=None: _evaluate(text, names),
+        "parse": lambda given, filename=None: parse(given, folders.allowed(filename)),
+        "abs_filename_spec": lambda name: folders.allowed(abs_filename(name)),
+        "eval_extension": extension,
+    }
+    for name, function in ours.items():
+        getattr(xacro, name)  # a version without it would have another way to evaluate
+        setattr(xacro, name, function)
+    symbols = xacro.create_global_symbols()
+    for namespace, names in ((symbols, _NAMES), (symbols["python"], _PYTHON),
+                             (symbols["xacro"], _XACRO)):  # fmt: skip
+        _keep(namespace, names)
+    xacro._global_symbols = symbols
+    return xacro
 
 
-def _refuse(*words: Any) -> None:
-    raise xacro.XacroException(" ".join(map(str, words)))
+def _keep(namespace: dict[str, Any], names: set[str]) -> None:
+    for name in set(namespace) - names:
+        dict.pop(namespace, name)
 
 
-def _say_nothing(*_words: Any) -> str:
-    return ""
-
-
-_XACRO = {
-    "load_yaml": _load_yaml, "arg": _argument, "abs_filename": lambda name: _abs_filename(name),
-    "dotify": dict, "tokenize": xacro.tokenize, "fatal": _refuse,
-    **dict.fromkeys(("message", "warning", "error", "print_location"), _say_nothing),
-}  # fmt: skip
-
-
-def _extension(text: str) -> str:
-    """In place of xacro's: the value of ``$(find …)``, ``$(arg …)`` and the like."""
-    command, _, rest = text[2:-1].strip().partition(" ")
-    rest = rest.strip()
+def _extension(xacro: Any, folders: _Folders, command: str, rest: str) -> str:
+    arguments = xacro.substitution_args_context["arg"]
     match command:
         case "find":
-            return _under_way[-1].package(rest)
+            return folders.package(rest)
         case "arg":
-            if rest not in xacro.substitution_args_context["arg"]:
-                raise xacro.XacroException(f"Undefined substitution argument {rest}")
-            return str(_argument(rest))
+            if rest not in arguments:
+                raise ValueError(f"Undefined substitution argument {rest}")
+            return str(arguments[rest])
         case "cwd":
             return str(Path.cwd())
         case "dirname":
-            return str(_under_way[-1].path.parent)
+            return str(folders.file.parent)
         case "optenv":
             return rest.partition(" ")[2]
         case "eval":
-            given = {
-                name: xacro.Table._eval_literal(value)
-                for name, value in xacro.substitution_args_context["arg"].items()
-            }
-            functions = {"true": True, "false": False, "find": _under_way[-1].package}
-            return str(evaluate(rest, {**FUNCTIONS, **functions, "arg": given.get, **given}))
-    raise xacro.XacroException(f"$({command} {rest}) is not expanded: environment variables and"
-                               " other commands are no part of an arm")  # fmt: skip
+            given = {name: xacro.Table._eval_literal(text) for name, text in arguments.items()}
+            functions = {"true": True, "false": False, "find": folders.package, "arg": given.get}
+            return str(_evaluate(rest, {**xacro._global_symbols, **functions, **given}))
+    raise ValueError(
+        f"$({command} {rest}) is not expanded: environment variables and other commands are no part"
+        " of an arm"
+    )
 
 
-def _text(text: str, symbols: Any) -> Any:
-    """In place of xacro's: a text with its expressions evaluated, of a limited length."""
-    if len(text) > _MOST_YAML:
-        raise xacro.XacroException(f"a text has at most {_MOST_YAML} characters")
-    value = _eval_text(text, symbols)
-    _under_way[-1].spend(len(value) if isinstance(value, str) else 1)
-    return value
+def _evaluate(text: str, names: Any) -> Any:
+    """The value of an expression that can name nothing but `names`."""
+    tree = ast.fix_missing_locations(_Checked().visit(ast.parse(text.strip(), mode="eval")))
+    code = compile(tree, "<expression>", "eval")
+    try:
+        return eval(code, {"__builtins__": {}, "_attribute": _attribute}, names)
+    except MemoryError:
+        raise ValueError(_TOO_MUCH) from None
 
 
-def _macro_call(node: Any, macros: Any, symbols: Any) -> bool:
-    """In place of xacro's: each element passes here."""
-    _under_way[-1].spend(_ELEMENT)
-    return bool(_handle_macro_call(node, macros, symbols))
+class _Checked(ast.NodeTransformer):
+    """Refuses what is not among `_NODES`, and has `_attribute` look attributes up."""
+
+    def visit_Expression(self, node: ast.Expression) -> ast.Expression:
+        return ast.Expression(self.visit(node.body))
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        if not isinstance(node, _NODES):
+            kind = type(node).__name__
+            raise TypeError(f"{kind} is not among what xacro files may use here")
+        return super().generic_visit(node)
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.Call:
+        places = [self.visit(node.value), ast.Constant(node.attr)]
+        return ast.Call(ast.Name("_attribute", ast.Load()), places, [])
 
 
-def _abs_filename(name: str) -> str:
-    """In place of xacro's: a name to include; patterns look nowhere else either."""
-    return str(_under_way[-1].allowed(_abs_filename_spec(name)))
+def _attribute(whole: Any, name: str) -> Any:
+    """A property of a namespace or mapping by its name, or one of the methods that are allowed."""
+    if isinstance(whole, dict) and name in whole:
+        return whole[name]
+    if any(isinstance(whole, kind) and name in names for kind, names in _METHODS.items()):
+        return getattr(whole, name)
+    raise ValueError(f".{name} is not among what xacro files may use")
 
 
-_eval_text, _handle_macro_call = xacro.eval_text, xacro.handle_macro_call
-_abs_filename_spec = xacro.abs_filename_spec
-for _name, _ours in {
-    "_global_symbols": {**FUNCTIONS, **_XACRO, "xacro": _XACRO},
-    "safe_eval": lambda text, names, _locals=None: evaluate(text, names),
-    "eval_text": _text, "handle_macro_call": _macro_call, "parse": _parsed,
-    "eval_extension": _extension, "abs_filename_spec": _abs_filename,
-    # Possessive: xacro's own goes through all ways to cut a word into words.
-    "re_macro_arg": re.compile(xacro.re_macro_arg.pattern.replace("]+)+", "]++)++")),
-}.items():  # fmt: skip
-    getattr(xacro, _name)  # a version without it would have another way to evaluate
-    setattr(xacro, _name, _ours)
+if __name__ == "__main__":
+    main()

@@ -5,17 +5,113 @@ A robot_state_publisher: it reads joint states, as they were delivered, and noth
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.header import NANOSECONDS
+from bus_schema.messages.cdr_types import Cursor
+from bus_schema.messages.header import NANOSECONDS, split_stamp
 from bus_schema.messages.layout import Record
-from bus_schema.messages.topics import JOINT_STATES, ROBOT_DESCRIPTION, TF_STATIC, Topic, layout
-from bus_schema.messages.types import STRING, TYPESTORE
+from bus_schema.messages.topics import (
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    ROBOT_DESCRIPTION,
+    TF_STATIC,
+    Topic,
+    layout,
+)
+from bus_schema.messages.types import STRING, TF_MESSAGE, TYPESTORE
 from bus_schema.robot_description import RobotDescription
-from bus_schema.view.link_poses import LinkPoses
-from bus_schema.view.ros2_control import with_ros2_control
-from bus_schema.view.transforms import TransformLayout
+from bus_schema.view.link_poses import CarriedLink, LinkPoses, Poses
+
+_STAMP, _POSE = np.dtype(("<u4", 2)), np.dtype(("<f8", 7))
+
+
+class TransformLayout:
+    """Wire layout of the transforms of these links.
+
+    Args:
+        links: whose poses will be sent, in their order.
+    """
+
+    def __init__(self, links: Sequence[CarriedLink]) -> None:
+        self._storage = np.frombuffer(_template(links), np.uint8).copy()
+        stamps, poses = _places(links)
+        self._stamps = stamps[:, None] + np.arange(_STAMP.itemsize)
+        self._poses = poses[:, None] + np.arange(_POSE.itemsize)
+
+    def encode(self, stamp_ns: int, poses: Poses) -> bytes:
+        """The message.
+
+        Args:
+            stamp_ns: when the links are there.
+            poses: shape (links, 7).
+        """
+        self._storage[self._stamps] = np.array(split_stamp(stamp_ns), "<u4").view(np.uint8)
+        self._storage[self._poses] = np.ascontiguousarray(poses, "<f8").view(np.uint8)
+        return self._storage.tobytes()
+
+
+def _template(links: Sequence[CarriedLink]) -> bytes:
+    """The message as rosbags writes it, with all links at their parents' origins."""
+    types = TYPESTORE.types
+    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    pose = types["geometry_msgs/msg/Transform"](
+        vector(0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0)
+    )
+    stamped = types["geometry_msgs/msg/TransformStamped"]
+    transforms = [stamped(header(time(0, 0), link.parent), link.child, pose) for link in links]
+    return bytes(TYPESTORE.serialize_cdr(types[TF_MESSAGE](transforms), TF_MESSAGE))
+
+
+def _places(links: Sequence[CarriedLink]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where in the bytes the stamps and the poses are."""
+    cursor = Cursor()
+    cursor.take(4, 4)
+    stamps, poses = [], []
+    for link in links:
+        stamps.append(cursor.take(_STAMP.itemsize, 4))
+        cursor.skip_strings([link.parent, link.child], counted=False)
+        poses.append(cursor.take(_POSE.itemsize, 8))
+    return np.array(stamps, np.int64), np.array(poses, np.int64)
+
+
+PLUGIN = "joint_state_topic_hardware_interface/JointStateTopicSystem"
+_PARAMETERS = {
+    "joint_commands_topic": f"/{JOINT_COMMANDS.name}",
+    "joint_states_topic": f"/{JOINT_STATES.name}",
+    # Else a command is left out where it differs little from the torque that was measured.
+    "trigger_joint_command_threshold": "-1",
+}
+
+
+def with_ros2_control(urdf: str, joint_names: Sequence[str]) -> str:
+    """A URDF with its element ``ros2_control``: torques commanded, positions and more measured.
+
+    Args:
+        urdf: the URDF; what it says of ros2_control of its own is left out.
+        joint_names: of the driven joints; those that follow them are not on the bus.
+    """
+    root = ET.fromstring(urdf)
+    for own in root.findall("ros2_control"):
+        root.remove(own)
+    system = ET.SubElement(root, "ros2_control", name="funnel_hil", type="system")
+    hardware = ET.SubElement(system, "hardware")
+    ET.SubElement(hardware, "plugin").text = PLUGIN
+    for name, value in _PARAMETERS.items():
+        ET.SubElement(hardware, "param", name=name).text = value
+    for name in joint_names:
+        joint = ET.SubElement(system, "joint", name=name)
+        ET.SubElement(joint, "command_interface", name="effort")
+        for kind in ("position", "velocity", "effort"):
+            ET.SubElement(joint, "state_interface", name=kind)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode")
+
 
 _PERIOD_NS = NANOSECONDS // 60
 """Between two pictures: more often no screen shows them."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
-from bus_schema.urdf.checks import MOVING_TYPES
+from bus_schema.urdf.checks import MOVING_TYPES, joint_ends
 
 Poses = NDArray[np.float64]
 """Translation (m) and unit quaternion x y z w in the last axis, of length 7."""
@@ -42,8 +42,8 @@ class LinkPoses:
         joints = ET.fromstring(robot.resolved_urdf(shapes="none")).findall("joint")
         moving = [joint for joint in joints if joint.get("type") in MOVING_TYPES]
         fixed = [joint for joint in joints if joint.get("type") not in MOVING_TYPES]
-        self.fixed = tuple(map(_carried, fixed))
-        self.moving = tuple(map(_carried, moving))
+        self.fixed = tuple(CarriedLink(*joint_ends(joint)) for joint in fixed)
+        self.moving = tuple(CarriedLink(*joint_ends(joint)) for joint in moving)
         attached = {each.child for each in (*self.fixed, *self.moving)}
         self.root = next(
             each.parent for each in (*self.moving, *self.fixed) if each.parent not in attached
@@ -92,11 +92,6 @@ def _couplings(
         leaders[row] = robot.joint_names.index(follower.leader)
         factors[row], offsets[row] = follower.multiplier, follower.offset
     return leaders, factors, offsets
-
-
-def _carried(joint: ET.Element) -> CarriedLink:
-    ends = {end.tag: end.get("link", "") for end in joint if end.tag in ("parent", "child")}
-    return CarriedLink(ends["parent"], ends["child"])
 
 
 def _origins(joints: list[ET.Element]) -> Poses:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter, deque
 from collections.abc import Callable
 
 from bus_schema.errors import InvalidMessageError
@@ -23,10 +24,71 @@ from bus_schema.zenoh.ros_graph import (
     endpoint_gid,
     graph_key_expression,
 )
-from bus_schema.zenoh.session import Delivery, Mailbox, ZenohSession
+from bus_schema.zenoh.session import Delivery, ZenohSession
 
-_TYPICAL_MESSAGES = 100  # in a bundle
-_MOST_SENDERS = 10_000  # whoever makes up an id for each message fills no memory
+WRONG_ROLE = "wrong_role"
+_OBJECT_BYTES = 300
+"""Of Python around each delivery that is kept."""
+_MOST_SENDERS, _MOST_PUBLISHERS = 32, 10_000
+"""Whoever makes up an id for each message fills no memory."""
+
+
+class Mailbox:
+    """Collects deliveries on a key, up to so many bytes; they are taken in bulk.
+
+    Once it is full, senders wait, or the oldest delivery is dropped.
+
+    Each is copied as it comes: a sample of Zenoh's own keeps 64 KiB, however small it is.
+
+    Attributes:
+        dropped: deliveries that made room for newer ones before they were taken.
+    """
+
+    def __init__(self, session: ZenohSession, key: str, most_bytes: int, *, lossless: bool) -> None:
+        self._most_bytes, self._lossless = most_bytes, lossless
+        self._deliveries: deque[tuple[str, Delivery]] = deque()
+        self._bytes = self.dropped = 0
+        self._is_closed = False
+        self._change = threading.Condition()
+        self._unsubscribe = session.collect(key, self._add)
+
+    def take(self) -> tuple[str, Delivery] | None:
+        """Key and content of the oldest delivery not yet taken; None if there is none."""
+        if not self._deliveries:
+            return None
+        with self._change:
+            oldest = self._take_oldest()
+            if self._lossless:
+                self._change.notify()
+        return oldest
+
+    def close(self) -> None:
+        """Subscribe no longer; what was not taken is lost."""
+        with self._change:
+            self._is_closed = True
+            self._change.notify()
+        self._unsubscribe()
+
+    def _add(self, key: str, delivery: Delivery) -> None:
+        """Keep a delivery. In a full mailbox it waits, and so does its sender, or the oldest go."""
+        new = key, delivery
+        size = _size(new)
+        with self._change:
+            if self._lossless:
+                self._change.wait_for(lambda: self._is_closed or self._has_room(size))
+            while not self._has_room(size):
+                self._take_oldest()
+                self.dropped += 1
+            self._deliveries.append(new)
+            self._bytes += size
+
+    def _has_room(self, size_bytes: int) -> bool:
+        return self._bytes + size_bytes <= self._most_bytes or not self._deliveries
+
+    def _take_oldest(self) -> tuple[str, Delivery]:
+        oldest = self._deliveries.popleft()
+        self._bytes -= _size(oldest)
+        return oldest
 
 
 class BundleMailbox:
@@ -37,27 +99,29 @@ class BundleMailbox:
     Args:
         session: of the recorder.
         domain: ROS domain.
-        capacity: messages to keep.
+        most_bytes: of messages to keep, in bundles and by themselves each.
         lossless: once there are more, senders wait; or else the oldest make room.
         speakers: gives the sessions that have announced that they send on our topics.
 
     Attributes:
-        rejected: run events left out, as they speak for a loop that sends its own in bundles.
+        rejected: what was left out, by reason: bundles that their senders cannot have sent
+            (`bundle_order`), and run events that speak for another loop than the one that sends
+            them.
     """
 
     def __init__(
         self,
         session: ZenohSession,
         domain: int,
-        capacity: int,
+        most_bytes: int,
         *,
         lossless: bool,
         speakers: Callable[[], set[str]],
     ) -> None:
         self._session, self._domain = session, domain
-        self._capacity, self._lossless = capacity, lossless
+        self._most_bytes, self._lossless = most_bytes, lossless
         self._speakers = speakers
-        self.rejected = 0
+        self.rejected: Counter[str] = Counter()
         self._bundling: dict[str, str] = {}  # role by session
         self._have_bundled: set[str] = set()  # roles
         self._left: set[str] = set()  # of these sessions
@@ -74,10 +138,11 @@ class BundleMailbox:
         self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
         self._waits = True
         self._missed = session.publisher(missed_key_expression(domain))
-        self._bundles = session.mailbox(
-            bundle_key_expression(domain), -(-capacity // _TYPICAL_MESSAGES), lossless=lossless
+        self._bundles = Mailbox(
+            session, bundle_key_expression(domain), most_bytes, lossless=lossless
         )
         self._direct: Mailbox | None = None
+        self._dropped = 0  # of mailboxes that are closed
         self._listen()
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
         session.watch_tokens(graph_key_expression(domain), self._on_publisher)
@@ -101,9 +166,10 @@ class BundleMailbox:
         return [] if self._is_bundled(message) else self._believed([message], None)
 
     @property
-    def disbelieved(self) -> int:
-        """Bundles that were left out, as their numbers are none that their senders can be at."""
-        return sum(order.disbelieved for order in self._orders.values())
+    def dropped(self) -> int:
+        """Deliveries that made room for newer ones, as too much waited to be taken."""
+        boxes = (self._bundles, self._direct)
+        return self._dropped + sum(box.dropped for box in boxes if box is not None)
 
     def let_go(self) -> list[Received]:
         """Wait for no missing bundle any more; the messages of those that have waited."""
@@ -120,7 +186,7 @@ class BundleMailbox:
         if order is None:
             if len(self._orders) >= _MOST_SENDERS:
                 return self._believed(unbundled(bundle.payload, topics), key)
-            order = self._orders[key, span.sender] = BundleOrder(span.sender)
+            order = self._orders[key, span.sender] = BundleOrder(span.sender, self.rejected)
         ready = order.take_in(span, bundle.payload)
         if not self._waits:
             ready += order.rest()
@@ -150,7 +216,8 @@ class BundleMailbox:
             message for message in messages
             if message[0] is not RUN_EVENTS or self._may_say(message[1], key)
         ]  # fmt: skip
-        self.rejected += len(messages) - len(believed)
+        if len(believed) < len(messages):
+            self.rejected[WRONG_ROLE] += len(messages) - len(believed)
         return believed
 
     def _may_say(self, event: bytes, key: str | None) -> bool:
@@ -175,9 +242,12 @@ class BundleMailbox:
         ):
             if self._direct is None:
                 key = f"{self._domain}/**"
-                self._direct = self._session.mailbox(key, self._capacity, lossless=self._lossless)
+                self._direct = Mailbox(
+                    self._session, key, self._most_bytes, lossless=self._lossless
+                )
         elif self._direct is not None:
             self._direct.close()
+            self._dropped += self._direct.dropped
             self._direct = None
 
     def _on_bundling(self, token: str, alive: bool) -> None:
@@ -196,7 +266,7 @@ class BundleMailbox:
         if entity is None or entity.kind != EntityKind.PUBLISHER:
             return
         with self._lock:
-            if alive and len(self._publishers) < _MOST_SENDERS:
+            if alive and len(self._publishers) < _MOST_PUBLISHERS:
                 self._publishers[endpoint_gid(token)] = entity.session
             elif not alive and entity.session not in self._bundling:
                 self._publishers.pop(endpoint_gid(token), None)
@@ -209,3 +279,9 @@ class BundleMailbox:
                 self._bundling.pop(session, None)
                 for gid in [gid for gid, of in self._publishers.items() if of == session]:
                     del self._publishers[gid]
+
+
+def _size(kept: tuple[str, Delivery]) -> int:
+    """Bytes that a delivery takes in memory, with the objects around it."""
+    key, (payload, attachment) = kept
+    return len(key) + len(payload) + len(attachment) + _OBJECT_BYTES

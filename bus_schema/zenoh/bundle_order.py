@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from bus_schema.zenoh.bundles import MOST_AT_ONCE, Span
+from collections import Counter
 
-_MOST_WAITING = 256
+from bus_schema.zenoh.bundles import MOST_AT_ONCE, MOST_KEPT, Span
+
+FORGED_NUMBER, ALTERED_BUNDLE = "forged_number", "altered_bundle"
+"""Reasons for which a bundle is rejected."""
+_MOST_WAITING, _MOST_WAITING_BYTES = 256, 1 << 24
 _AGAIN_S = 0.1
 _LONGEST_JUMP = 200_000
 """What no sender sends between two bundles that arrive, minutes at any rate: a number is forged."""
@@ -17,17 +21,16 @@ class BundleOrder:
 
     Args:
         sender: who sends them.
-
-    Attributes:
-        disbelieved: bundles that were left out, as their sender cannot have come so far.
+        rejected: counts, by reason, bundles that their sender cannot have sent: it has not come so
+            far, or has sent another one of that number.
     """
 
-    def __init__(self, sender: bytes) -> None:
-        self._sender = sender
+    def __init__(self, sender: bytes, rejected: Counter[str]) -> None:
+        self._sender, self._rejected = sender, rejected
+        self._contents: dict[int, int] = {}  # hash of each that may still be sent again
         self._next = 1
         self._last = 0  # the newest that is known to have been sent
         self._waiting: dict[int, bytes] = {}
-        self.disbelieved = 0
         self._asked_for = self._asked_to = self._asked = 0
         self._since_s = 0.0  # when something was asked for, or came of it
 
@@ -39,16 +42,18 @@ class BundleOrder:
             bundle: its bytes; empty where its number is only told of.
         """
         if self._last and span.last > self._last + _LONGEST_JUMP:
-            self.disbelieved += 1
+            self._rejected[FORGED_NUMBER] += 1
             return []
         if span.last < self._next - _LONGEST_JUMP:  # then the first was forged
-            self.disbelieved += 1 + len(self._waiting)
+            self._rejected[FORGED_NUMBER] += 1 + len(self._waiting)
             self._waiting.clear()
+            self._contents.clear()
             self._next, self._last = span.first, 0
-        if bundle and span.last >= self._next:
+        if bundle and self._is_genuine(span.last, bundle) and span.last >= self._next:
             self._waiting[span.last] = bundle
         self._last = max(self._last, span.last)
-        if len(self._waiting) > _MOST_WAITING:
+        waiting_bytes = sum(map(len, self._waiting.values()))
+        if len(self._waiting) > _MOST_WAITING or waiting_bytes > _MOST_WAITING_BYTES:
             return self._from(self._first_waiting())
         return self._from(span.first)
 
@@ -80,6 +85,16 @@ class BundleOrder:
     def rest(self) -> list[bytes]:
         """All that wait, whatever is missing."""
         return self._from(self._last + 1)
+
+    def _is_genuine(self, number: int, bundle: bytes) -> bool:
+        """Whether it is what came first under its number; one with other contents is counted."""
+        content = hash(bundle)
+        is_genuine = self._contents.setdefault(number, content) == content
+        if not is_genuine:
+            self._rejected[ALTERED_BUNDLE] += 1
+        if len(self._contents) > MOST_KEPT:
+            del self._contents[next(iter(self._contents))]
+        return is_genuine
 
     def _first_waiting(self) -> int:
         return min(self._waiting, default=self._last + 1)

@@ -30,7 +30,7 @@ from bus_schema.zenoh.session import MAX_MESSAGE_BYTES, Delivery, ZenohPublisher
 
 _FULL_BYTES = 1 << 16
 _MOST_MESSAGES = 256
-_MOST_KEPT = 512
+MOST_KEPT = 512
 _KEPT_BYTES = 1 << 22
 """Of a plant at 1 kHz some three seconds, of a controller ten: a connection is up again by then."""
 _LARGEST_KEPT_BYTES = MAX_MESSAGE_BYTES // 2
@@ -73,7 +73,7 @@ class Span(NamedTuple):
         if len(data) != _SPAN.size:
             return None
         span = Span(*_SPAN.unpack(data))
-        return span if 1 <= span.first <= span.last < span.first + _MOST_KEPT else None
+        return span if 1 <= span.first <= span.last < span.first + MOST_KEPT else None
 
 
 class Bundler:
@@ -139,7 +139,7 @@ class Bundler:
         self._last += 1
         self._kept.append(bundle)
         self._kept_bytes += len(bundle)
-        while self._kept_bytes > _KEPT_BYTES or len(self._kept) > _MOST_KEPT:
+        while self._kept_bytes > _KEPT_BYTES or len(self._kept) > MOST_KEPT:
             self._kept_bytes -= len(self._kept.popleft())
         self._publisher.put(bundle, self._span(self._last))
 

@@ -20,8 +20,9 @@ def never_linger() -> None:
     with contextlib.suppress(OSError):  # no descriptor is left to look with
         entries = list(Path("/dev/fd").iterdir())
     for entry in filter(Path.is_socket, entries):
-        with (
-            contextlib.suppress(OSError),  # it is closed by now
-            socket.fromfd(int(entry.name), socket.AF_INET, socket.SOCK_STREAM) as own,
-        ):
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+        with contextlib.suppress(OSError):  # it is closed by now, or only names a socket (O_PATH)
+            own = socket.socket(socket.AF_INET, socket.SOCK_STREAM, fileno=int(entry.name))
+            try:
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _OFF)
+            finally:
+                own.detach()

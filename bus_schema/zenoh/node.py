@@ -21,19 +21,18 @@ from bus_schema.zenoh.access import (
 from bus_schema.zenoh.bundle_mailbox import BundleMailbox
 from bus_schema.zenoh.bundles import Bundler
 from bus_schema.zenoh.diagnosis import SilenceWatch
-from bus_schema.zenoh.flow_control import FlowControl
-from bus_schema.zenoh.outbox import Outbox
+from bus_schema.zenoh.outbox import FlowControl, Outbox
 from bus_schema.zenoh.ros_graph import (
     Attachment,
     Entity,
     EntityKind,
+    Senders,
     endpoint_gid,
     endpoint_token,
     graph_key_expression,
     node_name,
     node_token,
 )
-from bus_schema.zenoh.senders import Senders
 from bus_schema.zenoh.session import Delivery, Inbox, ZenohPublisher, ZenohSession
 
 POLL_S = 0.05
@@ -133,10 +132,10 @@ class ZenohNode:
         self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return inbox
 
-    def listen_to_all(self, capacity: int, *, lossless: bool) -> BundleMailbox:
+    def listen_to_all(self, most_bytes: int, *, lossless: bool) -> BundleMailbox:
         """Subscribe to everything in the domain, in one mailbox."""
         mailbox = BundleMailbox(
-            self._session, self._domain, capacity, lossless=lossless, speakers=self._speakers
+            self._session, self._domain, most_bytes, lossless=lossless, speakers=self._speakers
         )
         for topic in topics.TOPICS:
             self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
@@ -184,7 +183,9 @@ class ZenohNode:
         found = dict(self._differences.get(role.value, {}))
         differing = [keys for session, keys in found.items() if session in self._announced]
         if differing and all(found.values()):
-            raise ScenarioMismatchError(role, differing[-1])
+            raise ScenarioMismatchError(
+                role, differing[-1], may_be_forged=not self._link.security.enabled
+            )
 
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""

@@ -12,6 +12,7 @@ import json
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 # Read by zenoh when it is imported: what receives shares one thread, so that a message reaches its
@@ -38,6 +39,19 @@ zenoh.init_log_from_env_or("error,zenoh::api::session=off")
 
 MAX_MESSAGE_BYTES = 1 << 20
 """Larger messages are cut off by the transport itself."""
+_SETTINGS: dict[str, Any] = {
+    "mode": "peer",
+    "connect/timeout_ms": -1,
+    "connect/exit_on_failure": False,
+    "connect/retry": {"period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5},
+    "scouting/multicast/enabled": False,
+    "scouting/delay": 0,
+    # Messages are too small for it, and a process leaves its segments behind in /dev/shm.
+    "transport/shared_memory/enabled": False,
+    "transport/unicast/qos/enabled": False,
+    "transport/link/tx/queue/size/data": 16,
+    "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
+}
 _CLOSE_TIMEOUT_S = 2.0
 
 
@@ -55,23 +69,6 @@ class Delivery(NamedTuple):
 
     payload: bytes
     attachment: bytes
-
-
-class Mailbox:
-    """Collects deliveries without waking Python up for each of them; they are taken in bulk."""
-
-    def __init__(self, subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> None:
-        self._subscriber = subscriber
-
-    def take(self) -> tuple[str, Delivery] | None:
-        """Key and content of the oldest delivery not yet taken; None if there is none."""
-        sample = self._subscriber.try_recv()
-        return None if sample is None else (str(sample.key_expr), _delivery(sample))
-
-    def close(self) -> None:
-        """Subscribe no longer; what was not taken is lost."""
-        with contextlib.suppress(zenoh.ZError):
-            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
 
 
 class Inbox:
@@ -109,8 +106,7 @@ class Inbox:
 
     def close(self) -> None:
         """Subscribe no longer: of a full inbox that nobody reads, no session could be closed."""
-        with contextlib.suppress(zenoh.ZError):
-            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        _undeclare(self._subscriber)
 
     def knock(self) -> None:
         """End the wait under way, or else the next one."""
@@ -171,8 +167,16 @@ class ZenohSession:
         gossip: bool = False,
         security: Mapping[str, Any] | None = None,
     ) -> None:
-        settings = _settings(listen, connect, low_latency, patience_s, lease_s)
-        settings |= {"scouting/gossip/enabled": gossip} | dict(security or {})
+        drop_after_us = round(1e6 * patience_s)
+        settings = _SETTINGS | {
+            "listen/endpoints": list(listen),
+            "connect/endpoints": list(connect),
+            "scouting/gossip/enabled": gossip,
+            "transport/link/tx/lease": round(1e3 * lease_s),
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": drop_after_us,
+            "transport/unicast/lowlatency": low_latency,
+            **(security or {}),
+        }
         configuration = zenoh.Config()
         try:
             for path, value in settings.items():
@@ -218,21 +222,20 @@ class ZenohSession:
 
     def subscribe(self, key: str, on_delivery: Callable[[Delivery], None]) -> None:
         """Have `on_delivery` called on the network thread; it must neither block nor raise."""
+        self._kept.append(self.collect(key, lambda _, delivery: on_delivery(delivery)))
+
+    def collect(self, key: str, on_delivery: Callable[[str, Delivery], None]) -> Callable[[], None]:
+        """Have `on_delivery` called with keys and deliveries, until the returned function is."""
 
         def handle(sample: zenoh.Sample) -> None:
-            on_delivery(_delivery(sample))
+            on_delivery(str(sample.key_expr), _delivery(sample))
 
         handler = zenoh.handlers.Callback(handle, indirect=False)
-        self._kept.append(self._session.declare_subscriber(key, handler))
+        return partial(_undeclare, self._session.declare_subscriber(key, handler))
 
     def inbox(self, key: str, capacity: int, *, lossless: bool) -> Inbox:
         """Subscribe with an inbox; once it is full, senders wait, or the oldest is dropped."""
         return Inbox(self._session, key, capacity, lossless=lossless)
-
-    def mailbox(self, key: str, capacity: int, *, lossless: bool) -> Mailbox:
-        """Subscribe with a mailbox; once it is full, senders wait, or the oldest is dropped."""
-        kind = zenoh.handlers.FifoChannel if lossless else zenoh.handlers.RingChannel
-        return Mailbox(self._session.declare_subscriber(key, kind(capacity)))
 
     def announce(self, token: str) -> None:
         """Declare a liveliness token, which lives as long as the session."""
@@ -245,8 +248,7 @@ class ZenohSession:
             on_change(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         handler = zenoh.handlers.Callback(handle, indirect=False)
-        watch = self._session.liveliness().declare_subscriber(key, handler, history=True)
-        self._kept.append(watch)
+        self._kept.append(self._session.liveliness().declare_subscriber(key, handler, history=True))
 
     def connected(self) -> set[str]:
         """Identifiers of the sessions at the other ends of our connections, without routers."""
@@ -269,8 +271,7 @@ class ZenohSession:
                 self._connected.add(identifier)
 
         handler = zenoh.handlers.Callback(handle, indirect=False)
-        watch = self._session.info.declare_transport_events_listener(handler)
-        self._kept.append(watch)
+        self._kept.append(self._session.info.declare_transport_events_listener(handler))
         self._connected.update(map(str, self._session.info.peers_zid()))
         never_linger()
 
@@ -288,37 +289,11 @@ class ZenohSession:
             self._session.close()  # type: ignore[no-untyped-call]
 
 
+def _undeclare(subscriber: zenoh.Subscriber[Any]) -> None:
+    with contextlib.suppress(zenoh.ZError):
+        subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+
 def _delivery(sample: zenoh.Sample) -> Delivery:
     attachment = sample.attachment
     return Delivery(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes())
-
-
-def _settings(
-    listen: Sequence[str],
-    connect: Sequence[str],
-    low_latency: bool,
-    patience_s: float,
-    lease_s: float,
-) -> dict[str, Any]:
-    return {
-        "mode": "peer",
-        "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "connect/retry": {
-            "period_init_ms": 20, "period_max_ms": 200, "period_increase_factor": 1.5
-        },
-        "scouting/multicast/enabled": False,
-        "scouting/delay": 0,
-        "transport/link/tx/lease": round(1e3 * lease_s),
-        # Messages are too small for it, and a process leaves its segments behind in /dev/shm.
-        "transport/shared_memory/enabled": False,
-        "transport/unicast/lowlatency": low_latency,
-        "transport/unicast/qos/enabled": False,
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(
-            patience_s * 1e6
-        ),
-        "transport/link/tx/queue/size/data": 16,
-        "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
-    }  # fmt: skip

@@ -1,9 +1,10 @@
 """What a controller believes about its arm while it runs: the nominal model, and what was learned.
 
-    (1 + α) (M̂ q̈ + ĥ) + m (M_t q̈ + h_t) = τ_a + f − c tanh(q̇ / v) − b q̇,    ℓ τ̇_a = τ − τ_a
+    (1 + α) (M̂ q̈ + ĥ) + (1 + ρ) Ĵ q̈ + m (M_t q̈ + h_t) = τ_a + f − c tanh(q̇ / v) − b q̇,
+    ℓ τ̇_a = τ − τ_a
 
-with an inertia factor 1 + α, a payload m at the tip, Coulomb and viscous friction c and b, a lag ℓ
-of the actuators, and a disturbance f for all the rest.
+with an inertia factor 1 + α of the links and 1 + ρ of the rotors, a payload m at the tip, Coulomb
+and viscous friction c and b, a lag ℓ of the actuators, and a disturbance f for all the rest.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ class NominalArm(NamedTuple):
 
     Attributes:
         bodies: structure of the arm.
-        inertia: nominal inertia table, shape (joints, 10).
-        tip_inertia: what 1 kg at the tip adds to it, shape (joints, 10).
+        inertia: nominal inertia table, shape (joints, 11).
+        tip_inertia: what 1 kg at the tip adds to it, shape (joints, 11).
         limits_nm: largest torques of the actuators, shape (joints,); inf for none.
     """
 
@@ -42,7 +43,7 @@ class ArmBelief(NamedTuple):
     """Model and state that are learned; arrays of shape (joints,) unless it says otherwise.
 
     Attributes:
-        inertia: (1 + α) and m applied to the nominal table, shape (joints, 10).
+        inertia: (1 + α), (1 + ρ) and m applied to the nominal table, shape (joints, 11).
         disturbance_nm: f, driving.
         coulomb_nm: c, braking.
         viscous_nm_s: b, braking.

@@ -3,10 +3,12 @@
 A Kalman filter takes in the equation of motion (see `arm_belief`), averaged over some 16 ms, in
 which encoder noise and a law's chattering mean out:
 
-    M̂ q̈ + ĥ − τ = f − c tanh(q̇ / v) − b q̇ − α (M̂ q̈ + ĥ) − m (M_t q̈ + h_t) − ℓ τ̇_a
+    M̂ q̈ + ĥ + Ĵ q̈ − τ
+        = f − c tanh(q̇ / v) − b q̇ − α (M̂ q̈ + ĥ) − ρ Ĵ q̈ − m (M_t q̈ + h_t) − ℓ τ̇_a
 
-It is linear in θ = (α, m, ℓ, f, c, b), the last three with an entry for each joint. Here f takes up
-what is none of the others; prediction has an observer of its own for that, which is faster.
+with M̂ and ĥ of the links and Ĵ of the rotors. It is linear in θ = (α, m, ℓ, f, c, b, ρ), the last
+four with an entry for each joint; without rotors there is no ρ. Here f takes up what is none of the
+others; prediction has an observer of its own for that, which is faster.
 """
 
 from __future__ import annotations
@@ -19,21 +21,39 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.runtime.compiled import compiled
 from controller.compensation.arm_belief import SMOOTHING_RAD_S, ArmBelief, NominalArm
-from controller.rigid_bodies.dynamics import inverse_dynamics
+from controller.rigid_bodies.dynamics import ROTOR, inverse_dynamics
 
 INERTIA, PAYLOAD, LAG, PER_JOINT = range(4)
-"""Places in θ; from `PER_JOINT` on, f, c and b of all joints."""
+"""Places in θ; from `PER_JOINT` on, f, c, b and, where there are rotors, ρ of all joints."""
 WINDOW_S = 0.016
 
 # Standard deviations at the start, and how far each may walk in a second. Those of f, c and b are
 # per kg m² of the inertia that governs a joint. Ours, from three arms.
-_AT_START = {"inertia": 0.3, "payload_kg": 2.0, "lag_s": 2e-3, "f": 1.0, "c": 5.0, "b": 3.0}
-_PER_ROOT_S = {"inertia": 0.01, "payload_kg": 0.1, "lag_s": 1e-4, "f": 0.5, "c": 0.05, "b": 0.05}
+_AT_START = {
+    "inertia": 0.3,
+    "rotors": 0.3,
+    "payload_kg": 2.0,
+    "lag_s": 2e-3,
+    "f": 1.0,
+    "c": 5.0,
+    "b": 3.0,
+}
+_PER_ROOT_S = {
+    "inertia": 0.01,
+    "rotors": 0.01,
+    "payload_kg": 0.1,
+    "lag_s": 1e-4,
+    "f": 0.5,
+    "c": 0.05,
+    "b": 0.05,
+}
 _NOISE_RAD_S2 = 1.0
 _SATURATED = 0.999
 """Share of its limit at which an actuator may give less than it was asked for."""
 _ROUNDS_TO_LIMITS = 3
 """To bring one entry back may push another out; what is left then is cut off."""
+_LEAST_FACTOR, _LARGEST_FACTOR = -0.6, 1.5
+"""Of α and ρ."""
 _LARGEST_FRICTION_RAD_S2 = 30.0
 """No joint is believed to have more dry friction than this, nor more viscous friction per rad/s."""
 
@@ -63,7 +83,7 @@ class Window(NamedTuple):
 
 
 class Identification(NamedTuple):
-    """State and settings of the filter, with n = 3 + 3 × joints.
+    """State and settings of the filter, with n = 3 + 3 × joints, or 4 × joints with rotors.
 
     Attributes:
         is_active: whether there is anything to learn.
@@ -88,15 +108,19 @@ class Identification(NamedTuple):
     window: Window
 
 
-def identification(inertia_kg_m2: Vector, *, model: bool, friction: bool) -> Identification:
+def identification(
+    inertia_kg_m2: Vector, *, model: bool, friction: bool, rotors: bool = False
+) -> Identification:
     """A filter that knows nothing yet.
 
     Args:
         inertia_kg_m2: inertia that governs each joint, shape (joints,).
         model: learn inertia, payload, lag and viscous friction.
         friction: learn Coulomb friction.
+        rotors: whether the nominal model has rotors, of which inertia is learned too.
     """
     i, one = inertia_kg_m2, np.ones_like(inertia_kg_m2)
+    of_rotors = [one] if rotors else []
 
     def entries(inertia: float, payload: float, lag: float, per_joint: list[Vector]) -> Vector:
         return np.concatenate([[inertia, payload, lag], *per_joint])
@@ -104,21 +128,28 @@ def identification(inertia_kg_m2: Vector, *, model: bool, friction: bool) -> Ide
     def deviations(values: dict[str, float]) -> Vector:
         every = entries(
             values["inertia"], values["payload_kg"], values["lag_s"],
-            [values["f"] * i, values["c"] * i, values["b"] * i],
+            [values["f"] * i, values["c"] * i, values["b"] * i,
+             *(values["rotors"] * each for each in of_rotors)],
         )  # fmt: skip
         wanted = entries(
-            model, model, model, [(model or friction) * one, friction * one, model * one]
-        )
+            model, model, model,
+            [(model or friction) * one, friction * one, model * one,
+             *(model * each for each in of_rotors)],
+        )  # fmt: skip
         return every * wanted
 
-    highest = [np.inf * one, _LARGEST_FRICTION_RAD_S2 * i, _LARGEST_FRICTION_RAD_S2 * i]
+    lowest = [-np.inf * one, 0.0 * one, 0.0 * one, *(_LEAST_FACTOR * each for each in of_rotors)]
+    highest = [
+        np.inf * one, _LARGEST_FRICTION_RAD_S2 * i, _LARGEST_FRICTION_RAD_S2 * i,
+        *(_LARGEST_FACTOR * each for each in of_rotors),
+    ]  # fmt: skip
     at_start = deviations(_AT_START)
     window = Window(np.zeros(1), *(np.zeros(i.size) for _ in Window._fields[1:]))
     return Identification(
         bool(at_start.any()), np.zeros(at_start.size), np.diag(at_start**2),
         at_start, deviations(_PER_ROOT_S),
-        entries(-0.6, 0.0, 0.0, [-np.inf * one, 0.0 * one, 0.0 * one]),
-        entries(1.5, np.inf, 8e-3, highest),
+        entries(_LEAST_FACTOR, 0.0, 0.0, lowest),
+        entries(_LARGEST_FACTOR, np.inf, 8e-3, highest),
         _NOISE_RAD_S2 * i, window,
     )  # fmt: skip
 
@@ -197,6 +228,7 @@ def _update(
     inverse_dynamics(nominal.bodies, belief.inertia, *motion, needed)
 
     size = filter_.estimate.size
+    rotor = PER_JOINT + 3 * joints
     for k in range(size):
         filter_.covariance[k, k] += elapsed_s * filter_.per_root_s[k] ** 2
     row = np.zeros(size)
@@ -204,7 +236,10 @@ def _update(
         if window.saturated[i] > 0.0:
             continue
         row[:] = 0.0
-        row[INERTIA], row[PAYLOAD] = -nominal_torque[i], -tip_torque[i]
+        turning = nominal.inertia[i, ROTOR] * acceleration[i]
+        row[INERTIA], row[PAYLOAD] = turning - nominal_torque[i], -tip_torque[i]
+        if rotor < size:
+            row[rotor + i] = -turning
         row[LAG] = -(belief.actuator_nm[i] - window.first_actuator[i]) / elapsed_s
         row[PER_JOINT + i] = 1.0
         row[PER_JOINT + joints + i] = -window.sign[i] / elapsed_s
@@ -276,6 +311,10 @@ def _believe(nominal: NominalArm, filter_: Identification, belief: ArmBelief) ->
     _keep_within_limits(filter_)
     belief.inertia[:] = (1.0 + theta[INERTIA]) * nominal.inertia
     belief.inertia[:] += theta[PAYLOAD] * nominal.tip_inertia
+    if theta.size > PER_JOINT + 3 * joints:
+        for i in range(joints):
+            factor = 1.0 + theta[PER_JOINT + 3 * joints + i]
+            belief.inertia[i, ROTOR] = factor * nominal.inertia[i, ROTOR]
     belief.lag_s[0] = theta[LAG]
     mean_sign = filter_.window.sign / filter_.window.elapsed_s[0]
     mean_velocity = filter_.window.angle / filter_.window.elapsed_s[0]

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
+from pydantic import Field
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.configuration import ConfigurationError
+from bus_schema.configuration import ConfigurationError, Positive, StrictModel
 from controller.control_law import Diagnostics, Tracking
-from controller.external.configuration import ExternalLawConfiguration
-from controller.external.program import ExternalLawError, Program, why_not_startable
+from controller.external.program import ExternalLawError, LawProgram, why_not_startable
 from controller.external.protocol import DONE, HEADER, ROWS, VERSION, Question
+
+Word = Annotated[str, Field(min_length=1)]
+
+
+class ExternalLawConfiguration(StrictModel):
+    """The program of ``controller.law: external``.
+
+    Attributes:
+        command: the program and its arguments; started in the current folder, without a shell.
+        timeout_s: wall time it may take for an answer.
+        start_timeout_s: wall time from its start to its first answer.
+    """
+
+    command: Annotated[tuple[Word, ...], Field(min_length=1)]
+    timeout_s: Positive = 1.0
+    start_timeout_s: Positive = 10.0
+
 
 _LARGEST_STATUS = 2**31
 _SHOWN_BYTES = 24
@@ -40,7 +59,7 @@ class ExternalLaw:
         self._rows: Matrix = self._question[len(HEADER) :].reshape(len(ROWS), joints)
         self._rows[ROWS.index("torque_limit_nm")] = torque_limits_nm
         self._answer: Vector = np.zeros(1 + joints)
-        self._program: Program | None = None
+        self._program: LawProgram | None = None
 
     def torque(self, tracking: Tracking) -> Vector:
         """What the program says.
@@ -74,7 +93,7 @@ class ExternalLaw:
         self._header[:6] = question, VERSION, joints, time_s, step_s, horizon_s
         timeout_s = self._configuration.timeout_s
         if self._program is None:
-            self._program = Program(self._configuration.command, self._question, self._answer)
+            self._program = LawProgram(self._configuration.command, self._question, self._answer)
             timeout_s = max(timeout_s, self._configuration.start_timeout_s)
         self._program.ask(timeout_s)
         if self._answer[0] != DONE:

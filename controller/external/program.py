@@ -28,7 +28,7 @@ class ExternalLawError(ControllerError):
     """The program of an external law did not do its part."""
 
 
-class Program:
+class LawProgram:
     """A child process that answers questions.
 
     Args:

@@ -9,8 +9,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.configuration import PerJointNonNegative, PerJointPositive
 from bus_schema.runtime.compiled import compiled
-from controller.control_law import Diagnostics, Dynamics, Tracking
-from controller.laws.anti_windup import may_accumulate
+from controller.control_law import Diagnostics, Dynamics, Tracking, may_accumulate
 
 
 class PidGains(NamedTuple):

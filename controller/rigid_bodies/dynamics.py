@@ -27,13 +27,17 @@ from controller.rigid_bodies.vectors import (
     turned,
 )
 
+ROTOR = 10
+"""Column of an inertia table that has the rotors."""
+
 
 class RigidBodies(NamedTuple):
     """How the moving bodies of an arm hang together; body i is what joint i moves.
 
-    What they weigh stands in inertia tables, shape (joints, 10), a row for each body in the frame
+    What they weigh stands in inertia tables, shape (joints, 11), a row for each body in the frame
     of its joint: mass, mass times centre of mass (x, y, z), rotational inertia about the joint's
-    origin (xx, xy, yy, xz, yz, zz). All of it is linear in mass: tables can be scaled and added.
+    origin (xx, xy, yy, xz, yz, zz), and the inertia of the joint's rotor. All of it is linear in
+    mass: tables can be scaled and added.
 
     Attributes:
         outwards: numbers of the bodies such that each comes after its parent; shape (joints,).
@@ -161,7 +165,7 @@ def inverse_dynamics(
 
     Args:
         bodies: the arm.
-        inertia: its inertia table, shape (joints, 10).
+        inertia: its inertia table, shape (joints, 11).
         position: q, rad, shape (joints,).
         velocity: q̇, rad/s.
         acceleration: q̈, rad/s².
@@ -169,6 +173,8 @@ def inverse_dynamics(
     """
     placed = _place(bodies, inertia, position)
     _recursive_newton_euler(bodies, placed, velocity, acceleration, out)
+    for i in range(out.size):
+        out[i] += inertia[i, ROTOR] * acceleration[i]
 
 
 @compiled
@@ -218,7 +224,7 @@ def mass_and_load(
 
     Args:
         bodies: the arm.
-        inertia: its inertia table, shape (joints, 10).
+        inertia: its inertia table, shape (joints, 11).
         position: q, rad, shape (joints,).
         velocity: q̇, rad/s.
         mass: shape (joints, joints).
@@ -227,12 +233,21 @@ def mass_and_load(
     placed = _place(bodies, inertia, position)
     _recursive_newton_euler(bodies, placed, velocity, np.zeros(velocity.size), load)
     _composite_rigid_bodies(bodies, placed, mass)
+    _add_rotors(inertia, mass)
 
 
 @compiled
 def mass_matrix(bodies: RigidBodies, inertia: Matrix, position: Vector, mass: Matrix) -> None:
     """M(q) into `mass`, kg m², shape (joints, joints); the rest as for `mass_and_load`."""
     _composite_rigid_bodies(bodies, _place(bodies, inertia, position), mass)
+    _add_rotors(inertia, mass)
+
+
+@compiled
+def _add_rotors(inertia: Matrix, mass: Matrix) -> None:
+    """Add the rotors, each of which turns with its own joint alone."""
+    for i in range(mass.shape[0]):
+        mass[i, i] += inertia[i, ROTOR]
 
 
 @compiled

@@ -1,135 +1,84 @@
-"""The table of commands, each imported when it is called: help and errors need no physics."""
+"""The program `funnel-hil`: its commands, each imported when it is called, and how they end.
+
+Help and errors need no physics.
+"""
 
 from __future__ import annotations
 
+import ast
+import atexit
+import gc
+import logging
+import sys
 from importlib import import_module
-from typing import Any
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
+from deploy.run.closed_output import outlive_readers
+from deploy.run.exit_codes import with_exit_codes
+from deploy.run.stop_signals import stop_at_once
 from deploy.scenario.foreign_code import code_is_named
 
 COMMANDS = {
-    "run": (
-        "deploy.cli.run:run",
-        "Run controller, plant and recorder as separate processes, and judge the run.",
-    ),
-    "simulate": (
-        "deploy.cli.run:simulate",
-        "Run a scenario in one process and in virtual time.",
-    ),
-    "view": (
-        "deploy.cli.view:view",
-        "Show a run in the browser and in Foxglove: one under way, or a recorded one.",
-    ),
-    "controller": (
-        "deploy.cli.processes:controller",
-        "Be the controller: answer the joint states of a plant on the bus.",
-    ),
-    "plant": (
-        "deploy.cli.processes:plant",
-        "Be the plant: emulate the arm for a controller on the bus.",
-    ),
-    "record": (
-        "deploy.cli.processes:record",
-        "Be the recorder: write every message on the bus to a run folder.",
-    ),
-    "relay": (
-        "deploy.cli.processes:relay",
-        "Be a relay between two TCP peers: hold back every byte between controller and plant.",
-    ),
-    "keys": (
-        "deploy.cli.keys:app",
-        "Make, issue and list keys for link.security.",
-    ),
-    "compare": (
-        "deploy.cli.study.experiments:compare",
-        "Run a scenario under several laws in virtual time, and set their results side by side.",
-    ),
-    "sweep": (
-        "deploy.cli.study.studies:sweep",
-        "Run every point of a grid with every seed, on all cores or a Dask cluster.",
-    ),
-    "margin": (
-        "deploy.cli.study.studies:margin",
-        "Find the largest delay, or anything else, at which each law keeps its bounds.",
-    ),
-    "report": (
-        "deploy.cli.study.experiments:report",
-        "Judge what was recorded again: summary.json and report.html of what a folder holds.",
-    ),
-    "diff": (
-        "deploy.cli.study.diff:diff",
-        "Set recorded runs side by side: real time and lockstep, two laws, two versions.",
-    ),
-    "replay": (
-        "deploy.cli.study.replay:replay",
-        "Feed a recorded run to the law again and compare the torques bit for bit.",
-    ),
-    "reference": (
-        "deploy.cli.interop.reference:reference",
-        "Write where the joints are to be at each tick: position, velocity and acceleration.",
-    ),
-    "bench": (
-        "deploy.cli.study.experiments:bench",
-        "Measure what things cost on this machine, as ratios of medians side by side.",
-    ),
-    "drives": (
-        "deploy.cli.drives:drives",
-        "Be the arm's motor drives on a CAN bus, with physics behind them, for any driver code.",
-    ),
-    "robot": (
-        "deploy.cli.robot:robot",
-        "Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd.",
-    ),
-    "doctor": (
-        "deploy.cli.doctor:doctor",
-        "Say what this machine grants, and what each missing thing costs; nothing is changed.",
-    ),
-    "scenarios": (
-        "deploy.cli.shelf:scenarios",
-        "List the scenarios and studies that are shipped.",
-    ),
-    "export": (
-        "deploy.cli.interop.export:export",
-        "Write a recorded run as tables over time: what is judged, and every topic.",
-    ),
-    "runs": (
-        "deploy.cli.shelf:app",
-        "Folders of results: list, tag, prune.",
-    ),
-    "ros-package": (
-        "deploy.cli.interop.ros_package:ros_package",
-        "Write our message types as a ROS 2 package, for colcon to build.",
-    ),
-    "ros2-control": (
-        "deploy.cli.interop.ros2_control:ros2_control",
-        "Write the arm's URDF with its ros2_control element, and a controllers.yaml for it.",
-    ),
-    "includes": (
-        "deploy.cli.interop.includes:includes",
-        "Print the C compiler's option for the header of controller.law: external.",
-    ),
+    "run": "run:run",
+    "simulate": "run:simulate",
+    "view": "view:view",
+    "controller": "processes:controller",
+    "plant": "processes:plant",
+    "record": "processes:record",
+    "relay": "processes:relay",
+    "keys": "keys:app",
+    "compare": "study.experiments:compare",
+    "sweep": "study.studies:sweep",
+    "margin": "study.studies:margin",
+    "report": "study.experiments:report",
+    "diff": "study.experiments:diff",
+    "replay": "study.replay:replay",
+    "reference": "export:reference",
+    "bench": "study.experiments:bench",
+    "drives": "drives:drives",
+    "robot": "robot:robot",
+    "doctor": "doctor:doctor",
+    "scenarios": "runs:scenarios",
+    "export": "export:export",
+    "runs": "runs:app",
+    "ros-package": "ros2:ros_package",
+    "ros2-control": "ros2:ros2_control",
+    "includes": "doctor:includes",
 }
-"""Where each command is, a function or a group of commands, and the first line of its help."""
+"""Where each command is below this package: ``module:function``, or ``module:app`` for a group."""
 
 LOOKING = {"view", "report", "diff", "reference", "robot", "export", "ros2-control"}
 """Commands that read scenarios and run nothing of what these name: no law, program or process."""
 
+_NEW_OBJECTS = 200_000
+"""The garbage collector looks after so many, which is more than importing makes: Python's 700 make
+that a third slower, and 20 000 a sixth."""
+
+
+class LazyGroup(TyperGroup):
+    """All commands, by name; none is imported before it is called."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = {name: LazyCommand(name) for name in COMMANDS}
+
+    def format_help(self, *args: Any) -> None:
+        for name, command in self.commands.items():
+            command.help = summary_of(name)
+        super().format_help(*args)
+
 
 class LazyCommand(TyperCommand):
-    """Stands for a command until it is called; knows but its name and the first line of its help.
+    """Stands for a command until it is called.
 
     Args:
-        name: of the command.
-        place: ``module:attribute``.
-        summary: first line of its help.
+        name: in `COMMANDS`.
     """
-
-    def __init__(self, name: str, place: str, summary: str) -> None:
-        super().__init__(name, help=summary)
-        self.place = place
 
     def make_context(self, *args: Any, **extra: Any) -> Any:
         """That of the command itself, which does all the rest.
@@ -141,14 +90,14 @@ class LazyCommand(TyperCommand):
             from controller.laws.custom import custom_laws_left_out  # as the command itself does
 
             context.with_resource(custom_laws_left_out())
-        elif context.params.get("parent_pid") is None:
+        else:
             context.with_resource(code_is_named())
         return context
 
     def load(self) -> Any:
         """The command itself."""
-        module, _, attribute = self.place.partition(":")
-        found = getattr(import_module(module), attribute)
+        module, _, attribute = COMMANDS[self.name or ""].partition(":")
+        found = getattr(import_module(f"deploy.cli.{module}"), attribute)
         if isinstance(found, typer.Typer):
             group = typer.main.get_command(found)
             group.name = self.name
@@ -156,3 +105,58 @@ class LazyCommand(TyperCommand):
         alone = typer.Typer(add_completion=False)
         alone.command(self.name)(found)
         return typer.main.get_command(alone)
+
+
+def summary_of(name: str) -> str:
+    """The first paragraph of a command's help, read from its source without importing it."""
+    module, _, attribute = COMMANDS[name].partition(":")
+    file = Path(__file__).parent.joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    text = ast.get_docstring(functions.get(attribute, tree)) or ""
+    return " ".join(text.partition("\n\n")[0].split())
+
+
+app = typer.Typer(
+    cls=LazyGroup, no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
+)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        print(f"funnel-hil {version('funnel-hil')}")
+        raise typer.Exit
+
+
+@app.callback()
+def funnel_hil(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Hardware-in-the-loop test bench for prescribed-performance robot control."""
+
+
+class LogLines(logging.Handler):
+    """Writes to standard error as it is at the time.
+
+    A live line on a terminal puts itself in its place, so that nothing is written to its end.
+    """
+
+    def emit(self, record: logging.LogRecord) -> None:
+        sys.stderr.write(f"{self.format(record)}\n")
+        sys.stderr.flush()
+
+
+def main() -> None:
+    """Run the command; bad input and requests to stop end here, with one message and their code."""
+    stop_at_once()
+    outlive_readers()
+    gc.set_threshold(_NEW_OBJECTS)
+    atexit.register(gc.freeze)  # at the end the system takes all memory back without a search
+    logging.basicConfig(level=logging.ERROR, format="%(message)s", handlers=[LogLines()])
+    logging.getLogger("bus_schema").setLevel(logging.WARNING)
+    logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
+    with with_exit_codes():
+        app()

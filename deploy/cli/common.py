@@ -6,7 +6,6 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import NoReturn
 
 import typer
@@ -21,17 +20,15 @@ from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
-from deploy.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
-from deploy.processes.launcher import RunOutcome
-from deploy.reports.conclude import conclude, conditions_in
-from deploy.runs.confirmation import confirmation_of
-from deploy.runs.judging.verdict import decide
-from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import ResultFolder, RunFolder, RunFolderError, load_run
-from deploy.scenario.oddities import oddities_of_all
-from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError
-from deploy.stop_signals import (
+from deploy.judge.run_data import RunData
+from deploy.judge.verdict import decide
+from deploy.reports.results import conditions_in, write_run_results
+from deploy.run.confirmation import confirmation_of
+from deploy.run.execute import JudgedRun
+from deploy.run.exit_codes import BAD_INPUT, BOUNDS_NOT_KEPT, FAULT, FINISHED, INTERRUPTED
+from deploy.run.processes.child import RunOutcome
+from deploy.run.run_folder import ResultFolder, RunFolder, RunFolderError
+from deploy.run.stop_signals import (
     STOPS,
     WITHIN_S,
     end_if_asked,
@@ -39,6 +36,9 @@ from deploy.stop_signals import (
     stop_at_once,
     stop_between_steps,
 )
+from deploy.scenario.setup import Setup
+from deploy.scenario.warnings import all_warnings
+from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.plant_loop import PlantLoop
 
 
@@ -64,7 +64,7 @@ def parse_laws(text: str | None) -> list[str] | None:
 
 def say_oddities(*setups: Setup) -> None:
     """Warn once, on standard error, of what the arms' files leave open or have odd."""
-    for said in oddities_of_all(setups):
+    for said in all_warnings(setups):
         typer.echo(f"warning: {said}", err=True)
 
 
@@ -90,7 +90,7 @@ def watching(
             stop.set()
             loop.request_stop()
 
-        on_stop(request_stop, WITHIN_S)
+        on_stop(request_stop, WITHIN_S, may_hold_lock=is_custom(setup.scenario.controller.law))
 
     return watch
 
@@ -145,9 +145,8 @@ def judging(console: Console, folder: ResultFolder) -> Iterator[None]:
 def finish(
     console: Console,
     folder: RunFolder,
-    outcome: RunOutcome,
+    run: JudgedRun,
     *,
-    data: RunData | None = None,
     require_bounds: bool,
     draws_report: bool = True,
     confirms: bool = False,
@@ -157,41 +156,39 @@ def finish(
     Args:
         console: where to show it.
         folder: of the run.
-        outcome: what its processes said.
-        data: its data where they are at hand, equal to those of the recording; read from it if not.
+        run: what came of it.
         require_bounds: whether an error that left the funnel has an exit code of its own.
         draws_report: whether a report is drawn.
         confirms: whether the run is simulated on other physics too.
     """
     with judging(console, folder):
-        if data is None:
-            data = _recorded(console, folder, outcome)
-        summary = conclude(
+        data = _data_of(console, folder, run)
+        summary = write_run_results(
             folder, data, draws_report=draws_report,
             confirmation=confirmation_of(data) if confirms else (),
         )  # fmt: skip
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
-        interrupted=outcome.interrupted,
+        interrupted=run.outcome.interrupted,
         whole=summary["completed"],
         kept=summary["bounds"]["kept"] or not require_bounds,
-        fault=_fault_code(outcome),
+        fault=_fault_code(run.outcome),
     )
 
 
-def _recorded(console: Console, folder: RunFolder, outcome: RunOutcome) -> RunData:
-    """The data of a run as recorded; leaves where there is nothing to judge."""
+def _data_of(console: Console, folder: RunFolder, run: JudgedRun) -> RunData:
+    """The data of a run; leaves where there is nothing to judge."""
     try:
-        data, _ = load_run(folder.path)
+        return run.data
     except RunFolderError as error:
+        outcome = run.outcome
         faults = [] if outcome.interrupted else [*outcome.failures, str(error)]
         for fault in faults or ["stopped before the run began"]:
             console.print(escape(fault))
         found = {"completed": False, "faults": faults, "verdict": decide(faults).value}
         write_json(folder.summary, found)
         raise typer.Exit(INTERRUPTED if outcome.interrupted else _fault_code(outcome)) from error
-    return replace(data, failures=data.failures or outcome.failures)  # of a disk that is full
 
 
 def _fault_code(outcome: RunOutcome) -> int:

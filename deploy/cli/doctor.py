@@ -1,14 +1,62 @@
-"""`funnel-hil doctor`."""
+"""What an installation has: `doctor` of the machine, `includes` of the C header."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import errno
+import importlib.metadata
+import os
+import platform
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
 
+import numpy as np
 import typer
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from deploy.processes.doctor import examine, show
-from deploy.processes.lacking import remedy
+import bus_schema.runtime.compiled  # noqa: F401  (chooses where kernels are kept)
+import controller.external
+from bus_schema.arrays import Vector
+from bus_schema.runtime import kernel_cache, realtime
+from bus_schema.runtime.clock import MonotonicClock
+from deploy.run.processes.scheduling import remedy
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.physics.engines import ENGINES, engine_name
+
+Status = Literal["ok", "limited", "missing"]
+
+_PROCESSES = 3  # controller, plant, recorder
+_LOW_DISK_BYTES = 1 << 30
+_SLEEPS = 300
+_SLEEP_NS = 1_000_000
+_LOAD_TIMEOUT_S = 60.0
+_CAN_INTERFACE_TYPE = "280"  # ARPHRD_CAN in <linux/if_arp.h>
+_STYLES = {"ok": "green", "limited": "yellow", "missing": "red"}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing a run can make use of.
+
+    Attributes:
+        name: what it is.
+        status: ``limited`` means that runs work, but less well or not all of them.
+        found: what there is.
+        cost: what it costs a run where the status is not ``ok``.
+    """
+
+    name: str
+    status: Status
+    found: str
+    cost: str
 
 
 def doctor(
@@ -22,3 +70,222 @@ def doctor(
         print(remedy())
         return
     show(examine(), Console())
+
+
+def includes() -> None:
+    """Print the C compiler's option for the header of controller.law: external."""
+    typer.echo(f"-I{Path(controller.external.__file__).parent}")
+
+
+def examine() -> list[Finding]:
+    """Look at this machine; takes a few seconds and changes none of its settings."""
+    return [
+        _python(),
+        *map(_engine, ENGINES),
+        _package("pinocchio", "pin", "pinocchio", "laws that use a model of the arm cannot run"),
+        _package("Zenoh", "eclipse-zenoh", "zenoh", "no run over Zenoh; simulate still works"),
+        _loopback(),
+        _numba_cache(),
+        _disk_space(),
+        _cores(),
+        *_realtime_settings(),
+        _preemption(),
+        _sleep_lateness(),
+        _socketcan(),
+        _display(),
+    ]
+
+
+def show(findings: list[Finding], console: Console) -> None:
+    """Print the findings as a table, each that is not ok with its cost."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("Thing", min_width=max(len(finding.name) for finding in findings))
+    table.add_column("Status", min_width=max(map(len, _STYLES)))
+    table.add_column("Found, and what it costs", overflow="fold")
+    for finding in findings:
+        text = Text(finding.found)
+        if finding.status != "ok":
+            text.append(f"\n→ {finding.cost}", style="dim")
+        table.add_row(finding.name, Text(finding.status, style=_STYLES[finding.status]), text)
+    console.print(table)
+
+
+def _python() -> Finding:
+    version = f"{platform.python_implementation()} {platform.python_version()}"
+    return Finding("Python", "ok", version, "nothing runs without")
+
+
+def _package(name: str, distribution: str, module: str, cost: str) -> Finding:
+    """A package with native code is there only when a process of its own can load it."""
+    try:
+        version = importlib.metadata.version(distribution)
+        subprocess.run(
+            [sys.executable, "-c", f"import {module}"],
+            capture_output=True, text=True, check=True, timeout=_LOAD_TIMEOUT_S,
+        )  # fmt: skip
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(name, "missing", f"{distribution} is not installed", cost)
+    except subprocess.CalledProcessError as error:
+        reason = (error.stderr.strip().splitlines() or [f"exit status {error.returncode}"])[-1]
+        return Finding(name, "missing", f"{version}, cannot be loaded: {reason}", cost)
+    except subprocess.TimeoutExpired:
+        return Finding(name, "missing", f"{version}, does not load within a minute", cost)
+    return Finding(name, "ok", version, cost)
+
+
+def _engine(name: str) -> Finding:
+    """A physics engine; the other one can take its place."""
+    engine = ENGINES[name]
+    cost = f"no run with plant.physics.engine={name}, and --confirm has one physics less"
+    if not engine.is_installed:
+        return Finding(
+            engine.title, "limited", f"{engine.distribution} is not installed", f"{cost}; the"
+            f" engine of scenarios that name none is {engine_name(PlantConfiguration())}",
+        )  # fmt: skip
+    return _package(engine.title, engine.distribution, engine.distribution, cost)
+
+
+def _loopback() -> Finding:
+    cost = "controller and plant cannot meet on this machine; simulate still works"
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            address = "{}:{}".format(*server.getsockname())
+            with socket.create_connection(server.getsockname(), timeout=1.0):
+                return Finding("loopback TCP", "ok", f"{address} could be opened", cost)
+    except OSError as error:
+        return Finding("loopback TCP", "missing", _reason(error), cost)
+
+
+def _numba_cache() -> Finding:
+    cost = "kernels are compiled again where they are not found, which takes up to half a minute"
+    if reason := os.environ.get(kernel_cache.REFUSED):
+        return Finding("numba cache", "limited", reason, cost)
+    folder = Path(os.environ[kernel_cache.FOLDER])
+    return Finding("numba cache", "ok", f"{_short(folder)} is writable", cost)
+
+
+def _disk_space() -> Finding:
+    folder = Path.cwd()
+    cost = "a run fails as soon as its log can no longer be written; choose a folder by --out"
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        found = f"{_short(folder)} cannot be written: {_reason(error)}"
+        return Finding("working folder", "missing", found, cost)
+    free = shutil.disk_usage(folder).free
+    status: Status = "ok" if free >= _LOW_DISK_BYTES else "limited"
+    return Finding("working folder", status, f"{free / (1 << 30):.1f} GiB free", cost)
+
+
+def _cores() -> Finding:
+    cores = os.cpu_count() or 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
+    return Finding(
+        "CPU cores",
+        "ok" if usable >= _PROCESSES else "limited",
+        f"{usable} usable of {cores}, for {_PROCESSES} processes",
+        "controller, plant and recorder wait for one another: more missed deadlines in clock "
+        "realtime; clock lockstep only takes longer",
+    )
+
+
+def _realtime_settings() -> list[Finding]:
+    costs = {
+        realtime.SCHEDULER: "other programs delay the loops: more missed deadlines",
+        realtime.MEMORY_LOCK: "a page fault may delay a cycle",
+        realtime.TIMER_SLACK: "each wake-up may come some 50 µs later",
+        realtime.IDLE_STATES: "an idle CPU takes its time to wake, most of all in a virtual"
+        " machine: more missed deadlines",
+        realtime.PRECEDENCE: "on a busy machine the recorder falls behind and needs memory for it",
+        realtime.GARBAGE_COLLECTOR: "a collection may delay a cycle",
+    }
+    return [
+        Finding(
+            each.name, "ok" if each.granted else "limited", each.detail,
+            f"{costs[each.name]} in clock realtime; no effect in clock lockstep",
+        )
+        for each in realtime.probe()
+    ]  # fmt: skip
+
+
+def _preemption() -> Finding:
+    kernel = os.uname()
+    flag = Path("/sys/kernel/realtime")
+    full = "PREEMPT_RT" in kernel.version or (flag.is_file() and flag.read_text().strip() == "1")
+    models = [word for word in kernel.version.split() if word.startswith("PREEMPT")]
+    model = "PREEMPT_RT" if full else " ".join(models) or "no preemption"
+    return Finding(
+        "kernel preemption",
+        "ok" if full else "limited",
+        f"{kernel.sysname} {kernel.release}, {model}",
+        "nothing bounds the latest wake-up: expect rare missed deadlines in clock realtime; no "
+        "effect in clock lockstep",
+    )
+
+
+def _sleep_lateness() -> Finding:
+    # The scheduler belongs to the thread, so this one takes it along when it ends.
+    with ThreadPoolExecutor(max_workers=1) as executor:
+        stolen_before_ms = realtime.stolen_ms()
+        granted, lateness_us = executor.submit(_measure_lateness_us).result()
+    stolen_ms = realtime.stolen_ms() - stolen_before_ms
+    p50, p99 = np.percentile(lateness_us, [50, 99])
+    scheduler = "SCHED_FIFO" if granted else "the ordinary scheduler"
+    return Finding(
+        "wake-up lateness",
+        "ok",
+        f"p50 {p50:.0f}, p99 {p99:.0f}, max {lateness_us.max():.0f} µs over {_SLEEPS} sleeps of "
+        f"1 ms under {scheduler}, while a hypervisor took {stolen_ms:.0f} ms of CPU time; varies "
+        "with the load",
+        "comes on top of every round trip in clock realtime; no effect in clock lockstep",
+    )
+
+
+def _measure_lateness_us() -> tuple[bool, Vector]:
+    granted = realtime.request_fifo(50).granted
+    with realtime.light_sleep():
+        clock = MonotonicClock()
+        lateness_ns = [clock.wait_until(tick * _SLEEP_NS) for tick in range(1, _SLEEPS + 1)]
+    return granted, np.array(lateness_ns) * 1e-3
+
+
+def _socketcan() -> Finding:
+    cost = (
+        "no real CAN interface or vcan0; a link of kind can still runs by simulate (in virtual "
+        "time), and by run over link.can.interface=udp_multicast, as paper_arm_can does"
+    )
+    if not hasattr(socket, "AF_CAN"):
+        return Finding("SocketCAN", "missing", "not known to this Python", cost)
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as error:
+        return Finding("SocketCAN", "missing", _reason(error), cost)
+    interfaces = [
+        file.parent.name
+        for file in sorted(Path("/sys/class/net").glob("*/type"))
+        if file.read_text().strip() == _CAN_INTERFACE_TYPE
+    ]
+    if not interfaces:
+        return Finding("SocketCAN", "limited", "in the kernel, but no CAN interface", cost)
+    return Finding("SocketCAN", "ok", f"interfaces {', '.join(interfaces)}", cost)
+
+
+def _display() -> Finding:
+    display = os.environ.get("DISPLAY")
+    return Finding(
+        "display",
+        "ok" if display else "missing",
+        f"DISPLAY={display}" if display else "DISPLAY is not set",
+        "plant.gui=true cannot open its window; every other run is unaffected",
+    )
+
+
+def _reason(error: OSError) -> str:
+    name = errno.errorcode.get(error.errno or 0, type(error).__name__)
+    return f"{name}: {error.strerror or error}"
+
+
+def _short(folder: Path) -> str:
+    home = os.environ.get("HOME")
+    inside = home and folder.is_relative_to(home)
+    return f"~/{folder.relative_to(home)}" if home and inside else str(folder)

@@ -9,22 +9,22 @@ import typer
 from rich.console import Console
 
 from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.can.session import open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import BusError
 from bus_schema.runtime.clock import Clock, MonotonicClock
 from deploy.cli.common import say_oddities
 from deploy.cli.options import Overrides, ScenarioArgument
-from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.run.stop_signals import on_stop
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, naming
-from deploy.stop_signals import on_stop
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
 from plant_emulator.drives.fault_plan import PlannedFault, parse_fault
-from plant_emulator.drives.protocol import PROTOCOLS
 
 Duration = Annotated[
     float | None,

@@ -1,4 +1,4 @@
-"""`keys`: an authority of one's own, and certificates for the roles."""
+"""Make, issue and list keys for link.security."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.table import Table
 
 from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
 from bus_schema.messages.topics import Role
-from deploy.processes.network.keys import (
+from deploy.run.network.keys import (
     common_name,
     create_authority,
     hosts_of,
@@ -19,9 +19,7 @@ from deploy.processes.network.keys import (
     read_certificate,
 )
 
-app = typer.Typer(
-    help="Make, issue and list keys for link.security.", no_args_is_help=True, add_completion=False
-)
+app = typer.Typer(help=__doc__, no_args_is_help=True, add_completion=False)
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 Folder = Annotated[Path, typer.Option("--folder", help="Where the keys lie: link.security.folder.")]

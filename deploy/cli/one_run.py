@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
 import typer
 from rich.console import Console
@@ -13,29 +15,29 @@ from deploy.cli.common import finish, say_oddities, watching
 from deploy.cli.options import RunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
-from deploy.processes.launcher import Launcher, RunOutcome
-from deploy.processes.network.links import (
+from deploy.reports.results import load_report
+from deploy.run.confirmation import check_confirmable, check_repeatable, simulated_otherwise
+from deploy.run.execute import InProcess, InProcesses, execute
+from deploy.run.network.links import (
     check_awaiting,
     check_link,
     require_keys,
     with_free_endpoints,
 )
-from deploy.processes.network.real_delay import (
+from deploy.run.network.real_delay import (
     RealDelay,
     check_real_delay,
     knowing_real_delay,
     real_delay,
 )
-from deploy.processes.program import require_program
-from deploy.processes.recorder import record_failures
-from deploy.processes.status import StatusMessage
-from deploy.reports.conclude import load_report
-from deploy.runs.confirmation import check_confirmable, check_repeatable, simulated_otherwise
-from deploy.runs.run_folder import RunFolder
-from deploy.runs.simulate import simulate as simulate_setup
+from deploy.run.processes.program import require_program
+from deploy.run.processes.recorder import record_failures
+from deploy.run.processes.status import StatusMessage, StatusReporter
+from deploy.run.run_folder import RunFolder
+from deploy.run.simulate import require_simulable
+from deploy.run.stop_signals import on_stop
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.stop_signals import on_stop
 
 
 def run_in_processes(
@@ -54,25 +56,37 @@ def run_in_processes(
     delay = None if real_delay_ms is None else real_delay(setup, real_delay_ms)
     console = Console()
     with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
-        launcher = Launcher(
-            setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log, delay=delay,
-            awaits_controller=await_controller, live=live,
-        )  # fmt: skip
         notice = _waiting_sentence(setup, delay) if await_controller else None
-        outcome = _watched(launcher, console, setup, notice, draws_report=options.draws_report)
-        held_back = None if delay is None else {"round_trip_ms": real_delay_ms, **outcome.relay}
-        folder.write_manifest(setup, outcome.realtime, held_back)
+        name, duration_s = setup.scenario.name, setup.scenario.duration_s
+        with CommandProgress(console, name, duration_s, "s") as progress:
+            if notice is not None:
+                progress.say(notice)
+            show = status_handler(progress, setup.robot.joint_names)
+            how = InProcesses(
+                delay, awaits_controller=await_controller, viewer=_view if live else None,
+                on_start=on_stop,
+                on_message=loading_report(show) if options.draws_report else show,
+            )  # fmt: skip
+            run = execute(setup, how, folder)
+        outcome = run.outcome
         folder.write_scenario(as_given)
-        if held_back is not None:
-            show_relay(console, held_back)
+        if delay is not None:
+            show_relay(console, outcome.relay)
         if options.confirms and not outcome.interrupted:
             alarms = simulated_otherwise(as_given, folder.path)
             outcome.failures += alarms
             record_failures(folder.log, outcome.failures if alarms else ())
         finish(
-            console, folder, outcome,
+            console, folder, run,
             require_bounds=options.require_bounds, draws_report=options.draws_report,
         )  # fmt: skip
+
+
+def _view(folder: Path, reporter: StatusReporter) -> int:
+    """Show the run in the viewer's process, which alone loads what that takes; its exit code."""
+    from deploy.cli.view import view_beside
+
+    return view_beside(folder, reporter)
 
 
 def _checked(options: RunOptions, real_delay_ms: float | None, *, await_controller: bool) -> Setup:
@@ -90,19 +104,6 @@ def _checked(options: RunOptions, real_delay_ms: float | None, *, await_controll
     if await_controller:
         check_awaiting(setup)
     return setup
-
-
-def _watched(
-    launcher: Launcher, console: Console, setup: Setup, notice: str | None, *, draws_report: bool
-) -> RunOutcome:
-    """Run the processes, and show how far they are; a notice is said first."""
-    on_stop(launcher.request_stop)
-    name, duration_s = setup.scenario.name, setup.scenario.duration_s
-    with CommandProgress(console, name, duration_s, "s") as progress:
-        if notice is not None:
-            progress.say(notice)
-        show = status_handler(progress, setup.robot.joint_names)
-        return launcher.run(loading_report(show) if draws_report else show)
 
 
 def loading_report(
@@ -139,6 +140,7 @@ def run_in_virtual_time(options: RunOptions) -> None:
     if setup.scenario.link.security.enabled:
         typer.echo("warning: link.security: a simulation uses no keys, and checks none", err=True)
     check_link(setup, one_process=True)
+    require_simulable(setup)
     if options.confirms:
         check_confirmable(setup)
     console = Console()
@@ -146,11 +148,10 @@ def run_in_virtual_time(options: RunOptions) -> None:
         name, stop = setup.scenario.name, threading.Event()
         with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
             watch = watching(progress, setup, name, stop)
-            simulation = simulate_setup(setup, watch, folder.can_log)
-            on_stop(stop.set)
-        data = simulation.data(simulation.write_log(folder.log))
+            run = execute(setup, InProcess(watch, partial(on_stop, stop.set)), folder)
+        run.outcome.interrupted = stop.is_set()
         finish(
-            console, folder, RunOutcome(interrupted=stop.is_set()), data=data,
+            console, folder, run,
             require_bounds=options.require_bounds, draws_report=options.draws_report,
             confirms=options.confirms and not stop.is_set(),
         )  # fmt: skip

@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 from rich.console import Console
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import RobotDescriptionError
+from bus_schema.errors import InputError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.xacro_files import INCLUDE
-from deploy.reports.figures.arm.pictures import arm_picture
-from deploy.reports.robot_tables import funnel_line, gains_table, joints_table, other_joints_table
+from deploy.reports.figures.arm_pictures import arm_picture
+from deploy.reports.tables import Column, Table, Value, number
 from deploy.reports.terminal import print_table
 from deploy.scenario.checks import check
-from deploy.scenario.definition import Scenario
+from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
-from deploy.scenario.oddities import oddities
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError, validated
+from deploy.scenario.starter import starter_scenario
+from deploy.scenario.warnings import scenario_warnings
+from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
+
+STARTER_COMMENT = """\
+# A first scenario: rest to rest at 30 % of the joints' speeds. Rotors and friction are ESTIMATES in
+# proportion to the largest torques (see the documentation of plant.actuator): put in your own.
+"""
 
 
 def robot(
@@ -43,6 +49,15 @@ def robot(
     picture: Annotated[
         Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the arm.")
     ] = None,
+    scenario: Annotated[
+        bool, typer.Option("--scenario", help="Write a first scenario for the arm.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False
+        ),
+    ] = None,
 ) -> None:
     """Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd."""
     os.environ[INCLUDE] = os.pathsep.join([*map(str, include or []), os.environ.get(INCLUDE, "")])
@@ -56,16 +71,35 @@ def robot(
     setup = at_rest(arm, chosen, repair=repair)
     console = Console()
     console.print(f"{arm.path}: {arm.joints} driven joints, tip {arm.tip_link}", markup=False)
-    print_table(console, joints_table(setup))
+    print_table(console, _joints_table(setup))
     if arm.followers or arm.held:
-        print_table(console, other_joints_table(setup))
-    print_table(console, gains_table(setup))
-    console.print(funnel_line(setup), markup=False, highlight=False)
-    for said in oddities(setup):
+        print_table(console, _other_joints_table(setup))
+    print_table(console, _gains_table(setup))
+    console.print(_funnel_line(setup), markup=False, highlight=False)
+    for said in scenario_warnings(setup):
         console.print(f"warning: {said}", style="yellow", markup=False, highlight=False)
     if picture is not None:
         picture.write_bytes(arm_picture(arm, setup.start_position_rad))
         console.print(f"picture: {picture}", soft_wrap=True)
+    if scenario:
+        values = starter_scenario(arm, joints=joints is not None, repair=repair)
+        write_starter(values, out or Path(f"{values['name']}.yaml"))
+
+
+def write_starter(values: dict[str, Any], file: Path) -> None:
+    """Write a starter scenario, and say what to do with it.
+
+    Raises:
+        InputError: the file exists.
+    """
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(STARTER_COMMENT + to_yaml(values))
+    except OSError as error:
+        why = f"cannot be written: {error.strerror}; --out names another"
+        raise InputError(f"{file}: {why}") from error
+    print(f"scenario: {file}\nfunnel-hil simulate {file} runs it")
+    print(f"funnel-hil margin {file} finds how much delay it takes")
 
 
 def at_rest(
@@ -95,7 +129,7 @@ def at_rest(
         "reference": {"kind": "minimum_jerk", "waypoints": [rest]},
         "metrics": {"from_s": 0.5 * duration_s},
     }
-    return check(validated(values, Scenario, origin), origin)
+    return check(validated(values, ScenarioConfiguration, origin), origin)
 
 
 def _middle(arm: RobotDescription) -> Vector:
@@ -105,3 +139,66 @@ def _middle(arm: RobotDescription) -> Vector:
         middle = 0.5 * (arm.lower_rad + arm.upper_rad)
     ends = np.where(np.isfinite(arm.lower_rad), arm.lower_rad, arm.upper_rad)
     return np.where(inside, 0.0, np.where(np.isfinite(middle), middle, ends))
+
+
+def _joints_table(setup: Setup) -> Table:
+    """Driven joints in their order, with limits and inertias; in m and N where they slide."""
+    robot = setup.robot
+    rows: list[list[Value]] = []
+    for i, name in enumerate(robot.joint_names):
+        unit, force = ("m", "N") if robot.slides[i] else ("rad", "N m")
+        rows.append(
+            [
+                f"{i + 1} {name}",
+                "slides" if robot.slides[i] else "turns",
+                _range(float(robot.lower_rad[i]), float(robot.upper_rad[i]), unit),
+                _limit(robot.effort_limits_nm[i], force),
+                _limit(robot.velocity_limits_rad_s[i], f"{unit}/s"),
+                _limit(setup.governing_inertia_kg_m2[i], "kg" if robot.slides[i] else "kg m²"),
+            ]
+        )
+    headings = ("Joint", "Kind", "Range", "Effort", "Speed", "Inertia")
+    return Table("Driven joints", [Column(each, is_text=True) for each in headings], rows)
+
+
+def _other_joints_table(setup: Setup) -> Table:
+    """Joints that follow others or are held, and why."""
+    rows: list[list[Value]] = [
+        [each.name, f"follows {each.leader}", f"× {each.multiplier:g} + {each.offset:g}"]
+        for each in setup.robot.followers
+    ]
+    rows += [[each.name, "held", each.reason] for each in setup.robot.held]
+    columns = [Column(each, is_text=True) for each in ("Joint", "What it does", "How or why")]
+    return Table("Other joints", columns, rows)
+
+
+def _gains_table(setup: Setup) -> Table:
+    """The gains that follow from the arm's inertia, for the scenario's law."""
+    rows = [[name, _values(value)] for name, value in setup.gains._asdict().items()]
+    columns = [Column("Gain", is_text=True), Column("Per joint", is_text=True)]
+    return Table(f"Gains of {setup.scenario.controller.law}", columns, rows)
+
+
+def _funnel_line(setup: Setup) -> str:
+    """How wide the funnel starts and ends, in words."""
+    funnel = setup.funnel
+    ends = sorted({number(float(value)) for value in funnel.final_rad})
+    starts = sorted({number(float(value)) for value in funnel.initial_upper_rad})
+    return (
+        f"funnel: opens to {', '.join(starts)} rad (m where joints slide) from rest on the"
+        f" reference, closes to {', '.join(ends)} at {funnel.rate_per_s:g} per second"
+    )
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    if not np.isfinite([low, high]).any():
+        return "endless"
+    return f"{number(low)} … {number(high)} {unit}"
+
+
+def _limit(value: float, unit: str) -> str:
+    return f"{number(float(value))} {unit}" if np.isfinite(value) else "none"
+
+
+def _values(value: object) -> str:
+    return ", ".join(number(float(each)) for each in np.atleast_1d(np.asarray(value, dtype=float)))

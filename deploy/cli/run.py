@@ -20,7 +20,6 @@ from deploy.cli.options import (
     RunOptions,
     ScenarioArgument,
 )
-from deploy.processes.command_process import prepare
 
 RealDelayOption = Annotated[
     float | None,
@@ -70,6 +69,8 @@ def run(
     confirm: ConfirmInOneProcess = False,
 ) -> None:
     """Run controller, plant and recorder as separate processes, and judge the run."""
+    from deploy.run.processes.role_process import prepare  # help and errors need none of it
+
     prepare()
     from deploy.cli.one_run import run_in_processes
 

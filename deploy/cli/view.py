@@ -12,16 +12,16 @@ import typer
 
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.recording.atomic_files import write_json
-from deploy.cli.processes import ParentPid, reporter_of
-from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
+from controller.laws.custom import custom_laws_left_out
 from deploy.live.foxglove_layout import foxglove_layout
 from deploy.live.playback import Playback
 from deploy.live.viewer import Source, Viewer, stand_back
-from deploy.processes.live.feed import FeedReceiver
-from deploy.processes.live.viewer import VIEWER
-from deploy.processes.processes import StopRequest
-from deploy.processes.scheduling import leave_loops_their_cpus
-from deploy.runs.run_folder import RunFolder, load_run
+from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.run.live.feed import FeedReceiver
+from deploy.run.processes.scheduling import leave_loops_their_cpus
+from deploy.run.processes.status import StatusReporter
+from deploy.run.run_folder import RunFolder, load_run
+from deploy.run.stop_signals import StopRequest
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 
@@ -60,10 +60,9 @@ def view(
     layout: Annotated[
         Path | None, typer.Option("--layout", help="Write a layout for Foxglove to this file.")
     ] = None,
-    parent_pid: ParentPid = None,
 ) -> None:  # fmt: skip
     """Show a run in the browser and in Foxglove: one under way, or a recorded one."""
-    reporter, stop = reporter_of(VIEWER, parent_pid), StopRequest()
+    stop = StopRequest()
     stand_back()
     leave_loops_their_cpus()
 
@@ -71,24 +70,25 @@ def view(
         if layout is not None:
             write_json(layout, foxglove_layout(setup))
         viewer = Viewer(setup, source_name, port=port, foxglove_port=foxglove_port)
-        if parent_pid is None:
-            print(viewer.places(), flush=True)
-        else:
-            reporter.report("note", text=viewer.places())
+        print(viewer.places(), flush=True)
         return viewer
 
-    if parent_pid is not None:  # which knows when the run is over
-        _follow(RunFolder(Path(target or "")), open_viewer, stop)
-        raise typer.Exit(FINISHED)
     _show(target, speed, open_viewer, stop)
     raise typer.Exit(INTERRUPTED if stop.is_set else FINISHED)
 
 
-def _follow(folder: RunFolder, open_viewer: OpenViewer, stop: StopRequest) -> None:
-    """Show the run that is to begin in a folder until told to stop."""
-    setup = load_setup(str(folder.scenario))
-    endpoint = setup.scenario.link.plant_endpoint
-    _serve(open_viewer(setup, f"at {endpoint}"), FeedReceiver(endpoint), lambda: stop.is_set)
+def view_beside(folder: Path, reporter: StatusReporter) -> int:
+    """Show the run that is to begin in a folder until asked to stop; the exit code."""
+    stop = StopRequest()
+    stand_back()
+    leave_loops_their_cpus()
+    with custom_laws_left_out():
+        setup = load_setup(str(RunFolder(folder).scenario))
+        endpoint = setup.scenario.link.plant_endpoint
+        viewer = Viewer(setup, f"at {endpoint}", port=0, foxglove_port=None)
+        reporter.report("note", text=viewer.places())
+        _serve(viewer, FeedReceiver(endpoint), lambda: stop.is_set)
+    return FINISHED
 
 
 def _show(target: str | None, speed: float, open_viewer: OpenViewer, stop: StopRequest) -> None:

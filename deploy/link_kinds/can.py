@@ -9,14 +9,13 @@ from functools import partial
 from weakref import WeakKeyDictionary
 
 from bus_schema.arrays import Vector
-from bus_schema.can.candump import CandumpLog
 from bus_schema.can.codec import CanCodec, as_delivered
 from bus_schema.can.exchange import ExchangeNode, FrameExchange
 from bus_schema.can.frame import CanBus
 from bus_schema.can.frame_timing import check_cycle_fits
 from bus_schema.can.link import CanControllerLink, CanRun
-from bus_schema.can.master import CanMaster
-from bus_schema.can.medium import CanMedium
+from bus_schema.can.medium import CandumpLog, CanMedium
+from bus_schema.can.protocol import PROTOCOLS, DriveProtocol
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -30,10 +29,8 @@ from bus_schema.zenoh.link import open_telemetry
 from deploy.link_kinds.kind import LinkKind, LinkRun
 from plant_emulator.drives.can_plant_link import CanPlantLink
 from plant_emulator.drives.commissioning import build_bank, commission
-from plant_emulator.drives.driven_arm import DrivenArm
-from plant_emulator.drives.drives_on_bus import DrivesOnBus
+from plant_emulator.drives.drives_on_bus import DrivenArm, DrivesOnBus
 from plant_emulator.drives.fault_plan import parse_fault
-from plant_emulator.drives.protocol import PROTOCOLS, DriveProtocol
 
 _EXCHANGES: WeakKeyDictionary[InProcessBus, FrameExchange] = WeakKeyDictionary()
 """A bus of its own for each simulation: those in threads of one process must not meet."""
@@ -60,9 +57,6 @@ class CanKind(LinkKind[DrivenArm]):
         protocol = PROTOCOLS.build(can.protocol)
         node_ids = protocol.node_ids(can, robot.joints)
         _check_fd(can, protocol)
-        codec = _codec(run)
-        check_cycle_fits(can, codec.cycle, robot.joints, 1e9 / run.grid.period_ns)
-        _check_delays(run, protocol)
         if run.takes_targets and not protocol.takes_targets:
             side = "plant" if run.plant.drive_feedback.enabled else "controller"
             raise ConfigurationError(
@@ -70,8 +64,8 @@ class CanKind(LinkKind[DrivenArm]):
                 f"false over CAN with {protocol.title}: these drives take torques alone",
                 ["link.kind", "link.can.protocol"],
             )  # fmt: skip
-        if run.drive is not None:
-            protocol.check_gains(can, run.drive)
+        check_cycle_fits(can, _codec(run).cycle, robot.joints, 1e9 / run.grid.period_ns)
+        _check_delays(run, protocol)
         commission(can, robot, run.plant)
         for text in can.faults.drives:
             try:
@@ -121,25 +115,18 @@ class CanKind(LinkKind[DrivenArm]):
         return CanPlantLink(_can_run(run), drives, _codec(run), clock, telemetry)
 
     def open_controller(self, run: LinkRun) -> ControllerLink:
-        bus, telemetry = _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
-        master = _master(run, bus)
+        can, bus, telemetry = run.link.can, _open_bus(run), _open_telemetry(run, Role.CONTROLLER)
+        protocol = PROTOCOLS.build(can.protocol)
+        node_ids = protocol.node_ids(can, run.robot.joints)
+        master = protocol.master(bus, can, node_ids, _codec(run))
         clock: Clock = VirtualClock() if run.lockstep else MonotonicClock()
         link = partial(CanControllerLink, _can_run(run), master, bus, clock, telemetry)
         return link(bus.leave_turns) if isinstance(bus, ExchangeNode) else link()
 
 
 def _codec(run: LinkRun) -> CanCodec:
-    protocol, can = PROTOCOLS.build(run.link.can.protocol), run.link.can
-    if run.drive is None or not protocol.takes_targets:
-        return protocol.codec(can, run.robot)
-    return protocol.target_codec(can, run.robot, run.drive)
-
-
-def _master(run: LinkRun, bus: CanBus) -> CanMaster:
-    protocol, can = PROTOCOLS.build(run.link.can.protocol), run.link.can
-    if run.drive is None or not protocol.takes_targets:
-        return protocol.master(bus, can, run.robot)
-    return protocol.target_master(bus, can, run.robot, run.drive)
+    protocol = PROTOCOLS.build(run.link.can.protocol)
+    return protocol.codec(run.link.can, run.robot, run.drive)
 
 
 def _can_run(run: LinkRun) -> CanRun:

@@ -6,14 +6,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from bus_schema.arrays import Vector
+from bus_schema.configuration import ConfigurationError
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.in_process import InProcessBus
+from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import ControllerLink, PlantLink
+from bus_schema.registry import Registry
 from bus_schema.runtime.clock import Clock
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.plant_task import PlantTask
@@ -125,3 +127,41 @@ class LinkKind(ABC, Generic[Arm]):
         Raises:
             BusError: the link cannot be opened.
         """
+
+
+class InProcessKind(LinkKind[ArmPlant]):
+    """``in_process``: a message is a function call."""
+
+    name = "in_process"
+    simulated_as = "in_process"
+    arm_type = ArmPlant
+    draws_random_numbers = False
+
+    def check_machine(self, link: LinkConfiguration, *, one_process: bool) -> None:
+        if not one_process:
+            others = " or ".join(name for name in LINK_KINDS.names if name != self.name)
+            allowed = f"must be {others} for run; simulate runs in one process"
+            raise ConfigurationError("link.kind", link.kind, allowed)
+
+    def open_plant(self, run: LinkRun, arm: ArmPlant, clock: Clock) -> PlantLink:  # noqa: ARG002
+        return InProcessPlantLink(shared_bus(run))
+
+    def open_controller(self, run: LinkRun) -> ControllerLink:
+        return InProcessControllerLink(shared_bus(run))
+
+
+def shared_bus(run: LinkRun) -> InProcessBus:
+    """The bus of a run in one process; without one there is no such run, see `check_machine`."""
+    assert run.bus is not None
+    return run.bus
+
+
+LINK_KINDS: Registry[LinkKind[Any]] = Registry(
+    "link.kind",
+    {
+        "zenoh": "deploy.link_kinds.zenoh:ZenohKind",
+        "in_process": "deploy.link_kinds.kind:InProcessKind",
+        "can": "deploy.link_kinds.can:CanKind",
+    },
+)
+"""Each is imported when a scenario names it: CAN's libraries are slow. A new one is a line here."""

@@ -6,8 +6,7 @@ from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.link.interface import ControllerLink, PlantLink
 from bus_schema.runtime.clock import Clock
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
-from deploy.link_kinds.in_process import InProcessKind
-from deploy.link_kinds.kind import LinkRun
+from deploy.link_kinds.kind import InProcessKind, LinkRun
 from plant_emulator.arm_plant import ArmPlant
 
 

@@ -14,16 +14,15 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.reports.figure_json import with_template
+from deploy.reports.figure_json import with_template, without_template
 from deploy.reports.figures import style
-from deploy.reports.figures.arm.motion import skeletons
-from deploy.reports.figures.arm.space import still_space
-from deploy.reports.figures.template import without_template
+from deploy.reports.figures.space import show_in_space, skeletons
 from deploy.scenario.setup import Setup
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 
 _HEADROOM = 1.3
 _POSTURES = 200
+_NOTHING: Any = []
 WINDOW_S = 10.0
 """How much of a run the figures over time show."""
 
@@ -36,30 +35,31 @@ def live_figures(setup: Setup) -> dict[str, Any]:
 
 
 def _errors(setup: Setup) -> go.Figure:
-    figure = style.joint_rows(setup.robot.joint_names, "mrad")
-    for joint in range(setup.robot.joints):
-        upper, lower = style.band([], [], [])  # type: ignore[arg-type]
-        error = _line(style.palette(joint))
-        traces = [
-            trace.update(meta={"series": series, "joint": joint})
-            for series, trace in (("upper", upper), ("lower", lower), ("error", error))
-        ]
-        figure.add_traces(traces, rows=joint + 1, cols=1)
-    return figure
+    upper, lower = style.band(_NOTHING, _NOTHING, _NOTHING)
+    return _rows(setup, "mrad", {"upper": upper, "lower": lower, "error": _line()})
 
 
 def _torques(setup: Setup) -> go.Figure:
-    figure = style.joint_rows(setup.robot.joint_names, "N m")
+    return _rows(setup, "N m", {"torque": _line()})
+
+
+def _rows(setup: Setup, unit: str, series: dict[str, go.Scatter]) -> go.Figure:
+    """A row per joint with a trace for each series, the last of which has the joint's colour."""
+    figure = style.joint_rows(setup.robot.joint_names, unit)
     for joint in range(setup.robot.joints):
-        trace = _line(style.palette(joint)).update(meta={"series": "torque", "joint": joint})
-        figure.add_trace(trace, row=joint + 1, col=1)
+        traces = [
+            go.Scatter(trace, meta={"series": name, "joint": joint})
+            for name, trace in series.items()
+        ]
+        traces[-1].line.color = style.palette(joint)
+        figure.add_traces(traces, rows=joint + 1, cols=1)
     return figure
 
 
 def _ages(setup: Setup) -> go.Figure:
     """Age of the command in force, and from when on it is too old."""
     figure = go.Figure()
-    figure.add_trace(_line(style.palette(0)).update(name="age", meta={"series": "age_ms"}))
+    figure.add_trace(_line().update(name="age", meta={"series": "age_ms"}))
     deadline_ms = _deadline_ms(setup)
     figure.add_hline(
         deadline_ms, line={**style.DOTTED, "color": style.ALARM}, annotation_text="deadline"
@@ -85,12 +85,8 @@ def _arm(setup: Setup) -> go.Figure:
         _in_space("arm", style.palette(0), 9).update(meta={"lines": "arm"}),
         _in_space("path of the tip", style.palette(1), 3).update(meta={"path": "arm"}),
     ])  # fmt: skip
-    figure.update_layout(  # as high as the page has it
-        showlegend=True,
-        scene={"uirevision": "arm", **still_space(_cube(setup))},
-        margin={"l": 0, "r": 0, "b": 0, "t": 10},
-        legend={"y": 0},
-    )
+    show_in_space(figure, _cube(setup), uirevision="arm")
+    figure.update_layout(showlegend=True, margin={"t": 10})  # as high as the page has it
     return figure
 
 
@@ -105,8 +101,8 @@ def _cube(setup: Setup) -> Matrix:
     return np.asarray(np.outer([-reach, reach], np.ones(3)) + (lower + upper) / 2)
 
 
-def _line(colour: str) -> go.Scatter:
-    return go.Scatter(x=[], y=[], mode="lines", line={"color": colour, "width": 1.4})
+def _line() -> go.Scatter:
+    return style.line(_NOTHING, _NOTHING, style.palette(0), "")
 
 
 def _in_space(name: str, colour: str, width: float) -> go.Scatter3d:

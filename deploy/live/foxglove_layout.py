@@ -31,14 +31,14 @@ def foxglove_layout(setup: Setup) -> dict[str, Any]:
             _line("/deadlines.missed", "missed", style.ALARM, "receiveTime")
         ]),
     }  # fmt: skip
-    left = _stacked(["3D!arm", "Plot!deadlines"], 70)
-    right = _stacked(["Plot!torque", "Plot!age"], 65)
+    left = _split("column", ["3D!arm", "Plot!deadlines"], 70)
+    right = _split("column", ["Plot!torque", "Plot!age"], 65)
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _beside([left, _evenly(list(errors)), right]),
+        "layout": _split("row", [left, _split("column", list(errors)), right]),
     }
 
 
@@ -88,23 +88,14 @@ def _line(path: str, label: str, colour: str, time: str = "headerStamp") -> dict
     return {**_LINE, "timestampMethod": time, "value": path, "label": label, "color": colour}
 
 
-def _stacked(panels: list[Any], share: float) -> Any:
-    first, second = panels
-    return {"direction": "column", "first": first, "second": second, "splitPercentage": share}
-
-
-def _evenly(panels: list[Any]) -> Any:
-    """Panels one below the other, equally high."""
-    if len(panels) == 1:
-        return panels[0]
-    return _stacked([panels[0], _evenly(panels[1:])], 100 / len(panels))
-
-
-def _beside(columns: list[Any]) -> Any:
-    """Columns side by side, equally wide."""
-    if len(columns) == 1:
-        return columns[0]
+def _split(direction: str, panels: list[Any], share: float | None = None) -> Any:
+    """Panels one behind the other along a direction; the first has its share, or all the same."""
+    first, *others = panels
+    if not others:
+        return first
     return {
-        "direction": "row", "first": columns[0], "second": _beside(columns[1:]),
-        "splitPercentage": 100 / len(columns),
-    }  # fmt: skip
+        "direction": direction,
+        "first": first,
+        "second": _split(direction, others),
+        "splitPercentage": share or 100 / len(panels),
+    }

@@ -16,7 +16,7 @@ from bus_schema.messages.topics import Topic
 from bus_schema.messages.types import schema_text
 from bus_schema.view.arm_view import ArmView
 from deploy.live.page_server import HOST
-from deploy.processes.live.snapshot import Snapshot
+from deploy.run.live.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 USUAL_PORT = 8765
@@ -49,7 +49,9 @@ class FoxgloveServer:
         self._context = Context()
         self._arm = ArmView(setup.robot)
         self._first = {topic.name: payload for topic, payload in self._arm.first()}
-        self._channels = {topic.name: self._channel(topic) for topic in _all_topics()}
+        self._channels = {
+            topic.name: self._channel(topic) for topic in (*topics.TOPICS, *topics.VIEW_TOPICS)
+        }
         self._counts = Channel(f"/{_COUNTS}", schema=_COUNTS_SCHEMA, context=self._context)
         urdf = setup.robot.resolved_urdf().encode()
         self._assets = {URDF_ASSET: urdf}
@@ -103,7 +105,3 @@ class FoxgloveServer:
             except RuntimeError as error:
                 failure = error
         raise OSError(f"Foxglove's server cannot listen at {HOST}:{wanted[-1]}: {failure}")
-
-
-def _all_topics() -> tuple[Topic, ...]:
-    return (*topics.TOPICS, *topics.VIEW_TOPICS)

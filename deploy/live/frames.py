@@ -14,12 +14,11 @@ from bus_schema.errors import InvalidMessageError
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import Topic
 from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.processes.live.snapshot import Snapshot
-from deploy.reports.figures.arm.motion import skeletons
+from deploy.reports.figures.space import skeletons
+from deploy.run.live.snapshot import Snapshot
 from deploy.scenario.setup import Setup
 
 _KEPT = 1200
@@ -67,8 +66,8 @@ class RunState:
 
     def frame(self) -> Frame | None:
         """The newest look; None before any state of the joints came."""
-        truth, state = self._record(topics.PLANT_TRUTH), self._record(topics.JOINT_STATES)
-        motion = truth or state
+        truth = self._newest.get(topics.PLANT_TRUTH.name)
+        motion = truth or self._newest.get(topics.JOINT_STATES.name)
         if motion is None:
             return None
         time_s, position = motion.stamp_ns * 1e-9, motion.fields["position"]
@@ -98,7 +97,7 @@ class RunState:
 
     def _torque(self, joints: int) -> Vector:
         for topic, field in ((topics.JOINT_COMMANDS, "effort"), (topics.PLANT_TRUTH, "torque")):
-            record = self._record(topic)
+            record = self._newest.get(topic.name)
             if record is not None:
                 return record.fields[field]
         return np.full(joints, np.nan)
@@ -112,9 +111,6 @@ class RunState:
             "mode": Mode(mode).name.lower() if known else None,
             "age_ms": None if age_ns < 0 else age_ns * _MS,
         }
-
-    def _record(self, topic: Topic) -> Record | None:
-        return self._newest.get(topic.name)
 
     def _tell(self, event: RunEvent) -> None:
         if event.kind in _TOLD:

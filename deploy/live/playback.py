@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
-from deploy.processes.live.snapshot import Message, Sampler, Snapshot
+from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
 _LOOK_S = 0.02
 """Between two snapshots, as a recorder has it."""

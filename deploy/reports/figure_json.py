@@ -1,16 +1,74 @@
-"""Figures and arrays as JSON: numbers as packed typed arrays, of a precision to be looked at."""
+"""Figures and arrays as JSON: packed numbers of a precision to be looked at, and common looks.
+
+Figures are made without the template of their looks, and get it when they are written or handed
+out: as an object of Plotly's, loading and checking it would take as long as making all figures of
+a report.
+"""
 
 from __future__ import annotations
 
 import base64
-from typing import Any
+import json
+import pkgutil
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 import plotly.graph_objects as go
+import plotly.io as pio
 from numpy.typing import NDArray
 from plotly.io.json import to_json_plotly
 
-from deploy.reports.figures.template import template
+from deploy.reports.figures import style
+
+_AXIS = {"gridcolor": style.GRID, "zerolinecolor": "#cbd2d9", "linecolor": "#cbd2d9"}
+_OURS = {
+    "margin": {"l": 62, "r": 14, "t": style.TOP_PX, "b": style.BOTTOM_PX},
+    "font": {"family": style.FONT, "size": 12, "color": style.INK},
+    "hoverlabel": {"font": {"family": style.FONT}},
+    "legend": {"orientation": "h", "x": 0, "y": -0.2, "yanchor": "top"},
+    "xaxis": {**_AXIS, "showline": True, "ticks": "outside", "tickcolor": "#cbd2d9"},
+    "yaxis": {**_AXIS, "exponentformat": "power"},
+}
+
+Drawn = TypeVar("Drawn")
+What = TypeVar("What")
+
+
+@cache
+def template() -> dict[str, Any]:
+    """Plotly's own on white, with what is ours: as it stands in a figure's JSON."""
+    try:
+        text = pkgutil.get_data("plotly", "package_data/templates/plotly_white.json")
+    except OSError:  # plotly has it elsewhere: loading and checking it takes longer
+        text = None
+    plotlys = json.loads(text) if text else pio.templates["plotly_white"].to_plotly_json()
+    return {"layout": _merged(plotlys["layout"], _OURS)}
+
+
+def without_template(draw: Callable[[What], Drawn], what: What) -> Drawn:
+    """What `draw` gives, where Plotly gives no figure its own template; for others it stays."""
+    # `templates.default` would load and check the template that it is set to.
+    templates: Any = pio.templates
+    name = "_default" if hasattr(templates, "_default") else "default"
+    before = getattr(templates, name)
+    setattr(templates, name, None)
+    try:
+        return draw(what)
+    finally:
+        setattr(templates, name, before)
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A nested table in which each change takes the place of what was there."""
+    return {
+        **base,
+        **{
+            key: _merged(base.get(key, {}), value) if isinstance(value, dict) else value
+            for key, value in changes.items()
+        },
+    }
 
 
 def figure_json(figure: go.Figure) -> str:

@@ -6,10 +6,13 @@ But for reports of studies, which share a file with the library that draws their
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
@@ -17,14 +20,17 @@ import numpy as np
 import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs
 
 from bus_schema.arrays import Vector
 from bus_schema.recording.atomic_files import write_whole
-from deploy.reports import plotly_library
-from deploy.reports.figure_json import figure_json, typed_array
-from deploy.reports.figures.template import without_template
+from deploy.reports.figure_json import figure_json, typed_array, without_template
 from deploy.reports.tables import Table
-from deploy.stop_signals import end_if_asked
+from deploy.reports.verdict import ReportHead
+from deploy.run.stop_signals import end_if_asked
+
+LIBRARY_FILE = "plotly.min.js"
+_FAST = 1  # three times as fast as the usual level, for a sixth more
 
 T = TypeVar("T")
 """What a report is about: a run, or several."""
@@ -101,33 +107,69 @@ class Panel(Generic[T]):
     is_drawn_beside: bool = False
 
 
-def write_page(
-    path: Path,
-    template: str,
-    panels: Iterable[Panel[T]],
-    subject: T,
-    *,
-    end_s: float | None = None,
-    **values: Any,
-) -> None:
-    """Write a report.
+class Cards(NamedTuple):
+    """Tables beside each other: ``three`` narrow ones, or ``stacked`` over all of the width."""
 
-    Args:
-        path: the HTML file.
-        template: file name of the template of this kind of report.
+    tables: Sequence[Table]
+    layout: str = ""
+
+
+@dataclass(frozen=True)
+class Page(Generic[T]):
+    """What a report says.
+
+    Attributes:
+        kind: what it is a report of.
+        name: of that, which begins the title.
+        verdict: its top.
+        facts: labelled values below that.
         panels: its figures, in order.
         subject: what they show.
-        end_s: end of the run whose figures over time share an instant; None for no such run.
-        values: what else the template asks for: always `title`, `verdict`, `facts`
-            and `conditions`.
+        conditions: under which that came about.
+        before: title of tables before the figures, and these.
+        after: title of tables behind the figures, and these.
+        points: description, file and command of points of a study that can be run again.
+        points_title: what points these are.
+        points_note: what a reader must know to run one.
+        end_s: end of the runs whose figures over time share an instant; None for no run.
+        footer: what a reader may look for next.
+        footer_code: the name or number that ends it.
     """
-    address = plotly_library.address(path)
+
+    kind: str
+    name: str
+    verdict: ReportHead
+    facts: Sequence[Fact]
+    panels: Iterable[Panel[T]]
+    subject: T
+    conditions: Mapping[str, str] = field(default_factory=dict)
+    before: tuple[str, Sequence[Cards]] = ("", ())
+    after: tuple[str, Sequence[Cards]] = ("", ())
+    points: Sequence[tuple[str, str, str]] = ()
+    points_title: str = "Every point, with the command that runs it again"
+    points_note: str = ""
+    end_s: float | None = None
+    footer: str = ""
+    footer_code: str = ""
+
+
+def write_page(path: Path, page: Page[T], *, shares_library: bool = False) -> None:
+    """Write a report to an HTML file.
+
+    Args:
+        path: the file.
+        page: what it says.
+        shares_library: whether the library of the figures goes beside it, for other reports, too.
+    """
+    if shares_library:
+        share_library(path.parent)
+    address = library_address(path)
     with ThreadPoolExecutor(max_workers=2) as executor:  # packs beside the drawing of the figures
-        packing = None if address else executor.submit(plotly_library.packed)
-        sections = _drawn(list(panels), subject, executor)
+        packing = None if address else executor.submit(packed_library)
+        sections = _drawn(list(page.panels), page.subject, executor)
         packed = "" if packing is None else packing.result()
-    html = _ENVIRONMENT.get_template(template).render(
-        sections=sections, end_s=end_s, library=address, packed_library=packed, **values
+    html = _ENVIRONMENT.get_template("page.html").render(
+        page=page, sections=sections, library=address, packed_library=packed
     )
     write_whole(path, html)
 
@@ -148,6 +190,32 @@ def _drawn(
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
     return sections
+
+
+@cache
+def packed_library() -> str:
+    """The library as base64 of what ``DecompressionStream("deflate")`` unpacks."""
+    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), _FAST)).decode()
+
+
+def share_library(folder: Path) -> None:
+    """Put the library beside the reports of a folder; where it cannot be, each has its own."""
+    if not _has_library(folder):
+        with contextlib.suppress(OSError):
+            write_whole(folder / LIBRARY_FILE, get_plotlyjs())
+
+
+def library_address(report: Path) -> str:
+    """Where a report finds a shared library: beside it or one folder up; "" where there is none."""
+    if _has_library(report.parent):
+        return LIBRARY_FILE
+    return f"../{LIBRARY_FILE}" if _has_library(report.parent.parent) else ""
+
+
+def _has_library(folder: Path) -> bool:
+    """Whether a folder has the library, and of this version."""
+    file = folder / LIBRARY_FILE
+    return file.is_file() and file.read_bytes() == get_plotlyjs().encode()
 
 
 _ENVIRONMENT = Environment(

@@ -1,12 +1,15 @@
-"""The numbers that a summary has for every joint, and what tables and figures call them."""
+"""The numbers of a summary that tables and figures show: what they are called, and their units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
-from deploy.reports.tables import Column, scaled
+from deploy.reports.tables import Column, Value, margin_percent, margin_text, percent, scaled
 from deploy.study.statistics import worst
+
+Summary = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -35,13 +38,13 @@ class JointQuantity:
     def column(self) -> Column:
         return Column(self.heading, self.unit, self.brief)
 
-    def of_joints(self, summary: dict[str, Any]) -> list[float | None]:
+    def of_joints(self, summary: Summary) -> list[float | None]:
         """Its values, shape (joints,), in `unit`; None where it is unknown."""
         given, joints = summary[self.section][self.key], len(summary["tracking"]["joint_names"])
         values = given if isinstance(given, list) else [given] * joints
         return [scaled(value, self.factor) for value in values]
 
-    def of_worst_joint(self, summary: dict[str, Any]) -> float | None:
+    def of_worst_joint(self, summary: Summary) -> float | None:
         """The largest of all joints; None if one of them has none."""
         return worst(self.of_joints(summary))
 
@@ -74,3 +77,35 @@ TIMES = {
 }
 """Names of the times of ``timing`` in a summary."""
 SETTLED = "A joint has settled when its error has entered the bounds' steady state to stay."
+
+
+RUN_NUMBERS: dict[str, Callable[[Summary], Value]] = {
+    "Smallest margin (%)": lambda s: margin_percent(s["bounds"]["margin_min"]),
+    "Ticks outside (%)": lambda s: scaled(s["bounds"]["violation_fraction"], 100.0),
+    "First outside (s)": lambda s: s["bounds"]["first_violation_s"],
+    "Faults": lambda s: len(s["faults"]),
+    "Deadlines met": lambda s: percent(s["timing"]["success_rate"]),
+    "Deadlines missed": lambda s: s["timing"]["deadline_misses"],
+    "Longest run of misses (ticks)": lambda s: s["timing"]["deadline_miss_longest_run"],
+    "Saturated ticks (%)": lambda s: scaled(s["torque"]["saturated_fraction"], 100.0),
+    "Real-time factor": lambda s: s["real_time_factor"],
+    "CPU time that a hypervisor took (ms)": lambda s: s["timing"]["stolen_ms"],
+    "Longest stall of a loop (ms)": lambda s: s["timing"]["longest_stall_ms"],
+    "Messages recorded": lambda s: s["recorder"]["messages"],
+    "Messages lost by the recorder": lambda s: s["recorder"]["lost"],
+    "Commands lost": lambda s: s["transport"]["downlink"]["lost"],
+    "Digest": lambda s: s["digest"][:12],
+}
+"""What a summary has of a run as a whole, by its heading in tables of one run and of several."""
+OF_LAWS: list[tuple[Column, Callable[[Summary], Value], bool]] = [
+    (Column("Ticks outside", "%", "Outside"), RUN_NUMBERS["Ticks outside (%)"], False),
+    (Column("Smallest margin", "", "Margin"), lambda s: margin_text(s["bounds"]["margin_min"]),
+     False),
+    (replace(RMS_ERROR.column, brief=None), RMS_ERROR.of_worst_joint, True),
+    (TOTAL_VARIATION.column, TOTAL_VARIATION.of_worst_joint, True),
+    (SHARE_ABOVE_50_HZ.column, SHARE_ABOVE_50_HZ.of_worst_joint, True),
+    (SETTLING_TIME.column, SETTLING_TIME.of_worst_joint, True),
+    (SETTLING_BOUND.column, SETTLING_BOUND.of_worst_joint, False),
+    (Column("Saturated ticks", "%", None), RUN_NUMBERS["Saturated ticks (%)"], False),
+]  # fmt: skip
+"""Columns of what decides between laws, and whether the smallest is the best."""

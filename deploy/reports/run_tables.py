@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.percentiles import PERCENTILES
+from deploy.judge.run_data import RunData
+from deploy.judge.stalls import STALL_MS
 from deploy.reports import quantities
-from deploy.reports.tables import ABSENT, Column, Table, Value, number, scaled
-from deploy.runs.judging.stalls import STALL_MS
-from deploy.runs.run_data import RunData
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled
+from deploy.run.confirmation import CONFIRMATION, NEAR_ZERO
+
+Row = list[Cell | Value]
 
 _SHOWN_EVENTS = 200
 _UNITS = ("_s", "_ms")
@@ -17,7 +21,8 @@ _REJECTED = (
     "Sent is what was put on its way. Commands that were rejected as they arrived are not among"
     " them; those overtaken, or through after the arm had stopped, are."
 )
-_PERCENTILES = {name: name.replace("_", ".") for name in PERCENTILES}
+WALL_TIME = "Control step and wake-up lateness are wall time, the others are on the run's clock."
+PERCENTILE_NAMES = {name: name.replace("_", ".") for name in PERCENTILES}
 _TRANSPORT = {
     "sent": "Sent",
     "delivered": "Delivered",
@@ -27,18 +32,18 @@ _TRANSPORT = {
     "duplicated": "Duplicated",
     "reordered": "Reordered",
     "delay_ms.mean": "Delay, mean (ms)",
-    **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in _PERCENTILES.items()},
+    **{f"delay_ms.{name}": f"Delay, {title} (ms)" for name, title in PERCENTILE_NAMES.items()},
 }
 
 
 def joint_table(summary: dict[str, Any], from_s: float) -> Table:
-    """Errors (from `from_s` on) and torques, a row per joint."""
-    names = summary["tracking"]["joint_names"]
+    """Errors (from `from_s` on) and torques of a run, a row per joint."""
     shown = [
         (quantity.column, quantity.of_joints(summary))
         for quantity in quantities.OF_ONE_RUN
         if quantity is not quantities.SETTLING_BOUND or summary[quantity.section][quantity.key]
     ]
+    names = summary["tracking"]["joint_names"]
     return Table(
         f"Joints, errors from {from_s:g} s on",
         [Column("Joint", is_text=True), *(column for column, _ in shown)],
@@ -59,39 +64,32 @@ def timing_table(summary: dict[str, Any]) -> Table:
         else []
     )
     times = {
-        title: [summary["timing"][key][name] for name in _PERCENTILES]
+        title: [summary["timing"][key][name] for name in PERCENTILE_NAMES]
         for key, title in quantities.TIMES.items()
     }
     always_0 = [title for title, values in times.items() if not any(v != 0 for v in values)]
-    note = "Control step and wake-up lateness are wall time, the others are on the run's clock."
-    if always_0:
-        note += f" Always 0: {', '.join(always_0).lower()}."
+    always = f" Always 0: {', '.join(always_0).lower()}." if always_0 else ""
     return Table(
         "Timing",
-        [Column("Time", is_text=True), *(Column(title, "µs") for title in _PERCENTILES.values())],
+        [
+            Column("Time", is_text=True),
+            *(Column(title, "µs") for title in PERCENTILE_NAMES.values()),
+        ],
         [[title, *values] for title, values in times.items() if title not in always_0] + stalls,
-        note,
+        WALL_TIME + always,
     )
 
 
 def health_table(summary: dict[str, Any]) -> Table:
-    """Deadlines, pace and recording."""
-    timing, recorder = summary["timing"], summary["recorder"]
+    """Every number of a run as a whole."""
     skipped = summary["recording"]["ticks_skipped"]
-    skips = {"Ticks": summary["ticks"], "Ticks skipped, plant too late": skipped}
-    rows = {
-        **(skips if skipped else {}),
-        "Deadlines missed": timing["deadline_misses"],
-        "Longest run of misses (ticks)": timing["deadline_miss_longest_run"],
-        "Ticks with a saturated actuator (%)": scaled(summary["torque"]["saturated_fraction"], 100),
-        "Real-time factor": summary["real_time_factor"],
-        "CPU time that a hypervisor took (ms)": timing["stolen_ms"],
-        "Longest stall of a loop (ms)": timing["longest_stall_ms"],
-        "Messages recorded": recorder["messages"],
-        "Messages lost by the recorder": recorder["lost"],
-        **{f"Lost of {topic}": count for topic, count in (recorder["lost_by_topic"] or {}).items()},
-    }
-    return Table("Health", [Column("Run", is_text=True), Column("")], list(rows.items()))
+    rows: list[Row] = []
+    if skipped:
+        rows += [["Ticks", summary["ticks"]], ["Ticks skipped, plant too late", skipped]]
+    rows += number_rows([summary])
+    lost = summary["recorder"]["lost_by_topic"] or {}
+    rows += [[f"Lost of {topic}", count] for topic, count in lost.items()]
+    return Table("Health", [Column("Run", is_text=True), Column("")], rows)
 
 
 def transport_table(summary: dict[str, Any]) -> Table:
@@ -127,6 +125,45 @@ def event_table(run: RunData) -> Table:
     return Table("Events", [Column(heading, is_text=True) for heading in headings], rows)
 
 
+def confirmation_tables(summaries: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The table of all confirmations in some summaries; none where there is no confirmation."""
+    found = [each for summary in summaries for each in summary.get(CONFIRMATION) or ()]
+    if not found:
+        return []
+    columns = [
+        Column("Scenario", brief=None, is_text=True),
+        Column("Law", is_text=True),
+        Column("On", is_text=True),
+        Column("Runs"),
+        Column("Same verdict", brief="Same"),
+        Column("Another verdict", brief="Other"),
+        Column("Too near to call", brief="Near"),
+        Column("Smallest margins differ by at most", "%", "Margin\n±"),
+        Column("True errors differ by at most", "mrad", "Error\n±"),
+    ]
+    rows = [
+        [
+            each["scenario"], each["law"], each["physics"], each["runs"], each["agree"],
+            Cell(each["differ"], "bad" if each["differ"] else ""), each["too_near"],
+            scaled(each["margin_difference"], 100.0), scaled(each["error_difference_rad"], 1e3),
+        ]
+        for each in found
+    ]  # fmt: skip
+    return [
+        Table(
+            "Confirmation on other physics", columns, rows,
+            "The same runs with the same controller, channel and hardware, on other rigid-body"
+            " physics. A verdict that differs is too near to call where a smallest margin is"
+            f" within {NEAR_ZERO:.0%} of the bound from zero.",
+        )
+    ]  # fmt: skip
+
+
+def number_rows(summaries: Sequence[dict[str, Any]]) -> list[Row]:
+    """A row for each of `quantities.RUN_NUMBERS`, with a value for each run."""
+    return [[heading, *map(of, summaries)] for heading, of in quantities.RUN_NUMBERS.items()]
+
+
 def _value(values: dict[str, Any], dotted_key: str) -> float | None:
     """A value of nested tables; None where a recording of another version has none."""
     name, _, inner = dotted_key.partition(".")
@@ -136,16 +173,16 @@ def _value(values: dict[str, Any], dotted_key: str) -> float | None:
 
 def _detail(event: RunEvent) -> str:
     """What an event says: its sentence, or its values as words."""
-    words = (_told(name, value) for name, value in event.values().items())
+    words = (_in_words(name, value) for name, value in event.values().items())
     return ", ".join(filter(None, words)) or event.detail
 
 
-def _told(name: str, value: object) -> str:
+def _in_words(name: str, value: object) -> str:
     """A value with its name and unit; of what was counted by reason only what occurred."""
     title, _, unit = name.rpartition("_") if name.endswith(_UNITS) else (name, "", "")
     words = title.replace("_", " ")
     if isinstance(value, dict):
-        counted = (_told(str(reason), count) for reason, count in value.items() if count)
+        counted = (_in_words(str(reason), count) for reason, count in value.items() if count)
         return f"{words}: {' and '.join(counted) or 'none'}"
     shown = number(value) if isinstance(value, float) else str(value).lower()
     return f"{words} {shown} {unit}".rstrip()

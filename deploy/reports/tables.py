@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from deploy.runs.conditions import conditions_line
+from deploy.judge.conditions import conditions_line
 
 ABSENT = "–"
 _FAR_OUTSIDE = -1.0

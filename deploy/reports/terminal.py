@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+
 from rich import box
 from rich import table as rich_table
+from rich.cells import cell_len, set_cell_size
 from rich.console import Console
 from rich.text import Text
 
-from deploy.reports.narrow import without_middle
+from deploy.judge.conditions import Conditions, conditions_line
 from deploy.reports.tables import Column, Status, Table
-from deploy.runs.conditions import Conditions, conditions_line
 
 STYLES: dict[Status, str] = {"": "", "good": "bold green", "bad": "bold red", "best": "bold"}
 _WHOLE_LETTERS = 24
 _WIDEST = 10_000
+_LEAST = 8
 
 
 def print_table(console: Console, table: Table) -> None:
@@ -37,7 +40,7 @@ def _rendered(table: Table, longest: int | None = None) -> rich_table.Table:
     """A table as rich has it, its words of `longest` letters at most."""
     chosen = [index for index, column in enumerate(table.columns) if column.brief is not None]
     rows = [
-        [Text(_told(row[index].text, longest), STYLES[row[index].status]) for index in chosen]
+        [Text(_shortened(row[index].text, longest), STYLES[row[index].status]) for index in chosen]
         for row in table.cells
     ]
     shown = rich_table.Table(box=box.SIMPLE_HEAD, padding=(0, 1))
@@ -54,7 +57,7 @@ def _rendered(table: Table, longest: int | None = None) -> rich_table.Table:
     return shown
 
 
-def _told(text: str, longest: int | None) -> str:
+def _shortened(text: str, longest: int | None) -> str:
     if longest is None:
         return text
     return " ".join(without_middle(word, longest) for word in text.split(" "))
@@ -78,3 +81,43 @@ def print_conditions(console: Console, conditions: Conditions) -> None:
 
 def _heading(column: Column) -> Text:
     return Text("\n".join(filter(None, (column.brief or column.heading, column.unit))))
+
+
+def without_middle(text: str, width: int) -> str:
+    """A text in so many columns of a terminal, its middle left out where it is longer."""
+    if cell_len(text) <= width:
+        return text
+    head = set_cell_size(text, width // 2)
+    tail = set_cell_size(text[::-1], width - 1 - width // 2)[::-1]
+    return f"{head}…{tail}"
+
+
+def width_of(rows: Sequence[Sequence[str]]) -> int:
+    """Columns of a terminal that the cells of a row take, where none is made narrower."""
+    return sum(_widths(rows))
+
+
+def fitted(
+    rows: Sequence[Sequence[str]], room: int, may_shrink: Collection[int]
+) -> list[list[str]]:
+    """Rows of a table whose widest columns are made as narrow as they have to be.
+
+    Args:
+        rows: its headings, too.
+        room: columns of the terminal for all cells of a row.
+        may_shrink: numbers of the columns of the table that may.
+    """
+    widths = _widths(rows)
+    while sum(widths) > room:
+        widest = max(may_shrink, key=widths.__getitem__)
+        if widths[widest] <= _LEAST:
+            break
+        widths[widest] -= 1
+    return [
+        [without_middle(text, width) for text, width in zip(row, widths, strict=True)]
+        for row in rows
+    ]
+
+
+def _widths(rows: Sequence[Sequence[str]]) -> list[int]:
+    return [max(map(cell_len, column)) for column in zip(*rows, strict=True)]

@@ -1,24 +1,32 @@
-"""The verdict on a run, put into words; `deploy.runs.judging.verdict` is what decides."""
+"""The verdict on one run or several, put into words; `deploy.judge.verdict` is what decides."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
+from deploy.judge.bounds import plant_count
+from deploy.judge.conditions import granted_and_not
+from deploy.judge.recorded_ticks import KnownTicks, known_ticks
+from deploy.judge.run_data import RunData
+from deploy.judge.stalls import STALL_MS
+from deploy.judge.verdict import Verdict, verdict_of
 from deploy.reports.tables import margin_text, number
-from deploy.runs.conditions import granted_and_not
-from deploy.runs.judging.bounds import plant_count
-from deploy.runs.judging.known_ticks import KnownTicks, known_ticks
-from deploy.runs.judging.stalls import STALL_MS
-from deploy.runs.judging.verdict import Verdict, verdict_of
-from deploy.runs.run_data import RunData
+
+if TYPE_CHECKING:
+    from deploy.run.execute import JudgedRun
+    from deploy.study.comparison.comparison import ComparedRuns
+    from deploy.study.comparison.recorded import Parting, RecordedRuns
 
 Level = Literal["good", "bad", "mixed", "broken"]
 PARTIAL = "The recording is partial: it was not finished properly."
 UNCHECKED = "No checksum covers all of the recording: damage between its messages would not show."
+_MRAD = 1e3
+_SHOWN_FAULTS = 2
+_NAMED_JOINTS = 2
 
 _HEADLINES: Mapping[Verdict, tuple[Level, str]] = {
     Verdict.KEPT: ("good", "Bounds kept"),
@@ -164,4 +172,146 @@ def _bounds_sentence(run: RunData, bounds: dict[str, Any], known: KnownTicks) ->
         f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
         f" of {'the ticks' if is_all else where}, for the first time at"
         f" {bounds['first_violation_s']:.3f} s, and at most {times_text(bounds)} its bound."
+    )
+
+
+def verdict_on_laws(comparison: ComparedRuns) -> ReportHead:
+    """The verdict on a comparison."""
+    runs = comparison.runs
+    kept = sum(run.kept_bounds for run in runs)
+    headline = f"{kept} of {len(runs)} laws kept their bounds"
+    if all(_is_sound(run) for run in runs) and kept in (0, len(runs)):
+        headline = f"All {kept} laws kept their bounds" if kept else "No law kept its bounds"
+    return _head(runs, headline, [*recording_sentences(runs), *_ranking(comparison)])
+
+
+def verdict_on_runs(compared: RecordedRuns) -> ReportHead:
+    """What is the same in recorded runs and what is not, in words."""
+    runs, keys = compared.runs, len(compared.differing)
+    has_gaps = any(known_ticks(run.data).missing for run in runs)
+    every = "every tick that is known of both" if has_gaps else "every tick"
+    reasons = [
+        f"{label}: {_parting_text(parting, compared.labels[0], every)}"
+        for label, parting in zip(compared.labels[1:], compared.partings[1:], strict=True)
+    ]
+    reasons += [f"{label}: {text}" for label, text in compared.differences_of_arithmetic.items()]
+    reasons += recording_sentences(runs)
+    differ = "value differs" if keys == 1 else "values differ"
+    reasons.append(f"{keys or 'No'} {differ} between the scenarios.")
+    kept = sum(run.kept_bounds for run in runs)
+    headline = f"{kept} of {len(runs)} runs kept their bounds; they are {_same(compared, every)}"
+    return _head(runs, headline, reasons)
+
+
+def _head(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> ReportHead:
+    """What became of each run, and its level: how many of them kept their bounds."""
+    said = [*(f"{run.law}: {bounds_sentence(run)}" for run in runs), *reasons]
+    unsound = [run for run in runs if not _is_sound(run)]
+    if unsound:
+        unread = " or cannot be read whole" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
+        return ReportHead("broken", f"{headline}, {len(unsound)} did not finish{unread}", said)
+    kept = sum(run.kept_bounds for run in runs)
+    return ReportHead("good" if kept == len(runs) else "mixed" if kept else "bad", headline, said)
+
+
+def _is_sound(run: JudgedRun) -> bool:
+    """Whether it came to its end, and is known whole."""
+    return run.verdict in (Verdict.KEPT, Verdict.LOST)
+
+
+def bounds_sentence(run: JudgedRun) -> str:
+    """What became of a law's bounds, or of the law."""
+    faults = run.summary["faults"]
+    if faults:
+        return "; ".join(faults[:_SHOWN_FAULTS])
+    if run.verdict is Verdict.INTERRUPTED:
+        return "did not come to its end"
+    is_known = run.verdict is not Verdict.UNKNOWN
+    return f"{'' if is_known else 'not all of it is known; where it is, it '}{_bounds_text(run)}"
+
+
+def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
+    """What the recordings of runs lack, each with its law, as far as they lack anything."""
+    found = []
+    for run in runs:
+        if damage := run.summary["recording"]["damage"]:
+            found.append(f"{run.law}: {damaged(damage)}")
+        if (known := known_ticks(run.data)).missing:
+            found.append(f"{run.law}: {missing_ticks_sentence(known)}")
+    return found
+
+
+def _bounds_text(run: JudgedRun) -> str:
+    bounds = run.summary["bounds"]
+    if bounds["violation_fraction"] is None:
+        return "has no tick"
+    if not bounds["violation_fraction"]:
+        if run.verdict is Verdict.LOST:
+            return "left its bounds at ticks that its recording lacks, as the plant counted"
+        inside = "kept" if run.kept_bounds else "was inside"
+        return f"{inside} its bounds, smallest margin {margin_text(bounds['margin_min'])}"
+    return (
+        f"left its bounds at {bounds['first_violation_s']:.3f} s, outside at"
+        f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks, at most"
+        f" {times_text(bounds)} its bound"
+    )
+
+
+def _ranking(comparison: ComparedRuns) -> list[str]:
+    """Who of those that kept their bounds is most precise, joint by joint, and who smoothest."""
+    kept = [run for run in comparison.runs if run.kept_bounds]
+    sentences = []
+    for what, section, key in (
+        ("Smallest RMS error", "tracking", "rms_rad"),
+        ("Least total variation of torque", "torque", "total_variation_nm_per_s"),
+    ):
+        competing = {run.law: run.summary[section][key] for run in kept}
+        competing = {law: values for law, values in competing.items() if values is not None}
+        if len(competing) > 1:
+            sentences.append(f"{what}: {_winners(competing, kept)}.")
+    return sentences
+
+
+def _winners(competing: dict[str, list[float]], kept: list[JudgedRun]) -> str:
+    """Who has the smallest number on which joints, and how much less than the next best."""
+    names = kept[0].summary["tracking"]["joint_names"]
+    won: dict[str, dict[str, float]] = {}
+    for joint, name in enumerate(names):
+        first, second = sorted(competing, key=lambda law: competing[law][joint])[:2]
+        ratio = competing[first][joint] / max(competing[second][joint], 1e-300)
+        won.setdefault(first, {})[name] = ratio
+    return "; ".join(
+        f"{law} on {_joints(list(ratios), len(names))},"
+        f" at most {number(max(ratios.values()))} × the next best"
+        for law, ratios in won.items()
+    )
+
+
+def _joints(some: list[str], joints: int) -> str:
+    if len(some) == joints:
+        return "every joint"
+    if len(some) <= _NAMED_JOINTS:
+        return " and ".join(some)
+    return f"{len(some)} of {joints} joints"
+
+
+def _same(compared: RecordedRuns, every: str) -> str:
+    partings = [parting for parting in compared.partings if parting is not None]
+    if not partings:
+        return f"the same at {every}"
+    has_same_begin = all(each.is_end and each.largest_rad is not None for each in partings)
+    return "the same until one ends" if has_same_begin else "not the same"
+
+
+def _parting_text(parting: Parting | None, first: str, every: str) -> str:
+    if parting is None:
+        return f"the same as {first} at {every}, to the bit"
+    if parting.largest_rad is None:
+        return f"has no tick at the time of one of {first}"
+    if parting.is_end:
+        return f"the same as {first} at {every} before {parting.tick}, where one ends, to the bit"
+    apart = number(parting.largest_rad, _MRAD, " mrad")
+    return (
+        f"leaves {first} at tick {parting.tick} ({number(parting.time_s)} s); positions are at most"
+        f" {apart} apart"
     )

@@ -1,25 +1,26 @@
-"""Whether a scenario fits the files and the arm that it refers to."""
+"""Whether a scenario fits the files and the arm that it refers to; warnings where it may not."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.errors import JointNameError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
 from controller.laws.custom import are_left_out
+from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from controller.reference import Reference, sample_positions
-from deploy.link_kinds.table import LINK_KINDS
-from deploy.scenario.definition import Scenario
+from deploy.link_kinds.kind import LINK_KINDS
+from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from deploy.scenario.referenced_files import find_delay_files, find_reference_file, find_urdf
 from deploy.scenario.setup import Setup
 from deploy.scenario.uncertainty import check_uncertainty
 from deploy.scenario.yaml_files import naming, plain
 from plant_emulator.arm_plant import ArmPlant
-from plant_emulator.drives.protocol import PROTOCOLS
 from plant_emulator.faults.fault import FaultContext
 from plant_emulator.faults.kinds import check_faults
 
@@ -28,7 +29,7 @@ _MOST_CHECKED = 20_000
 _SIZED_BY = 100
 
 
-def check(scenario: Scenario, origin: Origin) -> Setup:
+def check(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     """Check a scenario against the files and the robot it refers to.
 
     Raises:
@@ -45,7 +46,7 @@ def check(scenario: Scenario, origin: Origin) -> Setup:
     return setup
 
 
-def _set_up(scenario: Scenario, origin: Origin) -> Setup:
+def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     source = origin.file
     link_kind = LINK_KINDS.build(scenario.link.kind)
     PROTOCOLS.check(scenario.link.can.protocol)
@@ -55,13 +56,16 @@ def _set_up(scenario: Scenario, origin: Origin) -> Setup:
     reference = reference_section.build(robot)
     grid = _grid(scenario)
     motion = _reachable_motion(reference, robot, scenario)
+    scenario = _loaded(scenario, robot)
     offset, start = _start(reference, robot, given.initial_offset_rad)
     context = FaultContext(
         robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
     )
     check_faults(scenario.faults, context)
     sized_by = motion[:: -(-len(motion) // _SIZED_BY)]
-    inertia = scenario.controller.nominal_model(robot).governing_inertia(sized_by)
+    rotors = scenario.plant.actuator.rotor_inertia(robot.joints)
+    _check_gears(scenario, robot, sized_by, grid)
+    inertia = scenario.controller.nominal_model(robot, rotors).governing_inertia(sized_by)
     link = find_delay_files(scenario.link, source.parent)
     return Setup(
         scenario=scenario.model_copy(update={"link": link, "reference": reference_section}),
@@ -76,6 +80,37 @@ def _set_up(scenario: Scenario, origin: Origin) -> Setup:
         overrides=tuple(origin.overrides),
         given_by=origin.given_by,
     )
+
+
+def _check_gears(
+    scenario: ScenarioConfiguration, robot: RobotDescription, positions: Matrix, grid: TickGrid
+) -> None:
+    """Check that a physics step is short beside the swinging of rotors against links."""
+    stiffness = scenario.plant.actuator.gear_stiffness_nm_rad
+    rotors = scenario.plant.actuator.rotor_inertia(robot.joints)
+    if stiffness is None or not rotors.all():
+        return
+    links = ManipulatorModel(robot).governing_inertia(positions)
+    most = 1.0 / (1.0 / rotors + 1.0 / links) / grid.substep_s**2
+    if (stiffness > most).any():
+        allowed = (
+            f"must be at most {[float(f'{each:.3g}') for each in most]} with this arm and physics"
+            f" step of {1e3 * grid.substep_s:g} ms; more plant.substeps allow more"
+        )
+        key = "plant.actuator.gear_stiffness_nm_rad"
+        raise ConfigurationError(key, stiffness.tolist(), allowed, ["plant.substeps", "robot"])
+
+
+def _loaded(scenario: ScenarioConfiguration, robot: RobotDescription) -> ScenarioConfiguration:
+    """The scenario with its payload in kg, be it given as a share of what the arm can hold."""
+    plant = scenario.plant
+    if not plant.payload_share:
+        return scenario
+    saturation = plant.actuator.saturation_nm
+    most_kg = largest_load_kg(robot, robot.effort_limits_nm if saturation is None else saturation)
+    payload_kg = plant.payload_kg + plant.payload_share * most_kg
+    changed = plant.model_copy(update={"payload_kg": payload_kg, "payload_share": 0.0})
+    return scenario.model_copy(update={"plant": changed})
 
 
 def _check_sides(setup: Setup) -> None:
@@ -93,7 +128,7 @@ def _check_sides(setup: Setup) -> None:
         check_uncertainty(scenario.uncertainty, plain(scenario), setup.robot.joints)
 
 
-def _grid(scenario: Scenario) -> TickGrid:
+def _grid(scenario: ScenarioConfiguration) -> TickGrid:
     grid = TickGrid(scenario.rate_hz, scenario.plant.substeps)
     if scenario.duration_s * 1e9 < grid.period_ns:
         allowed = f"at least a tick, {grid.period_ns * 1e-9} s"
@@ -115,7 +150,9 @@ def _start(
     return offset, start
 
 
-def _reachable_motion(reference: Reference, robot: RobotDescription, scenario: Scenario) -> Matrix:
+def _reachable_motion(
+    reference: Reference, robot: RobotDescription, scenario: ScenarioConfiguration
+) -> Matrix:
     """Reference positions over the run, shape (samples, joints), all within the arm's reach."""
     first_s, last_s = reference.known_s
     if first_s > 0.0 or last_s < scenario.duration_s - 0.5 / scenario.rate_hz:

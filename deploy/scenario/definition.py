@@ -17,7 +17,7 @@ from bus_schema.configuration import (
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from controller.configuration import ControllerConfiguration
-from controller.funnel_configuration import FunnelConfiguration
+from controller.funnel import FunnelConfiguration
 from controller.reference_configuration import ReferenceConfiguration
 from deploy.scenario.uncertainty import Uncertainty
 from plant_emulator.configuration import PlantConfiguration
@@ -56,7 +56,7 @@ class MetricsConfiguration(StrictModel):
     from_s: NonNegative = 2.0
 
 
-class Scenario(StrictModel):
+class ScenarioConfiguration(StrictModel):
     """A whole experiment.
 
     What is uncertain about it changes nothing in a run: studies draw plants from it.

@@ -10,7 +10,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the command line needs this module before it loads the program
-    from deploy.scenario.definition import Scenario
+    from deploy.scenario.definition import ScenarioConfiguration
     from deploy.scenario.explanation import Origin
 
 _said: ContextVar[set[str] | None] = ContextVar("lines that were said", default=None)
@@ -26,7 +26,7 @@ def code_is_named() -> Iterator[None]:
         _said.reset(before)
 
 
-def name_code(scenario: Scenario, origin: Origin) -> None:
+def name_code(scenario: ScenarioConfiguration, origin: Origin) -> None:
     """Name the law or program of the user's own that a scenario is about to run."""
     from controller.laws.custom import EXTERNAL, are_left_out, is_custom
 

@@ -12,7 +12,7 @@ from bus_schema.urdf.resolved import pybullet_data
 from bus_schema.user_files import is_file
 from controller.reference_configuration import CsvConfiguration, ReferenceConfiguration
 from controller.reference_file import KEY as REFERENCE_KEY
-from deploy.scenario.definition import Scenario
+from deploy.scenario.definition import ScenarioConfiguration
 from plant_emulator.channel.jitter import read_delays_ms
 
 DIRECTIONS = ("uplink", "downlink")
@@ -94,7 +94,7 @@ def find_reference_file(reference: ReferenceConfiguration, base: Path) -> Refere
     raise ConfigurationError(REFERENCE_KEY, reference.file, allowed)
 
 
-def data_files(scenario: Scenario) -> dict[str, Path]:
+def data_files(scenario: ScenarioConfiguration) -> dict[str, Path]:
     """The files of a checked scenario but for its arm, by dotted key."""
     named = {key: getattr(scenario.link, key.split(".")[1]).distribution_file for key in DELAY_KEYS}
     if isinstance(scenario.reference, CsvConfiguration):

@@ -16,12 +16,15 @@ from bus_schema.configuration import (
     ConfigurationError,
     shown,
 )
+from bus_schema.errors import RobotDescriptionError
+from bus_schema.robot_description import load_robot
 from controller.configuration import PROCESS
 from deploy.scenario.checks import check
-from deploy.scenario.definition import Scenario
+from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from deploy.scenario.foreign_code import name_code
 from deploy.scenario.setup import Setup
+from deploy.scenario.starter import ARM_FILES, starter_scenario
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
@@ -39,7 +42,8 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
     """Load, override and check a scenario.
 
     Args:
-        name_or_path: a scenario file, or the name of a shipped scenario.
+        name_or_path: a scenario file, or the name of a shipped scenario, or the URDF, xacro or MJCF
+            file of an arm, which gets a `starter_scenario`.
         overrides: ``dotted.key=value``; values are YAML.
         given_by: what they were set with, for messages.
 
@@ -47,7 +51,21 @@ def load_setup(name_or_path: str, overrides: Sequence[str] = (), given_by: str =
         ScenarioError: anything about it is wrong.
     """
     path = find_yaml(name_or_path, SHIPPED)
-    return build_setup(read_yaml(path), path, overrides, given_by)
+    return build_setup(file_values(path), path, overrides, given_by)
+
+
+def file_values(path: Path) -> dict[str, Any]:
+    """The values of a scenario file, or of the starter scenario of an arm's file.
+
+    Raises:
+        ScenarioError: it cannot be read.
+    """
+    if path.suffix.lower() not in ARM_FILES:
+        return read_yaml(path)
+    try:
+        return starter_scenario(load_robot(path))
+    except RobotDescriptionError as error:
+        raise ScenarioError(str(error)) from error
 
 
 def build_setup(
@@ -65,14 +83,16 @@ def build_setup(
         ScenarioError: anything about it is wrong.
     """
     origin = Origin(source, tuple(overrides), given_by)
-    scenario = validated(given_values(values, source, overrides), Scenario, origin)
+    scenario = validated(given_values(values, source, overrides), ScenarioConfiguration, origin)
     name_code(scenario, origin)
     with naming(origin):
         scenario = _judged_over_some_time(scenario, origin)
     return check(scenario, origin)
 
 
-def _judged_over_some_time(scenario: Scenario, origin: Origin) -> Scenario:
+def _judged_over_some_time(
+    scenario: ScenarioConfiguration, origin: Origin
+) -> ScenarioConfiguration:
     """The scenario with errors summed up over some time.
 
     The default may lie beyond the end of a short run, of which the second half counts then: that

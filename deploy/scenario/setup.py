@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.drive_feedback import DriveGains, critically_damped, no_drive_feedback
@@ -15,15 +18,44 @@ from bus_schema.runtime.clock import TickGrid
 from controller.control_loop import ControlTask
 from controller.funnel import Funnel
 from controller.reference import Reference
-from deploy.link_kinds.kind import LinkKind, LinkRun
-from deploy.link_kinds.table import LINK_KINDS
-from deploy.scenario.definition import Scenario
+from deploy.link_kinds.kind import LINK_KINDS, LinkKind, LinkRun
+from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
-from deploy.scenario.truth_watch import TruthWatch
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.faults.process_faults import plant_faults
 from plant_emulator.faults.scheduler import ScheduledAction
 from plant_emulator.plant_task import PlantTask
+
+_SECOND_NS = 1_000_000_000
+
+
+class FunnelCounter:
+    """Counts the ticks at which the arm was outside its funnel.
+
+    Args:
+        reference: what the arm is to follow.
+        funnel: the bounds.
+        position: true joint positions, rad, shape (joints,), as they are at each look.
+    """
+
+    def __init__(self, reference: Reference, funnel: Funnel, position: Vector) -> None:
+        wanted, *rates = np.empty((3, len(position)))
+        self._counts = np.zeros(3)
+        self._follow = reference.onto(wanted, *rates)
+        self._compare = funnel.counting(position, wanted, self._counts)
+
+    def look(self, stamp_ns: int) -> None:
+        """Count a tick, by its instant."""
+        seconds, rest_ns = divmod(stamp_ns, _SECOND_NS)
+        time_s = seconds + 1e-9 * rest_ns  # as readers of stamps work it out, to the bit
+        self._follow(time_s)
+        self._compare(time_s)
+
+    def counts(self) -> dict[str, Any]:
+        """``ticks`` looked at, those ``outside`` the funnel, and the smallest margin of all."""
+        ticks, outside, largest = self._counts.tolist()
+        margin = 1.0 - largest if math.isfinite(largest) else None
+        return {"ticks": int(ticks), "outside": int(outside), "margin_min": margin}
 
 
 @dataclass(frozen=True)
@@ -40,7 +72,7 @@ class Setup:
         given_by: what they were set with.
     """
 
-    scenario: Scenario
+    scenario: ScenarioConfiguration
     source: Path
     robot: RobotDescription
     reference: Reference
@@ -65,13 +97,14 @@ class Setup:
         """A fresh task for a controller."""
         controller = self.scenario.controller
         joints = self.robot.joints
+        rotors = self.scenario.plant.actuator.rotor_inertia(joints)
         own_rates = controller.torque_rate_limits(joints)
         limits = self.scenario.limits.of_controller(self.robot, own_rates)
         return ControlTask(
             robot=self.robot,
             reference=self.reference.copied(),  # a law can write into what it is given
             funnel=self.funnel.copied(),
-            law=controller.build_law(self.gains, self.robot),
+            law=controller.build_law(self.gains, self.robot, rotors),
             law_name=controller.law,
             limits=limits,
             compensation=controller.build_compensation(
@@ -79,6 +112,7 @@ class Setup:
                 self.governing_inertia_kg_m2,
                 self.drive if controller.drive_feedback.enabled else no_drive_feedback(joints),
                 self.scenario.link,
+                rotors,
             ),
             sends_targets=controller.drive_feedback.enabled,
         )
@@ -117,7 +151,7 @@ class Setup:
             takes_targets=self.drive.is_active,
             faults=plant_faults(self.scenario.faults),
             process_actions=process_actions,
-            watch=partial(TruthWatch, self.reference, self.funnel),
+            watch=partial(FunnelCounter, self.reference, self.funnel),
         )
 
     @property

@@ -1,19 +1,23 @@
 """The one rule of all studies: what is set takes effect in their runs, or is refused.
 
 A study sets some keys by itself, over whatever was set before; and its runs are simulations, in
-which nothing connects and time is virtual.
+which nothing connects and time is virtual. Seeds have an effect where a
+scenario draws random numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from bus_schema.configuration import ConfigurationError
+from bus_schema.link.channel_configuration import ChangeableConditions, ChannelConfiguration
 from controller.laws import LAWS
-from deploy.scenario.scenario import given_values
+from deploy.scenario.scenario import file_values, given_values
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import read_yaml
+from plant_emulator.configuration import NoiseTerm, PlantConfiguration
 
 LAW = "controller.law"
 SEED = "seed"
@@ -76,7 +80,7 @@ def require_link_effect(given: Mapping[str, Any], setups: Iterable[Setup]) -> No
 def _changed(setups: Iterable[Setup]) -> bool:
     """Whether a file says CAN, which something else was set in place of."""
     files = {setup.source for setup in setups}
-    links = [given_values(read_yaml(file), file, ()).get("link") for file in files]
+    links = [given_values(file_values(file), file, ()).get("link") for file in files]
     return any(isinstance(link, dict) and link.get("kind") == _CAN for link in links)
 
 
@@ -97,3 +101,38 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
 def _overlap(one: str, other: str) -> bool:
     """Whether keys are the same, or one is of a section that the other is in."""
     return one == other or one.startswith(f"{other}.") or other.startswith(f"{one}.")
+
+
+def seeds_that_differ(setup: Setup, seeds: Sequence[int]) -> list[int]:
+    """Of these seeds, those that give runs of their own: all, or the first."""
+    return list(seeds) if is_random(setup) else list(seeds[:1])
+
+
+def is_random(setup: Setup) -> bool:
+    """Whether a scenario draws random numbers; where that is not certain, it counts as if.
+
+    A law of one's own is given no seed.
+    """
+    scenario, link = setup.scenario, setup.scenario.link
+    return (
+        setup.link_kind.draws_random_numbers
+        or bool(scenario.faults)
+        or _draws(link.uplink)
+        or _draws(link.downlink)
+        or _is_noisy(scenario.plant)
+    )
+
+
+def _draws(channel: ChannelConfiguration) -> bool:
+    stages: list[ChannelConfiguration | ChangeableConditions] = [channel]
+    stages += [entry for entry in channel.schedule if isinstance(entry, ChangeableConditions)]
+    return channel.distribution == "empirical" or any(
+        stage.jitter_ms or stage.loss or stage.burst_loss or stage.duplicate for stage in stages
+    )
+
+
+def _is_noisy(plant: PlantConfiguration) -> bool:
+    encoders = (plant.encoder, plant.drive_feedback.encoder)
+    return any(np.any(encoder.velocity_noise_rad_s) for encoder in encoders) or any(
+        isinstance(term, NoiseTerm) for term in plant.disturbance.terms
+    )

@@ -182,13 +182,14 @@ class _Drawing:
     def value(self, key: str) -> float | Vector:
         """The value of a key that is drawn."""
         text = self.keys[key]
-        own, drawn, relative = self._own(key, text), self.draws[text], self._relative(text)
-        if relative is not False:
-            factor_on = own if relative is True else self._other(relative, text)
-            drawn = drawn * factor_on
+        own, drawn, draw = self._own(key, text), self.draws[text], self._uncertainty[text]
+        if isinstance(draw.relative, str):
+            drawn = drawn * self._other(draw.relative, text)
+        elif draw.relative:
+            drawn = drawn * own
         if np.ndim(drawn) and not np.ndim(own):
             allowed = f"must be one number for the arm, as {key} takes one, not one per joint"
-            raise ConfigurationError(f"uncertainty.{text}", self._shown(text), allowed)
+            raise ConfigurationError(f"uncertainty.{text}", f"per: {draw.per}", allowed)
         return drawn
 
     def _other(self, key: str, text: str) -> float | Vector:
@@ -214,12 +215,6 @@ class _Drawing:
         if np.ndim(value) and np.size(value) not in (1, self._joints):
             raise ConfigurationError(where, key, "must be a key with one number, or one per joint")
         return value
-
-    def _relative(self, text: str) -> bool | str:
-        return self._uncertainty[text].relative
-
-    def _shown(self, text: str) -> str:
-        return f"per: {self._uncertainty[text].per}"
 
 
 def number_at(scenario: Mapping[str, Any], key: str) -> float | Vector | None:

@@ -14,9 +14,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from bus_schema.configuration import ConfigurationError, shortened, shown
-from bus_schema.errors import did_you_mean
+from bus_schema.errors import InputError, did_you_mean
 from bus_schema.user_files import is_file, read_text
-from deploy.input_error import InputError
 from deploy.scenario.explanation import Origin, explain
 from deploy.scenario.yaml_text import problem_in, values_of
 
@@ -132,7 +131,7 @@ def option_value(option: str, text: str) -> Any:
         return values_of(text)
     except ConfigurationError as error:
         raise ScenarioError(f"{option}: {shown(error.value)} {error.allowed}") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeEncodeError) as error:  # what is typed may be no UTF-8
         raise ScenarioError(f"{option}: {shown(text)} is no YAML value") from error
 
 

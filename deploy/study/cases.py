@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Generic, TypeVar
 
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
+from deploy.judge.run_rows import Row
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import LAW, SEED, laws_beside, require_effect
-from deploy.scenario.yaml_files import override
-from deploy.study.margins.quantities import Direction, Quantity, build_quantity
-from deploy.study.study import Different, StudyDefinition, scenario_name
+from deploy.scenario.study_keys import (
+    LAW,
+    SEED,
+    laws_beside,
+    require_effect,
+    require_link_effect,
+)
+from deploy.scenario.yaml_files import ScenarioError, naming, override, validated
+from deploy.study.plants import with_ranges
+from deploy.study.quantities import Direction, Quantity, build_quantity, ceiling_of_value
+from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
 
 CASE_COLUMNS = {
     "law": "string", "arm": "string", "compensation": "bool", "drive_feedback": "bool",
@@ -91,11 +100,6 @@ class Setting:
         return (*self.overrides, *more, *own)
 
 
-def scenarios_of(wanted: CasesDefinition, source: Path) -> list[str]:
-    """The scenarios as studies name them; see `scenario_name`."""
-    return [scenario_name(name, source.parent) for name in wanted.scenarios]
-
-
 COMPENSATION = "controller.delay_compensation.enabled"
 DRIVE_FEEDBACK = "controller.drive_feedback.enabled"
 
@@ -155,6 +159,102 @@ def _laws(wanted: CasesDefinition, scenario: str) -> list[str]:
     return laws_beside(load_setup(scenario, wanted.fixed_overrides).scenario.controller.law)
 
 
-def bases_of(all_settings: Sequence[Setting]) -> list[Setup]:
-    """One scenario of each name."""
-    return list({one.base.scenario.name: one.base for one in all_settings}.values())
+@dataclass
+class Case:
+    """A setting, and what is tried with it.
+
+    Attributes:
+        setting: what it is.
+        ceilings_ms: how long the arm may be held at each start, or of each plant, where known.
+    """
+
+    setting: Setting
+    ceilings_ms: list[float]
+
+
+C = TypeVar("C", bound=Case)
+
+
+class StudyOfCases(StudyOfRuns, Generic[C]):
+    """A study of a quantity that grows, in all settings of its definition.
+
+    Attributes:
+        definition_type: what its YAML file may have.
+        cases: what is tried.
+    """
+
+    definition_type: ClassVar[type[CasesDefinition]]
+    definition: Any
+    cases: list[C]
+
+    def __init__(self, values: Mapping[str, Any], source: Path) -> None:
+        with naming(source):
+            ranged = with_ranges(values, source)
+        given = validated(ranged, self.definition_type, source)
+        with naming(source):
+            scenarios = [scenario_name(name, source.parent) for name in given.scenarios]
+            self.definition = given.model_copy(update={"scenarios": scenarios})
+            self.cases = list(self.build_cases())
+            self._require_own_names()
+            self.bases = list({base.scenario.name: base for base in self.variants}.values())
+            require_link_effect({**given.fixed, given.quantity: None}, self.bases)
+
+    @abstractmethod
+    def build_cases(self) -> Iterator[C]:
+        """All cases, each checked at the last value; errors as `settings`."""
+
+    @abstractmethod
+    def case_findings(self, rows: list[Row]) -> dict[str, Any]:
+        """What came of the cases, and whether all is `completed`, ready for JSON."""
+
+    def _require_own_names(self) -> None:
+        """Rows tell scenarios by their names."""
+        files: dict[str, str] = {}
+        for setting in (case.setting for case in self.cases):
+            name = setting.base.scenario.name
+            if files.setdefault(name, setting.scenario) != setting.scenario:
+                raise ScenarioError(
+                    f"scenarios: {files[name]} and {setting.scenario} are both called {name!r}:"
+                    " must have names of their own"
+                )
+
+    @property
+    def variants(self) -> list[Setup]:
+        return [case.setting.base for case in self.cases]
+
+    def findings(self, rows: list[Row]) -> dict[str, Any]:
+        quantity = self.cases[0].setting.quantity
+        return {
+            "quantity": self.definition.quantity,
+            "title": quantity.title,
+            "unit": quantity.unit,
+            "duration_s": {base.scenario.name: base.scenario.duration_s for base in self.bases},
+            **self.case_findings(rows),
+        }
+
+    def ceilings_ms(self, setting: Setting, setups: Iterable[Setup]) -> list[float]:
+        """The held-arm ceilings of a delay that is there from the start, where there are any."""
+        if setting.running or self.definition.quantity != "delay":
+            return []
+        found = (ceiling_of_value(setup, self.definition.direction) for setup in setups)
+        return [each for each in found if each is not None]
+
+    def planned(
+        self, point: str, setting: Setting, value: float, seeds: Sequence[int],
+        more: Sequence[str], columns: Mapping[str, Any],
+    ) -> list[PlannedRun]:  # fmt: skip
+        """The runs of a setting at a value, one for each seed.
+
+        Args:
+            point: their name.
+            setting: what is tried.
+            value: of the quantity.
+            seeds: those of the scenario.
+            more: what else is set.
+            columns: what else tells them from others.
+        """
+        tags = {**setting.tags, "quantity": self.definition.quantity, "value": value, **columns}
+        overrides, confirms = setting.at(value, more), bool(self.definition.confirm)
+        return [
+            PlannedRun(point, setting.scenario, overrides, seed, tags, confirms) for seed in seeds
+        ]

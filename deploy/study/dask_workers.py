@@ -7,21 +7,27 @@ import logging
 import os
 import queue
 import signal
+import sys
+import sysconfig
 import tempfile
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
 
+import cloudpickle
 import dask
 from distributed import Client, Future, LocalCluster, Worker, rpc
 from distributed.scheduler import KilledWorker
 from distributed.security import Security
 
 from bus_schema.runtime import compiled
-from deploy.runs.run_rows import Row
+from controller.laws.custom import EXTERNAL, Maker, find_law, is_custom, laws_given
+from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.shipped_laws import execute_with, packed
-from deploy.study.study import Run, execute, failed
+from deploy.study.study import PlannedRun, failed, row_of
 
 _ANSWER_S = 3.0
 _WORKERS_S = 5.0
@@ -30,6 +36,8 @@ _UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.ti
 """Dask's own profiler and its watch over its event loop interrupt a run hundreds of times."""
 _COMPILES = "funnel-hil compiles"
 """Topic of the events by which workers tell it."""
+Packed = Mapping[str, bytes]
+"""Laws by name, as `cloudpickle` has them."""
 
 
 class ClusterLostError(Exception):
@@ -57,11 +65,11 @@ class DaskWorkers:
         self, workers: int | None = None, scheduler: str | None = None, laws: Iterable[str] = ()
     ) -> None:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        self._finished: queue.SimpleQueue[tuple[Run, Future]] = queue.SimpleQueue()
+        self._finished: queue.SimpleQueue[tuple[PlannedRun, Future]] = queue.SimpleQueue()
         self._laws = packed(laws)
         self._in_flight = 0
-        self._suspects: deque[Run] = deque()
-        self._alone: Run | None = None
+        self._suspects: deque[PlannedRun] = deque()
+        self._alone: PlannedRun | None = None
         self._open = ExitStack()
         if scheduler is not None:
             self._client = self._open.enter_context(_connect(scheduler))
@@ -87,13 +95,13 @@ class DaskWorkers:
         workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
         return sum(worker["nthreads"] for worker in workers)
 
-    def submit(self, run: Run) -> None:
+    def submit(self, run: PlannedRun) -> None:
         """Have a run done."""
         self._in_flight += 1
-        future = self._client.submit(execute_with, run, self._laws, pure=False)
+        future = self._client.submit(row_with, run, self._laws, pure=False)
         future.add_done_callback(lambda done: self._finished.put((run, done)))
 
-    def finished(self, timeout_s: float) -> tuple[Run, Row] | None:
+    def finished(self, timeout_s: float) -> tuple[PlannedRun, Row] | None:
         """A run that is done, in any order; None if none was done in time.
 
         Raises:
@@ -197,4 +205,56 @@ async def _identity(scheduler: str) -> None:
 
 def _can_run() -> str:
     """Where a worker has the code from."""
-    return execute.__module__
+    return row_of.__module__
+
+
+def packed(laws: Iterable[str]) -> Packed:
+    """Those of the laws that are the user's own, packed.
+
+    One that cannot be packed is left out: workers import it, where they have its file.
+    """
+    found = {name: _packed(find_law(name)) for name in laws if is_custom(name) and name != EXTERNAL}
+    return {name: code for name, code in found.items() if code is not None}
+
+
+def row_with(run: PlannedRun, laws: Packed) -> Row:
+    """`row_of`, with laws that came along."""
+    try:
+        makers = {name: _unpacked(code) for name, code in laws.items()}
+    except Exception as error:  # noqa: BLE001 - what a law imports may not be there
+        return failed(run, f"{type(error).__name__}: {error}")
+    with laws_given(makers):
+        return row_of(run)
+
+
+def _packed(make: Maker) -> bytes | None:
+    """A law with its whole module, unless that is a package that workers have as well."""
+    module = sys.modules.get(make.__module__)
+    by_value = module is not None and _is_of_the_user(module)
+    if by_value:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        code: bytes = cloudpickle.dumps(make)
+        return code
+    except Exception:  # noqa: BLE001 - an object may refuse to be pickled in any way
+        return None
+    finally:
+        if by_value:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def _is_of_the_user(module: ModuleType) -> bool:
+    """Whether a module is a file of the user's own, and not installed."""
+    file = getattr(module, "__file__", None)
+    if module.__name__ == "__main__" or file is None:
+        return False
+    installed = (sysconfig.get_path("purelib"), sysconfig.get_path("platlib"))
+    ours = Path(__file__).resolve().parents[2]
+    folders = [*map(Path, installed), ours]
+    return not any(Path(file).resolve().is_relative_to(folder) for folder in folders)
+
+
+@lru_cache(maxsize=16)
+def _unpacked(code: bytes) -> Maker:
+    make: Maker = cloudpickle.loads(code)
+    return make

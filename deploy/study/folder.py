@@ -9,7 +9,6 @@ and so take other names once it has grown.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import time
 from pathlib import Path
@@ -17,10 +16,11 @@ from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
-from deploy.runs.conditions import Conditions
-from deploy.runs.confirmation import CONFIRMATION_COLUMNS
-from deploy.runs.new_folder import new_folder, resolved_out
-from deploy.runs.run_folder import (
+from deploy.judge.conditions import Conditions
+from deploy.judge.run_rows import Row, left_nothing, read_rows, write_rows
+from deploy.run.confirmation import CONFIRMATION_COLUMNS
+from deploy.run.new_folder import new_folder, resolved_out
+from deploy.run.run_folder import (
     ResultFolder,
     RunFolderError,
     grown_from,
@@ -28,22 +28,21 @@ from deploy.runs.run_folder import (
     read_manifest,
     read_summary,
 )
-from deploy.runs.run_rows import Row, left_nothing, read_rows, write_rows
-from deploy.scenario.oddities import oddities_of_all
+from deploy.scenario.effective import effective_scenario, write_scenario
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.written import effective_scenario, write_scenario
+from deploy.scenario.warnings import all_warnings
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
-from deploy.study.growth import hindrances
-from deploy.study.margins.margin import Margin
+from deploy.study.growth import changes, hindrances
+from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness
-from deploy.study.study import Run, Study
+from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
 from deploy.study.sweep import Sweep
 
 STUDY_FILE = "study.yaml"
-KINDS: dict[str, type[Study]] = {kind.kind: kind for kind in (Sweep, Margin, Robustness)}
+KINDS: dict[str, type[StudyOfRuns]] = {kind.kind: kind for kind in (Sweep, Margin, Robustness)}
 _FLUSH_S = 1.0
 _SHOWN_HINDRANCES = 3
 _PART = "?" * 6 + ".parquet"
@@ -58,7 +57,7 @@ class StudyFolder(ResultFolder):
         study: the study.
     """
 
-    def __init__(self, path: Path, study: Study) -> None:
+    def __init__(self, path: Path, study: StudyOfRuns) -> None:
         super().__init__(path)
         self.rows_file = path / f"{study.kind}.parquet"
         self.scenarios = path / "scenarios"
@@ -92,7 +91,7 @@ class StudyFolder(ResultFolder):
         write_json(self.manifest, grown_from(before, _manifest(self._study)))
         write_whole(file, to_yaml(wanted))
 
-    def find(self, run: Run) -> Row | None:
+    def find(self, run: PlannedRun) -> Row | None:
         """The row of a run, if it was done before."""
         if run.key not in self._rows:
             known = self._earlier.get(self._identity({**run.columns, "seed": run.seed}), [])
@@ -108,7 +107,7 @@ class StudyFolder(ResultFolder):
         told = (values.get(name) for name in (*self._study.columns, "seed"))
         return tuple(tuple(each) if isinstance(each, list) else each for each in told)
 
-    def add(self, run: Run, values: Row) -> None:
+    def add(self, run: PlannedRun, values: Row) -> None:
         """Keep the row of a run, and the scenario of its point."""
         self.keep_scenario(run)
         self._rows[run.key] = values
@@ -146,7 +145,7 @@ class StudyFolder(ResultFolder):
         """The command that runs a point again."""
         return f"funnel-hil simulate {self.scenarios / point}.yaml"
 
-    def keep_scenario(self, run: Run) -> None:
+    def keep_scenario(self, run: PlannedRun) -> None:
         """Write the scenario of a run's point, unless it is there."""
         file = self.scenarios / f"{run.point}.yaml"
         if file.exists():
@@ -156,7 +155,7 @@ class StudyFolder(ResultFolder):
         write_scenario(setup, file)
 
 
-def find_folder(study: Study, out: Path | None) -> Path | None:
+def find_folder(study: StudyOfRuns, out: Path | None) -> Path | None:
     """The folder in which a study is to go on, or to grow; None if it has to begin.
 
     Args:
@@ -175,7 +174,7 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     file = path / STUDY_FILE
     if not is_file(file):
         return None
-    why = hindrances(read_yaml(file), wanted)
+    why = hindrances(read_yaml(file), wanted, _digests(study))
     if why:
         raise ScenarioError(
             f"--out {path}: must be without a study, or hold this one, or one that this one adds"
@@ -184,7 +183,7 @@ def find_folder(study: Study, out: Path | None) -> Path | None:
     return path
 
 
-def create_folder(study: Study, out: Path | None, *, overwrite: bool = False) -> Path:
+def create_folder(study: StudyOfRuns, out: Path | None, *, overwrite: bool = False) -> Path:
     """A folder for a new study, by default ``runs/<kind>-<name>-<time>``.
 
     Raises:
@@ -196,7 +195,12 @@ def create_folder(study: Study, out: Path | None, *, overwrite: bool = False) ->
     return path
 
 
-def read_study(path: Path) -> Study:
+def changes_since(study: StudyOfRuns, path: Path) -> list[str]:
+    """Which scenarios and files of a folder's study have changed, a sentence each."""
+    return changes(read_yaml(path / STUDY_FILE), _identity(study), _digests(study))
+
+
+def read_study(path: Path) -> StudyOfRuns:
     """The study that a folder holds.
 
     Raises:
@@ -211,23 +215,24 @@ def read_study(path: Path) -> Study:
     return kind(definition, file)
 
 
-def _folder_name(study: Study) -> str:
+def _folder_name(study: StudyOfRuns) -> str:
     return f"{study.kind}-{study.definition.name}"
 
 
-def _identity(study: Study) -> dict[str, Any]:
+def _identity(study: StudyOfRuns) -> dict[str, Any]:
     """What a study is, as ``study.yaml`` gives it back: equal ones ask for equal rows."""
     told = {
         "kind": study.kind,
         "definition": study.definition.model_dump(by_alias=True),
         "scenario_digests": {base.scenario.name: _digest(base) for base in study.bases},
+        **({"file_digests": dict(study.files)} if study.files else {}),
     }
     given_back: dict[str, Any] = values_of(to_yaml(told))  # a tuple is a list there
     return given_back
 
 
-def _manifest(study: Study) -> dict[str, Any]:
-    warnings = oddities_of_all(study.bases)
+def _manifest(study: StudyOfRuns) -> dict[str, Any]:
+    warnings = all_warnings(study.bases)
     return {**provenance(), "warnings": warnings, "study": _identity(study)}
 
 
@@ -240,7 +245,11 @@ def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
     return found == wanted and not read_summary(path).get("completed", False)
 
 
+def _digests(study: StudyOfRuns) -> set[tuple[str, str]]:
+    """Names and digests of the scenarios in every setting that is tried."""
+    return {(setup.scenario.name, _digest(setup)) for setup in study.variants}
+
+
 def _digest(setup: Setup) -> str:
-    contents = [effective_scenario(setup).encode(), setup.robot.path.read_bytes()]
-    contents += [file.read_bytes() for file in data_files(setup.scenario).values()]
-    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]
+    files = [file.read_bytes() for file in data_files(setup.scenario).values()]
+    return digest_of(effective_scenario(setup).encode(), setup.robot.text.encode(), *files)

@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from bus_schema.configuration import shown
 from controller.laws import LAWS
+from deploy.study.study import column_type
 
+_TYPES = {
+    "bool": "true or false",
+    "double": "numbers",
+    "string": "neither numbers nor truth values",
+}
+"""What values of a grid are, by the Parquet type of their column."""
+_TYPES = {
+    "bool": "true or false",
+    "double": "numbers",
+    "string": "neither numbers nor truth values",
+}
+"""What values of a grid are, by the Parquet type of their column."""
 _LISTS = ("seeds", "laws", "scenarios", "compensation", "drive_feedback", "running", "offsets",
           "values")  # fmt: skip
 """What a study tries one after another: more of it leaves the runs that are there as they were."""
 
 
-def hindrances(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+def hindrances(
+    found: Mapping[str, Any], wanted: Mapping[str, Any], digests: Collection[tuple[str, str]]
+) -> list[str]:
     """Why a study cannot be made of another by adding to it, a sentence for each key; [] if it can.
 
     Args:
         found: what the other is, as ``study.yaml`` has it.
         wanted: the same of the study.
+        digests: name and digest of each scenario of the study, in every setting that it tries.
     """
     if found.get("kind") != wanted["kind"]:
         return [_differs("kind", found.get("kind"), wanted["kind"])]
@@ -30,9 +46,20 @@ def hindrances(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]
         for key in dict.fromkeys((*old, *new))
         for sentence in _of_key(key, old.get(key), new.get(key))
     ]
-    digests = found.get("scenario_digests") or {}
-    changed = [name for name, digest in digests.items() if not _is_kept(name, digest, wanted)]
-    return said or [f"scenario {name}: has changed" for name in changed]
+    return said or changes(found, wanted, digests)
+
+
+def changes(
+    found: Mapping[str, Any], wanted: Mapping[str, Any], digests: Collection[tuple[str, str]]
+) -> list[str]:
+    """Which scenarios and files are no longer as they were, a sentence each; as `hindrances`."""
+    known = {"scenario": digests, "file": wanted.get("file_digests", {}).items()}
+    return [
+        f"{what} {before[0]}: has changed"
+        for what, now in known.items()
+        for before in (found.get(f"{what}_digests") or {}).items()
+        if before not in now
+    ]
 
 
 def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
@@ -40,13 +67,15 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
         for axis in dict.fromkeys((*old, *new)):
             if not _has_all(new.get(axis), old.get(axis)):
                 yield _lacks(f"grid.{axis}", old.get(axis), new.get(axis))
+            elif (kind := column_type(old[axis])) != column_type(new[axis]):
+                yield f"grid.{axis} = {shown(new[axis])}: must all be {_TYPES[kind]}, as before"
     elif key == "plants" and isinstance(old, int) and isinstance(new, int):
         if new < old:
             yield _lacks(key, old, new)
     elif key == "laws" and new is None and isinstance(old, list):  # of all laws
         if not set(old) <= set(LAWS):
             yield _lacks(key, old, new)
-    elif key in _LISTS and isinstance(old, list) and isinstance(new, list):
+    elif isinstance(old, list) and isinstance(new, list):  # tried one after another
         if not _has_all(new, old):
             yield _lacks(key, old, new)
     elif old != new:
@@ -55,10 +84,6 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
 
 def _has_all(new: Any, old: Any) -> bool:
     return isinstance(new, list) and isinstance(old, list) and all(each in new for each in old)
-
-
-def _is_kept(name: str, digest: Any, wanted: Mapping[str, Any]) -> bool:
-    return bool(wanted["scenario_digests"].get(name, digest) == digest)
 
 
 def _lacks(key: str, old: Any, new: Any) -> str:

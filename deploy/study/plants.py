@@ -61,9 +61,6 @@ class Plant:
     columns: Mapping[str, Any] = field(default_factory=dict)
 
 
-AS_THE_SCENARIO_HAS_IT = Plant()
-
-
 @dataclass(frozen=True)
 class Measured:
     """One number of each plant, to be held against which of them were lost.
@@ -118,7 +115,7 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
         ConfigurationError: likewise.
     """
     if wanted.plants is None:
-        return [AS_THE_SCENARIO_HAS_IT]
+        return [Plant()]
     uncertainty = uncertainty_of(wanted, base)
     _require_free(uncertainty, wanted.fixed, taken)
     scenario, joints = plain(base.scenario), base.robot.joints

@@ -8,27 +8,25 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from bus_schema.configuration import Number, Whole
-from deploy.runs.run_rows import Row, held, left_nothing
-from deploy.scenario.randomness import seeds_that_differ
+from deploy.judge.run_rows import Row, held, left_nothing
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect, require_link_effect
+from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect, seeds_that_differ
 from deploy.scenario.uncertainty import Uncertainty
-from deploy.scenario.yaml_files import ScenarioError, naming, plain, validated
+from deploy.scenario.yaml_files import ScenarioError, plain
 from deploy.study.cases import (
     CASE_COLUMNS,
+    Case,
     CasesDefinition,
     Setting,
-    bases_of,
-    scenarios_of,
+    StudyOfCases,
     settings,
 )
-from deploy.study.held_arm import ceiling_of_value
 from deploy.study.losses import rank_losses, share_kept
-from deploy.study.margins.margin import Margin, MarginDefinition
+from deploy.study.margin import Margin, MarginDefinition
 from deploy.study.plants import (
     Plant,
     UncertainDefinition,
@@ -37,10 +35,9 @@ from deploy.study.plants import (
     measured,
     refused,
     uncertainty_of,
-    with_ranges,
 )
 from deploy.study.statistics import badness, spread_of_runs
-from deploy.study.study import Different, Run, Seeds, Study
+from deploy.study.study import Different, PlannedRun, Seeds, StudyOfRuns
 
 _WORST_POINTS = 3
 
@@ -57,88 +54,62 @@ class RobustnessDefinition(CasesDefinition, UncertainDefinition):
     """
 
     plants: Annotated[Whole, Field(ge=1, le=1000)]
-    values: Annotated[Different[Number], Field(min_length=1)]
+    values: Annotated[Different[Number], Field(min_length=1), AfterValidator(sorted)]
     kept_share: Annotated[Number, Field(gt=0, le=1)] = 0.95
     seeds: Seeds = Field(default=[1])
 
 
-@dataclass(frozen=True)
-class _Case:
-    """A setting, and what is drawn for it.
+@dataclass
+class _Plants(Case):
+    """The plants of a setting.
 
     Attributes:
+        uncertainty: what is drawn.
         plants: the plants.
-        ceilings_ms: how long each may be held at first.
         seeds: those of the runs of each: one is enough where nothing is random.
     """
 
-    setting: Setting
     uncertainty: Uncertainty
     plants: list[Plant]
-    ceilings_ms: list[float | None]
     seeds: list[list[int]]
 
 
-class Robustness(Study):
-    """The runs of all plants at all values.
-
-    Attributes:
-        cases: what is tried.
-    """
+class Robustness(StudyOfCases[_Plants]):
+    """The runs of all plants at all values."""
 
     kind = "robustness"
+    definition_type = RobustnessDefinition
     definition: RobustnessDefinition
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
-        with naming(source):
-            ranged = with_ranges(values, source)
-        given = validated(ranged, RobustnessDefinition, source)
-        with naming(source):
-            changes = {"scenarios": scenarios_of(given, source), "values": sorted(given.values)}
-            self.definition = given.model_copy(update=changes)
-            self.cases = list(self._build_cases())
-            self.bases = bases_of([case.setting for case in self.cases])
-            require_link_effect({**given.fixed, given.quantity: None}, self.bases)
+        super().__init__(values, source)
         self.columns = {**CASE_COLUMNS, **draw_columns(self.definition, self.bases)}
-
-    @property
-    def laws(self) -> set[str]:
-        return {case.setting.law for case in self.cases}
 
     @property
     def expected(self) -> int:
         runs_per_value = sum(len(seeds) for case in self.cases for seeds in case.seeds)
         return len(self.definition.values) * runs_per_value
 
-    def first(self) -> Iterable[Run]:
-        wanted = self.definition
+    def first(self) -> Iterable[PlannedRun]:
         for index, case in enumerate(self.cases):
-            for at, value in enumerate(wanted.values):
-                tags = {**case.setting.tags, "quantity": wanted.quantity, "value": value}
+            for at, value in enumerate(self.definition.values):
                 for plant, seeds in zip(case.plants, case.seeds, strict=True):
-                    overrides = case.setting.at(value, plant.overrides)
-                    point, columns = _point(index, at, plant), {**tags, **plant.columns}
-                    for seed in seeds:
-                        yield Run(
-                            point, case.setting.scenario, overrides, seed, columns,
-                            bool(wanted.confirm),
-                        )  # fmt: skip
+                    yield from self.planned(
+                        _point(index, at, plant), case.setting, value, seeds,
+                        plant.overrides, plant.columns,
+                    )  # fmt: skip
 
-    def findings(self, rows: list[Row]) -> dict[str, Any]:
-        wanted, quantity = self.definition, self.cases[0].setting.quantity
+    def case_findings(self, rows: list[Row]) -> dict[str, Any]:
+        wanted = self.definition
         by_point: dict[str, list[Row]] = {}
         for row in rows:
             by_point.setdefault(row["point"], []).append(row)
         return {
-            "quantity": wanted.quantity,
-            "title": quantity.title,
-            "unit": quantity.unit,
             "values": wanted.values,
             "plants": wanted.plants,
             "plant_seed": wanted.plant_seed,
             "kept_share": wanted.kept_share,
-            "completed": len(rows) == self.expected,
-            "duration_s": {base.scenario.name: base.scenario.duration_s for base in self.bases},
+            "completed": len(rows) == self.expected and not any(map(left_nothing, rows)),
             "uncertainty": {
                 base.scenario.name: plain(uncertainty_of(wanted, base)) for base in self.bases
             },
@@ -147,9 +118,9 @@ class Robustness(Study):
             ],
         }
 
-    def _build_cases(self) -> Iterator[_Case]:
-        """All cases; each scenario is checked with every plant, each case with the first."""
-        wanted, known = self.definition, dict[str, tuple[list[float | None], list[list[int]]]]()
+    def build_cases(self) -> Iterator[_Plants]:
+        # Each scenario is checked with every plant, each case with the first.
+        wanted, known = self.definition, dict[str, tuple[list[float], list[list[int]]]]()
         given = wanted.uncertainty is not None
         for setting in settings(wanted, {UNCERTAINTY: "as --uncertainty"} if given else {}):
             keys = setting.quantity.keys
@@ -159,11 +130,13 @@ class Robustness(Study):
             if of not in known:
                 setups = [self._checked(setting, plant) for plant in plants]
                 known[of] = (
-                    [self._ceiling(setting, setup) for setup in setups],
+                    self.ceilings_ms(setting, setups),
                     [seeds_that_differ(setup, wanted.seeds) for setup in setups],
                 )
             self._checked(setting, plants[0])
-            yield _Case(setting, uncertainty_of(wanted, setting.base), plants, *known[of])
+            ceilings, seeds = known[of]
+            uncertainty = uncertainty_of(wanted, setting.base)
+            yield _Plants(setting, ceilings, uncertainty, plants, seeds)
 
     def _checked(self, setting: Setting, plant: Plant) -> Setup:
         overrides = setting.at(self.definition.values[-1], plant.overrides)
@@ -172,13 +145,8 @@ class Robustness(Study):
         except ScenarioError as error:
             raise refused(plant, error) from error
 
-    def _ceiling(self, setting: Setting, setup: Setup) -> float | None:
-        if setting.running or self.definition.quantity != "delay":
-            return None
-        return ceiling_of_value(setup, self.definition.direction)
-
     def _case_summary(
-        self, index: int, case: _Case, by_point: Mapping[str, list[Row]]
+        self, index: int, case: _Plants, by_point: Mapping[str, list[Row]]
     ) -> dict[str, Any]:
         found, lost = [], []
         for at, value in enumerate(self.definition.values):
@@ -196,7 +164,7 @@ class Robustness(Study):
         return {
             **case.setting.tags,
             "kept_up_to": self._kept_up_to(found),
-            "held_arm_ceiling_ms": min(_known(case.ceilings_ms), default=None),
+            "held_arm_ceiling_ms": min(case.ceilings_ms, default=None),
             "values": found,
             "losses": rank_losses(
                 quantities, np.array(lost, dtype=bool).reshape(-1, len(case.plants))
@@ -214,7 +182,7 @@ class Robustness(Study):
         return largest
 
 
-def margin_study(values: Mapping[str, Any], source: Path) -> Study:
+def margin_study(values: Mapping[str, Any], source: Path) -> StudyOfRuns:
     """Margins by search, or with ``plants`` the shares of uncertain plants at given values.
 
     Args:
@@ -234,13 +202,13 @@ def margin_study(values: Mapping[str, Any], source: Path) -> Study:
     return Robustness(values, source) if of_many else Margin(values, source)
 
 
-def _value_summary(value: float, case: _Case, judged: list[list[Row]]) -> dict[str, Any]:
+def _value_summary(value: float, case: _Plants, judged: list[list[Row]]) -> dict[str, Any]:
     """What became of the plants at one value: a list of rows for each that is judged."""
     kept = sum(map(_is_kept, judged))
     worst = sorted(judged, key=lambda rows: max(map(badness, rows)), reverse=True)[:_WORST_POINTS]
     return {
         **share_kept(kept, len(judged)),
-        "beyond_held_arm_ceiling": sum(value >= c for c in _known(case.ceilings_ms)),
+        "beyond_held_arm_ceiling": sum(value >= c for c in case.ceilings_ms),
         "worst_points": [rows[0]["point"] for rows in worst],
         **spread_of_runs([row for rows in judged for row in rows]),
     }
@@ -248,10 +216,6 @@ def _value_summary(value: float, case: _Case, judged: list[list[Row]]) -> dict[s
 
 def _is_kept(rows: list[Row]) -> bool:
     return all(held(row) for row in rows)
-
-
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
 
 
 def _point(case: int, value: int, plant: Plant) -> str:

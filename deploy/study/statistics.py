@@ -7,10 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from deploy.runs.run_rows import Row, held
-
-Spread = dict[str, float | None]
-"""``mean``, ``lowest`` and ``highest``; null where there is nothing."""
+from deploy.judge.run_rows import Row, held
 
 
 def spread_of_runs(rows: Sequence[Row]) -> dict[str, Any]:
@@ -84,8 +81,8 @@ def worst(values: Sequence[float | None] | None) -> float | None:
     return max(known) if values and len(known) == len(values) else None
 
 
-def spread(values: Sequence[float | None]) -> Spread:
-    """Mean and extremes of those that are known and finite."""
+def spread(values: Sequence[float | None]) -> dict[str, float | None]:
+    """Mean and extremes of those that are known and finite; null where there are none."""
     known = [value for value in values if value is not None and math.isfinite(value)]
     if not known:
         return {"mean": None, "lowest": None, "highest": None}

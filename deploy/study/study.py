@@ -5,23 +5,30 @@ And what sweeps and margins have in common as definitions: name, overrides, seed
 
 from __future__ import annotations
 
+import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
-from deploy.runs.confirmation import CONFIRMATION, confirmations, confirmed_row
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.process_run import run_process
-from deploy.runs.run_rows import Row, failed_row, row
-from deploy.runs.simulate import attempt
+from deploy.judge.conditions import (
+    Conditions,
+    host_of,
+    physics_of,
+    provenance_of,
+    set_text,
+    warnings_of,
+)
+from deploy.judge.run_rows import Row, failed_row, row
+from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
+from deploy.run.execute import execute
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
@@ -68,7 +75,7 @@ class StudyDefinition(StrictModel):
         name: of the study.
         fixed: (in YAML ``set``) scenario values that are the same in all runs, by dotted key.
         seeds: how many, or which.
-        confirm: simulate every run on other physics too, see `deploy.runs.confirmation`.
+        confirm: simulate every run on other physics too, see `deploy.run.confirmation`.
     """
 
     name: Name
@@ -101,7 +108,7 @@ def is_sweep(file: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class Run:
+class PlannedRun:
     """One run of a study.
 
     Attributes:
@@ -127,34 +134,40 @@ class Run:
         return self.point, self.seed
 
 
-def execute(run: Run) -> Row:
-    """Simulate and judge; whatever goes wrong is the row's `error`."""
+def row_of(run: PlannedRun) -> Row:
+    """Run and judge; whatever goes wrong is the row's `error`."""
     try:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
-        values = _confirmed(setup) if run.confirm else row(_summary(setup), setup.scenario.seed)
+        done = execute(setup)
+        values = (
+            confirmed_row(setup, done.data, done.summary)
+            if run.confirm
+            else row(done.summary, run.seed)
+        )
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
         return failed(run, f"{type(error).__name__}: {error}")
     return {**values, **run.columns, "point": run.point}
 
 
-def _summary(setup: Setup) -> dict[str, Any]:
-    if setup.scenario.controller.process is None:
-        return summarise(attempt(setup).data())
-    with TemporaryDirectory(prefix="funnel-hil-") as folder:
-        return run_process(setup, Path(folder)).summary
-
-
-def _confirmed(setup: Setup) -> Row:
-    data = attempt(setup).data()
-    return confirmed_row(setup, data, summarise(data))
-
-
-def failed(run: Run, error: str) -> Row:
+def failed(run: PlannedRun, error: str) -> Row:
     """The row of a run that left nothing to judge."""
     return {**failed_row(run.seed, error), **run.columns, "point": run.point}
 
 
-class Study(ABC):
+def column_type(values: Iterable[Any]) -> str:
+    """The Parquet type that holds all values of a scenario's key."""
+    types = {type(value) for value in values}
+    if types == {bool}:
+        return "bool"
+    return "double" if types <= {int, float} else "string"
+
+
+def digest_of(*contents: bytes) -> str:
+    """By which a changed scenario or file is noticed."""
+    return hashlib.sha256(b"".join(contents)).hexdigest()[:16]
+
+
+class StudyOfRuns(ABC):
     """A study of a kind.
 
     It may ask for more runs once it has seen a row, which is how a search works.
@@ -168,6 +181,7 @@ class Study(ABC):
         definition: what to do, with scenarios as `scenario_name` has them.
         columns: names and Parquet types of what it varies.
         bases: the scenarios that it varies.
+        files: digests by path of files that its runs have beside those of `bases`.
 
     Raises:
         ScenarioError: the definition cannot be used, or asks for a scenario that cannot be run.
@@ -177,14 +191,20 @@ class Study(ABC):
     definition: StudyDefinition
     columns: Mapping[str, str]
     bases: list[Setup]
+    files: Mapping[str, str] = MappingProxyType({})
 
     @abstractmethod
     def __init__(self, values: Mapping[str, Any], source: Path) -> None: ...
 
     @property
-    def laws(self) -> set[str]:
+    def variants(self) -> list[Setup]:
+        """The scenarios in every setting that it tries, of which `bases` has one of each."""
+        return self.bases
+
+    @property
+    def laws(self) -> list[str]:
         """Names of the laws of its runs."""
-        return {base.scenario.controller.law for base in self.bases}
+        return list(dict.fromkeys(setup.scenario.controller.name for setup in self.variants))
 
     @property
     @abstractmethod
@@ -192,10 +212,10 @@ class Study(ABC):
         """How many runs there will be, as far as can be told now."""
 
     @abstractmethod
-    def first(self) -> Iterable[Run]:
+    def first(self) -> Iterable[PlannedRun]:
         """Runs that are wanted from the beginning."""
 
-    def follow(self, run: Run, values: Row) -> Iterable[Run]:  # noqa: ARG002 (of searches)
+    def follow(self, run: PlannedRun, values: Row) -> Iterable[PlannedRun]:  # noqa: ARG002 (of searches)
         """Runs that are wanted now that a run's row is known."""
         return ()
 
@@ -219,3 +239,51 @@ class Study(ABC):
             CONFIRMATION: confirmations(rows),
             **self.findings(rows),
         }
+
+    def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
+        """What its tables, figures and rows are to be quoted with.
+
+        Args:
+            summary: what it says of its rows.
+            manifest: ``manifest.json`` of its folder.
+        """
+        durations = {base.scenario.name: f"{base.scenario.duration_s:g} s" for base in self.bases}
+        return {
+            **provenance_of(manifest),
+            "study": " ".join(dict.fromkeys([summary["kind"], summary["name"]])),
+            "scenario": ", ".join(durations),
+            "law": ", ".join(self.laws),
+            "physics": physics_of(self.bases),
+            "quantity": _quantity(summary),
+            "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
+            "starts": _starts(summary),
+            "seeds": ", ".join(map(str, summary["seeds"])),
+            "set": set_text(self.definition.fixed_overrides),
+            **host_of(manifest),
+            **warnings_of(manifest),
+        }
+
+
+def _quantity(summary: Mapping[str, Any]) -> str:
+    """What is varied, with its unit, and how finely."""
+    if "axes" in summary:
+        return "; ".join(
+            f"{', '.join(axis['keys'])} = {', '.join(map(_value_text, axis['values']))}"
+            for axis in summary["axes"]
+        )
+    text = f"{summary['title']} ({summary['unit'] or 'no unit'})"
+    if "values" in summary:
+        return f"{text} at {', '.join(f'{value:g}' for value in summary['values'])}"
+    return f"{text} up to {summary['limit']:g}, found to within {summary['resolution']:g}"
+
+
+def _value_text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _starts(summary: Mapping[str, Any]) -> str:
+    offsets = summary.get("offsets", [1.0])
+    text = "initial offset × " + ", ".join(f"{offset:g}" for offset in offsets)
+    if summary.get("plants") is None:
+        return text
+    return f"{text}; {summary['plants']} plants of plant_seed {summary['plant_seed']}"

@@ -14,7 +14,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator
 
 from bus_schema.configuration import ConfigurationError
-from deploy.runs.run_rows import Row, held
+from deploy.judge.run_rows import Row, held
+from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import (
@@ -43,7 +44,16 @@ from deploy.study.plants import (
     with_ranges,
 )
 from deploy.study.statistics import badness, spread_of_runs, without_effect
-from deploy.study.study import SHIPPED, Run, Study, is_sweep, require_different, scenario_name
+from deploy.study.study import (
+    SHIPPED,
+    PlannedRun,
+    StudyOfRuns,
+    column_type,
+    digest_of,
+    is_sweep,
+    require_different,
+    scenario_name,
+)
 
 _MOST_VALUES = 10_000
 _MOST_RUNS = 100_000
@@ -88,7 +98,7 @@ class SweepDefinition(UncertainDefinition):
     grid: dict[str, Values]
 
 
-class Sweep(Study):
+class Sweep(StudyOfRuns):
     """The runs of a sweep.
 
     Attributes:
@@ -104,7 +114,7 @@ class Sweep(Study):
             ranged = with_ranges(values, source)
         given = validated(ranged, SweepDefinition, source)
         self.axes = {split_keys(keys): values for keys, values in given.grid.items()}
-        axes = {key: _kind(values) for keys, values in self.axes.items() for key in keys}
+        axes = {key: column_type(values) for keys, values in self.axes.items() for key in keys}
         with naming(source):
             _check_keys(self.axes, given)
             _check_runs(self.axes, given)
@@ -116,19 +126,15 @@ class Sweep(Study):
             self._check()
 
     @property
-    def laws(self) -> set[str]:
-        tried = [values for keys, values in self.axes.items() if LAW in keys]
-        return set(tried[0]) if tried else super().laws
+    def laws(self) -> list[str]:
+        return next((values for keys, values in self.axes.items() if LAW in keys), super().laws)
 
     @property
     def expected(self) -> int:
-        return self._points * len(self.plants) * len(self.definition.seeds)
+        points = math.prod(map(len, self.axes.values()))
+        return points * len(self.plants) * len(self.definition.seeds)
 
-    @property
-    def _points(self) -> int:
-        return math.prod(map(len, self.axes.values()))
-
-    def points(self) -> Iterable[Run]:
+    def points(self) -> Iterable[PlannedRun]:
         """One run for each point of the grid and each plant, with the first seed."""
         wanted = self.definition
         for index, values in enumerate(itertools.product(*self.axes.values())):
@@ -140,13 +146,13 @@ class Sweep(Study):
             varied = [override(key, value) for key, value in chosen.items()]
             columns = {key: _as_cell(value, self.columns[key]) for key, value in chosen.items()}
             for plant in self.plants:
-                yield Run(
+                yield PlannedRun(
                     _point(index, plant), wanted.scenario,
                     (*wanted.fixed_overrides, *plant.overrides, *varied), wanted.seeds[0],
                     {**columns, **plant.columns}, bool(wanted.confirm),
                 )  # fmt: skip
 
-    def first(self) -> Iterable[Run]:
+    def first(self) -> Iterable[PlannedRun]:
         return (replace(run, seed=seed) for run in self.points() for seed in self.definition.seeds)
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
@@ -177,7 +183,7 @@ class Sweep(Study):
 
     def _check(self) -> None:
         """Load every point of the grid with the first plant, and every plant at the first point."""
-        by_kind: dict[str, Setup] = {}
+        by_kind, files = dict[str, Setup](), dict[str, str]()
         for index, run in enumerate(self.points()):
             plant = self.plants[index % len(self.plants)]
             if index < len(self.plants) or plant is self.plants[0]:
@@ -186,12 +192,15 @@ class Sweep(Study):
                 except ScenarioError as error:
                     raise refused(plant, error) from error
                 by_kind.setdefault(setup.scenario.link.kind, setup)
+                files |= _file_digests(setup)
+        of_base = _file_digests(self.bases[0])
+        self.files = {name: digest for name, digest in files.items() if name not in of_base}
         require_link_effect(self.definition.fixed, by_kind.values())
         for keys, values in self.axes.items():
             for key, value in itertools.product(keys, values):
                 require_link_effect({key: value}, by_kind.values())
 
-    def _point_summary(self, run: Run, rows: list[Row]) -> dict[str, Any]:
+    def _point_summary(self, run: PlannedRun, rows: list[Row]) -> dict[str, Any]:
         """What came of a point of the grid; of uncertain plants also how many were kept."""
         summary = {
             "point": _grid_point(run.point),
@@ -275,12 +284,12 @@ def _check_runs(axes: Mapping[tuple[str, ...], Any], given: SweepDefinition) -> 
         raise ScenarioError(f"grid: {many}; at most {_MOST_RUNS} are allowed")
 
 
-def _kind(values: list[Any]) -> str:
-    """The Parquet type that holds all values."""
-    kinds = {type(value) for value in values}
-    if kinds == {bool}:
-        return "bool"
-    return "double" if kinds <= {int, float} else "string"
+def _file_digests(setup: Setup) -> dict[str, str]:
+    """Digests of a scenario's files by path; of an arm, of the URDF that its file stands for."""
+    digests = {
+        str(file): digest_of(file.read_bytes()) for file in data_files(setup.scenario).values()
+    }
+    return {**digests, str(setup.robot.path): digest_of(setup.robot.text.encode())}
 
 
 def _as_cell(value: Any, kind: str) -> Any:

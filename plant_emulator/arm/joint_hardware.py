@@ -1,16 +1,13 @@
-"""What stands between the bus and the ideal joints: encoders and actuators."""
+"""What the joints' encoders show of their motion."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.configuration import expand
-from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import bind, compiled, copying
-from plant_emulator.configuration import ActuatorConfiguration, EncoderConfiguration
+from plant_emulator.configuration import EncoderConfiguration
 
 _BLOCK = 256
 """Reads for which noise is drawn at a time: the same numbers, for a tenth of the time."""
@@ -68,24 +65,3 @@ def _show(
         if resolution[i] > 0.0:
             shown[0, i] = np.rint(motion[0, i] / resolution[i]) * resolution[i]
         shown[1, i] = motion[1, i] + noise[i] * normals[row, i]
-
-
-class ActuatorLimits:
-    """Saturation and lag of the actuators, as the physics step takes them.
-
-    Attributes:
-        saturation_nm: shape (joints,).
-        lag_factor: share of the difference to the commanded torque that is left after a substep.
-    """
-
-    def __init__(
-        self, configuration: ActuatorConfiguration, robot: RobotDescription, substep_s: float
-    ) -> None:
-        if configuration.saturation_nm is None:
-            self.saturation_nm = robot.effort_limits_nm
-        else:
-            self.saturation_nm = expand(
-                configuration.saturation_nm, robot.joints, "plant.actuator.saturation_nm"
-            )
-        lag_s = configuration.lag_ms * 1e-3
-        self.lag_factor = math.exp(-substep_s / lag_s) if lag_s > 0.0 else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,14 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import compiled
 from plant_emulator.arm.disturbance import add_disturbance, disturbance_table
 from plant_emulator.arm.drive_loop import DriveLoop, add_drive_torques, drive_loop, idle
-from plant_emulator.arm.friction import friction_table, friction_torque
-from plant_emulator.arm.joint_hardware import ActuatorLimits
+from plant_emulator.arm.drive_train import (
+    DriveTrains,
+    drive_trains,
+    friction_table,
+    friction_torque,
+    largest_torque,
+    turn_rotor,
+)
 from plant_emulator.configuration import PlantConfiguration
 
 ACTUATOR, FRICTION, DISTURBANCE, TOTAL, LIMITED, WANTED, ASKED = range(7)
@@ -27,9 +34,9 @@ class TorqueTables(NamedTuple):
 
     Attributes:
         joints: of each joint, by name, shape (joints,): `bus_schema.limits.JointLimits.packed`,
-            `friction_table`, saturation_nm (the largest torque of its actuator) and held (whether
-            its brake holds it). Every further array costs each call of compiled code as much again.
-        lag_factor: share of the difference to the commanded torque that is left after a substep.
+            `friction_table`, and held (whether its brake holds it). Every further array costs each
+            call of compiled code as much again.
+        trains: motors and gears.
         disturbance: `disturbance_table`.
         drive: the loop that the drives close themselves.
         torques_nm: rows `ACTUATOR` to `ASKED` (the torques asked of the actuators, `WANTED`: with
@@ -37,7 +44,7 @@ class TorqueTables(NamedTuple):
     """
 
     joints: Records
-    lag_factor: float
+    trains: DriveTrains
     disturbance: Records
     drive: DriveLoop
     torques_nm: Matrix
@@ -71,20 +78,19 @@ class JointTorques:
         *,
         adds_drive: bool = True,
     ) -> None:
-        actuators = ActuatorLimits(configuration.actuator, robot, substep_s)
+        trains = drive_trains(configuration.actuator, robot, substep_s)
         self._torques: Matrix = np.zeros((7, robot.joints))
         disturbance = disturbance_table(configuration.disturbance, robot.joint_names, random)
         self.drive = drive_loop(drive, configuration.drive_feedback.encoder, random)
         of_plant = limits.of_plant(robot).packed(substep_s)
-        friction = friction_table(configuration.friction, robot.joints)
+        friction = friction_table(configuration.friction, trains.joints["saturation_nm"])
         columns = {
             name: table[name] for table in (of_plant, friction) for name in table.dtype.names or ()
         }
-        columns["saturation_nm"] = actuators.saturation_nm
         columns["held"] = np.zeros(robot.joints, np.bool_)
         self.tables = TorqueTables(
             records(robot.joints, columns),
-            actuators.lag_factor,
+            trains,
             disturbance,
             self.drive if adds_drive else idle(self.drive),
             self._torques,
@@ -111,6 +117,7 @@ class JointTorques:
     def rest(self) -> None:
         """The brakes hold the joints: nothing else is felt."""
         self._torques[:ASKED] = 0.0
+        self.tables.trains.rotors[1] = 0.0
         self.saturated = False
 
 
@@ -123,22 +130,29 @@ def joint_torques(motion: Matrix, time_s: float, tables: TorqueTables) -> tuple[
         time_s: start of the substep.
         tables: what the torques depend on, and where they go.
     """
-    torques, joints = tables.torques_nm, tables.joints
+    torques, joints, trains = tables.torques_nm, tables.joints, tables.trains
+    motors = trains.rotors if trains.is_elastic else motion
     actuator, friction, disturbance = torques[ACTUATOR], torques[FRICTION], torques[DISTURBANCE]
     total, limited, wanted = torques[TOTAL], torques[LIMITED], torques[WANTED]
     wanted[:] = torques[ASKED]
     if tables.drive.gains.is_active:
-        add_drive_torques(motion, time_s, tables.drive, wanted)
+        add_drive_torques(motors, time_s, tables.drive, wanted)
     hits = limit_torques(wanted, motion, joints, limited, 1.0)
     add_disturbance(time_s, tables.disturbance, disturbance)
     saturated = False
     for i in range(wanted.size):
-        saturation = joints[i].saturation_nm
-        target = min(max(limited[i], -saturation), saturation)
-        saturated = saturated or abs(wanted[i]) >= saturation
-        actuator[i] = target + tables.lag_factor * (actuator[i] - target)
-        friction[i] = friction_torque(motion[1, i], joints, i)
-        total[i] = actuator[i] - friction[i] - disturbance[i]
+        largest = largest_torque(trains, i, limited[i], motors[1, i])
+        target = min(max(limited[i], -largest), largest)
+        saturated = saturated or abs(wanted[i]) >= largest
+        actuator[i] = target + trains.lag_factor * (actuator[i] - target)
+        friction[i] = friction_torque(motors[1, i], joints, i, actuator[i])
+        total[i] = actuator[i] - friction[i]
+        if trains.cogging_per_rad > 0.0:
+            angle = trains.cogging_per_rad * motors[0, i]
+            total[i] -= trains.joints[i].cogging_nm * math.sin(angle)
+        if trains.is_elastic and not joints[i].held:
+            total[i] = turn_rotor(trains, motion, i, total[i])
+        total[i] -= disturbance[i]
         if joints[i].held:  # its brake holds it: nothing else is felt there
             torques[:ASKED, i] = 0.0
     return saturated, hits

@@ -15,12 +15,10 @@ import numpy as np
 
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.configuration import LinkConfiguration
-from plant_emulator.channel.channel import NEVER_NS, Channel, Item
+from plant_emulator.channel.channel import NEVER_NS, Channel, Item, TransportStatistics
 from plant_emulator.channel.conditions import ConditionFault, Conditions, ConditionsSchedule
-from plant_emulator.channel.jitter import Jitter
+from plant_emulator.channel.jitter import Jitter, endless
 from plant_emulator.channel.playout import PlayoutBuffer
-from plant_emulator.channel.random_numbers import endless
-from plant_emulator.channel.transport_statistics import TransportStatistics
 from plant_emulator.command_gate import Command
 
 

@@ -9,7 +9,7 @@ sequence's own correlation is chosen such that the correlation of the *draws* is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
 
@@ -18,7 +18,15 @@ import numpy as np
 from bus_schema.arrays import Vector, elementwise
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.user_files import read_text
-from plant_emulator.channel.random_numbers import endless
+
+_BLOCK = 256
+
+
+def endless(draw: Callable[[int], Vector]) -> Iterator[float]:
+    """Numbers one by one from a method of a generator that draws as many as it is told to."""
+    while True:
+        yield from draw(_BLOCK).tolist()
+
 
 Quantile = Callable[[float], float]
 """A distribution's quantile function at Φ(z)."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import heapq
 
-from plant_emulator.channel.channel import NEVER_NS, Channel
-from plant_emulator.channel.transport_statistics import TransportStatistics
+from plant_emulator.channel.channel import NEVER_NS, Channel, TransportStatistics
 from plant_emulator.command_gate import Command
 
 

@@ -23,7 +23,6 @@ from plant_emulator.drives.drive import (
     DriveSettings,
     JointReading,
     Loop,
-    LoopDrive,
     Send,
 )
 
@@ -39,7 +38,6 @@ class _Axis:
     def __init__(self, protocol: type[Drive], settings: DriveSettings, send: Send) -> None:
         self._send = send
         self.drive = protocol(settings, self._send_if_connected)
-        self._loop = self.drive if isinstance(self.drive, LoopDrive) else None
         self.node_id = settings.node_id
         self.targets_taken = 0
         self._position_rad = 0.0
@@ -49,9 +47,6 @@ class _Axis:
         position_rad, velocity_rad_s = self.seen(position_rad, velocity_rad_s)
         self._position_rad = position_rad
         self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
-
-    def loop(self) -> Loop | None:
-        return None if self._loop is None else self._loop.loop()
 
     def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
         """What its encoder shows of a motion."""
@@ -240,7 +235,7 @@ class DriveBank:
         self._is_stale = False  # first: what a thread brings in meanwhile is for the next time
         for joint, axis in enumerate(self._axes):
             self._torque_nm[joint], is_released = axis.drive.demand()
-            self._loops[joint] = axis.loop()
+            self._loops[joint] = axis.drive.loop()
             self._braked[joint] = not is_released
         self._closes_loops = self._loops != self._no_loops
 

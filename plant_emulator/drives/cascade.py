@@ -80,10 +80,6 @@ class CascadeLoop(NamedTuple):
             self.integral.torque_nm = gathered_nm
         return given_nm
 
-    def is_limited(self, position_rad: float, velocity_rad_s: float) -> bool:
-        """Whether there is no more torque to give where the joint is and as it moves."""
-        return abs(self.torque_nm(position_rad, velocity_rad_s)) >= self.most_nm
-
 
 def _clamped(value: float, most: float) -> float:
     return min(max(value, -most), most)

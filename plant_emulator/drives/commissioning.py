@@ -7,17 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from bus_schema.can.cia402.codec import rated_torque_nm
+from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.configuration import expand
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.registry import Registry
 from bus_schema.robot_description import RobotDescription
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.cascade import UNTUNED, CascadeGains
-from plant_emulator.drives.drive import DriveSettings, Send
-from plant_emulator.drives.protocol import PROTOCOLS
+from plant_emulator.drives.drive import Drive, DriveSettings, Send
 
 _LARGEST_PER_MILLE = 32_767
+
+DRIVES: Registry[Drive] = Registry(
+    "link.can.protocol",
+    {
+        "cia402": "plant_emulator.drives.cia402.drive:Cia402Drive",
+        "cansimple": "plant_emulator.drives.cansimple.drive:CanSimpleDrive",
+        "mit": "plant_emulator.drives.mit.drive:MitDrive",
+    },
+)
+"""The drives of each protocol of `bus_schema.can.protocol.PROTOCOLS`."""
 
 
 def commission(
@@ -91,4 +102,4 @@ def build_bank(
         settings = tuple(replace(each, estimates_ms=0) for each in settings)
     elif "command_timeout_ms" not in can.model_fields_set:
         settings = tuple(replace(each, watchdog_ms=0.0) for each in settings)
-    return DriveBank(PROTOCOLS.build(can.protocol).drive, settings, send)
+    return DriveBank(DRIVES.load(can.protocol), settings, send)

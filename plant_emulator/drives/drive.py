@@ -6,10 +6,11 @@ that the same frames at the same instants always give the same answers, whatever
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol
 
 from bus_schema.can.frame import CanFrame
 from plant_emulator.drives.cascade import UNTUNED, CascadeGains
@@ -163,62 +164,86 @@ class Cycle:
         return True
 
 
-class Drive(Protocol):
-    """One axis of one protocol."""
+class Drive(ABC):
+    """One axis of one protocol.
 
-    def __init__(self, settings: DriveSettings, send: Send) -> None: ...
+    A drive defines `targets` and `samplings` as class attributes or properties.
+
+    Args:
+        settings: how it is commissioned.
+        send: takes the frames that it sends.
+    """
+
+    def __init__(self, settings: DriveSettings, send: Send) -> None:
+        self._settings, self._send = settings, send
+        self._reading = JointReading()
+        self._is_hot = self._is_off_bus = False
 
     @property
+    @abstractmethod
     def targets(self) -> int:
         """Targets (torques) accepted so far."""
 
     @property
+    @abstractmethod
     def samplings(self) -> int:
         """Times the values were sampled for the controller: on SYNC, or on its request."""
 
     @property
+    @abstractmethod
     def status(self) -> str:
         """The drive's state in the protocol's own word."""
 
     @property
     def fault(self) -> str | None:
         """What is wrong, None if nothing is."""
+        return None
 
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show from now on."""
+        self._reading = reading
 
+    @abstractmethod
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
-        """Take a classical data or remote frame; whether it was for this drive.
+        """Take a data or remote frame; whether it was for this drive.
 
         Raises:
             InvalidMessageError: it was, and makes no sense. Nothing has changed.
         """
 
+    @abstractmethod
     def advance(self, now_ns: int) -> None:
         """Do what is due: boot, cyclic frames, timeouts, the end of a slow-down."""
 
+    @abstractmethod
     def demand(self) -> JointDemand:
         """What the drive does to its joint as things are."""
 
+    def loop(self) -> Loop | None:
+        """Where the torque of `demand` comes from; None if no motion of the joint changes it."""
+        return None
+
+    @abstractmethod
     def inject(self, fault: DriveFault, now_ns: int) -> None:
         """Let ``DRIVE`` or ``OVER_TEMPERATURE`` happen."""
 
-    def clear(self, fault: DriveFault, now_ns: int) -> None:
-        """Take a lasting fault's cause away; its consequences stay until they are reset."""
+    def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
+        """Remove a lasting fault's cause; its consequences stay until they are reset."""
+        if fault is DriveFault.OVER_TEMPERATURE:
+            self._is_hot = False
 
-    def lose_bus(self, now_ns: int) -> None:
-        """The drive's CAN controller went bus-off."""
+    def lose_bus(self, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
+        """The drive's CAN controller went bus-off. Most drives notice by their timeout only."""
+        self._is_off_bus = True
 
-    def regain_bus(self, now_ns: int) -> None:
+    def regain_bus(self, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
         """The drive's CAN controller is back on the bus."""
+        self._is_off_bus = False
 
-    def describe(self, frame: CanFrame) -> str | None:
+    def describe(self, frame: CanFrame) -> str | None:  # noqa: ARG002 (a protocol may have none)
         """A frame in words, None if it is not between a master and this drive."""
+        return None
 
-
-@runtime_checkable
-class LoopDrive(Protocol):
-    """A drive whose torque can follow its joint's motion between the frames it gets."""
-
-    def loop(self) -> Loop | None:
-        """Where the torque of `Drive.demand` comes from; None if it is the same all the time."""
+    def _transmit(self, frame: CanFrame) -> None:
+        if not self._is_off_bus:
+            self._send(frame)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from bus_schema.can.frame import BUS_OFF, CanBus, CanFrame
 from bus_schema.can.medium import CanMedium
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.bank import DriveBank
 from plant_emulator.drives.drive import Send
 from plant_emulator.drives.fault_plan import PlannedFault, schedule_faults
@@ -116,3 +119,29 @@ class DrivesOnBus:
         """Nobody who waits for them has to wait for them to be timed and written down."""
         if self.answers:
             self._bus.send_all(self.answers)
+
+
+class DrivenArm(ArmPlant):
+    """An arm with drives: what a command says is theirs to carry out, and so is every stop."""
+
+    _drives: DrivesOnBus | None = None
+
+    def attach(self, drives: DrivesOnBus) -> None:
+        """Give the joints their drives; of the safe stop that is configured nothing is needed."""
+        self._drives, self._safe_stop = drives, "zero_torque"
+
+    def advance(self, first: int, end: int) -> None:
+        if self._drives is None:
+            super().advance(first, end)
+            return
+        self._drives.handle_due(self._grid.substep_ns(first))
+        bank = self._drives.bank
+        self.hold(bank.braked)
+        if not bank.closes_loops:
+            np.copyto(self._commanded, bank.torque_nm)
+            super().advance(first, end)
+            return
+        for number in range(first, end):
+            bank.close_loops(self.position, self.velocity, self._grid.substep_s)
+            np.copyto(self._commanded, bank.torque_nm)
+            super().advance(number, number + 1)

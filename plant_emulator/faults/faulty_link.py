@@ -5,32 +5,36 @@ It stands in front of any link, so that the loop, the gate and the bus are those
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from bus_schema.link.interface import CommandArrival, PlantLink, never
+from bus_schema.link.interface import CommandArrival, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.header import stamp_of
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.runtime.clock import Clock
-from plant_emulator.channel.random_numbers import endless
+from plant_emulator.channel.jitter import endless
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.faults.channel_faults import Direction
 from plant_emulator.faults.fault import FOREVER_NS, Fault
-from plant_emulator.faults.message_faults import MessageEditor, MessageFault, SecondCommander
+from plant_emulator.faults.message_faults import (
+    Direction,
+    MessageEditor,
+    MessageFault,
+    SecondCommander,
+)
 from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
 
 _STREAM = 102
 
 
 class FaultyLink:
-    """A link on which scheduled faults happen; it announces where every fault begins and ends.
+    """A `PlantLink` on which scheduled faults happen; it announces where each begins and ends.
 
     The plant waits for one answer to each state. An answer that came is one that came, whatever
-    has become of it; to a state that nobody can read, none will come.
+    has become of it; to a state that nobody can read, none will come. All else is the link's own.
 
     Args:
         link: the link proper.
@@ -64,6 +68,9 @@ class FaultyLink:
         self._was_unreadable = False
         self._added_commands = 0
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._link, name)
+
     def publish(self, topic: Topic, payload: bytes) -> int:
         self._run_schedule()
         return self._link.publish(topic, payload)
@@ -74,9 +81,6 @@ class FaultyLink:
         self._was_unreadable = len(sent) != len(state)
         self._sent_stamp_ns = stamp_of(sent)
         self._link.send_state(sent, sent_status)
-
-    def wait_until(self, clock: Clock, instant_ns: int) -> int:
-        return self._link.wait_until(clock, instant_ns)
 
     def await_command(self, timeout_s: float) -> bool:
         if self._was_unreadable:
@@ -94,46 +98,6 @@ class FaultyLink:
             (payload,) = self._changed((arrival.payload,), "downlink")
             taken.append(arrival._replace(payload=payload))
         return taken
-
-    def await_controller(
-        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
-    ) -> None:
-        self._link.await_controller(timeout_s, is_stop_requested)
-
-    def await_recorder(
-        self, timeout_s: float, is_stop_requested: Callable[[], bool] = never
-    ) -> None:
-        self._link.await_recorder(timeout_s, is_stop_requested)
-
-    def require_same_scenario(self, role: Role) -> None:
-        self._link.require_same_scenario(role)
-
-    def await_recorded(self) -> None:
-        self._link.await_recorded()
-
-    def controller_has_left(self) -> bool:
-        return self._link.controller_has_left()
-
-    def controller_loss(self) -> str:
-        return self._link.controller_loss()
-
-    def sender_has_left(self, sender: bytes) -> bool:
-        return self._link.sender_has_left(sender)
-
-    def may_miss_states(self) -> bool:
-        return self._link.may_miss_states()
-
-    def overflow(self) -> int:
-        return self._link.overflow()
-
-    def fault(self) -> str | None:
-        return self._link.fault()
-
-    def report(self) -> dict[str, Any]:
-        return self._link.report()
-
-    def close(self) -> None:
-        self._link.close()
 
     def _changed(self, messages: tuple[bytes, ...], direction: Direction) -> tuple[bytes, ...]:
         now_ns = self._clock.now_ns()

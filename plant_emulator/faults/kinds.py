@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import Field, PlainValidator, SerializeAsAny, TypeAdapter
 
 from bus_schema.configuration import Sections
-from plant_emulator.faults import arm_faults, channel_faults, message_faults, process_faults
+from plant_emulator.faults import arm_faults, message_faults, process_faults
 from plant_emulator.faults.fault import Fault, FaultContext
 
 FAULT_KINDS: list[type[Fault]] = [
@@ -22,9 +22,9 @@ FAULT_KINDS: list[type[Fault]] = [
     arm_faults.ActuatorDead,
     arm_faults.PayloadDropped,
     arm_faults.PayloadPickedUp,
-    channel_faults.LinkCut,
-    channel_faults.LinkSlowed,
-    channel_faults.LinkDuplicated,
+    message_faults.LinkCut,
+    message_faults.LinkSlowed,
+    message_faults.LinkDuplicated,
     message_faults.LinkCorrupted,
     message_faults.NonFiniteCommand,
     message_faults.SecondCommander,

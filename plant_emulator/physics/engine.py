@@ -28,6 +28,7 @@ class ArmSpecification:
         torques: everything that acts on the joints.
         integrator: the rule that integrates motion over a substep.
         payload_kg: point mass at the tip.
+        rotor_inertia_kg_m2: of rotors behind rigid gears, shape (joints,); None for none.
         payload_changes: whether there will be another one, see `ArmPhysics.carry`.
         gui: open the engine's window.
     """
@@ -37,6 +38,7 @@ class ArmSpecification:
     torques: JointTorques
     integrator: Integrator = "semi_implicit_euler"
     payload_kg: float = 0.0
+    rotor_inertia_kg_m2: Vector | None = None
     payload_changes: bool = False
     gui: bool = False
 

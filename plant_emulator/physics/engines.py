@@ -29,6 +29,7 @@ class PhysicsEngine:
         place: its arm, as ``module:class``.
         integrators: the rules by which it integrates motion.
         has_window: whether it can show the arm while it moves.
+        has_rotors: whether it knows motors: their inertia, elastic gears and cogging.
     """
 
     title: str
@@ -36,6 +37,7 @@ class PhysicsEngine:
     place: str
     integrators: tuple[Integrator, ...]
     has_window: bool = False
+    has_rotors: bool = False
 
     @property
     def is_installed(self) -> bool:
@@ -60,7 +62,7 @@ ENGINES = {
     ),
     "mujoco": PhysicsEngine(
         "MuJoCo", "mujoco", "plant_emulator.physics.mujoco_arm:MujocoArm",
-        ("semi_implicit_euler", "runge_kutta_4"),
+        ("semi_implicit_euler", "runge_kutta_4"), has_rotors=True,
     ),
 }  # fmt: skip
 DEFAULT_ENGINE = "bullet"
@@ -70,9 +72,13 @@ _version = lru_cache(metadata.version)  # which reads files
 
 
 def engine_name(plant: PlantConfiguration) -> str:
-    """Name of the engine in force: where a scenario names none, Bullet if it is installed."""
-    is_there = ENGINES[DEFAULT_ENGINE].is_installed
-    return plant.physics.engine or (DEFAULT_ENGINE if is_there else "mujoco")
+    """Name of the engine in force.
+
+    Where a scenario names none: Bullet if it is installed and has what the motors ask for.
+    """
+    default = ENGINES[DEFAULT_ENGINE]
+    is_enough = default.is_installed and not plant.actuator.has_rotors
+    return plant.physics.engine or (DEFAULT_ENGINE if is_enough else "mujoco")
 
 
 def physics_text(plant: PlantConfiguration) -> str:
@@ -116,6 +122,9 @@ def engine_in_force(plant: PlantConfiguration) -> PhysicsEngine:
             f" {_KEY}={' or '.join(others)} has it"
         )
         raise ConfigurationError("plant.physics.integrator", integrator, allowed, [_KEY])
+    if plant.actuator.has_rotors and not engine.has_rotors:
+        allowed = "must be mujoco, or left out, where plant.actuator has rotors, gears or cogging"
+        raise ConfigurationError(_KEY, name, allowed, ["plant.actuator"])
     if plant.gui and not engine.has_window:
         raise ConfigurationError("plant.gui", True, f"{engine.title} has no window here", [_KEY])
     return engine

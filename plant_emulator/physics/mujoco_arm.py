@@ -19,6 +19,7 @@ from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import bind, c_function, compiled
 from bus_schema.urdf.joints import Follower
 from bus_schema.urdf.resolved import PAYLOAD_LINK
+from plant_emulator.arm.drive_train import place_rotors
 from plant_emulator.arm.joint_torques import TOTAL, TorqueTables, joint_torques
 from plant_emulator.physics.engine import ArmPhysics, ArmSpecification
 
@@ -54,7 +55,7 @@ class Bodies(NamedTuple):
         positions: MuJoCo's own, rad; these four of shape (joints and mimic joints,).
         velocities: rad/s.
         torques: N m.
-        held: `_HELD_KG_M2` where a brake holds the joint, otherwise 0.
+        inertia: of the rotors and brakes at each joint, kg m².
     """
 
     model: int
@@ -63,7 +64,7 @@ class Bodies(NamedTuple):
     positions: Vector
     velocities: Vector
     torques: Vector
-    held: Vector
+    inertia: Vector
 
 
 class MujocoArm(ArmPhysics):
@@ -88,6 +89,9 @@ class MujocoArm(ArmPhysics):
             for each in robot.followers
         ]
         places = np.array([model.joint(name).id for name in robot.joint_names])
+        if specification.rotor_inertia_kg_m2 is not None:
+            model.dof_armature[places] = specification.rotor_inertia_kg_m2
+        self._rotors = model.dof_armature[places].copy()
         data = self._data
         model_at, data_at = (0, 0) if step is None else (model._address, data._address)
         self._bodies = Bodies(
@@ -115,13 +119,16 @@ class MujocoArm(ArmPhysics):
             bodies.positions[place] = follower.multiplier * position[leader] + follower.offset
         self._rest()
         _read(bodies, self.motion)
+        if (trains := self._torques.tables.trains).is_elastic:
+            mujoco.mj_forward(self._model, self._data)
+            place_rotors(trains, position, self._data.qfrc_bias[bodies.places])
 
     def hold(self, joints: Sequence[bool]) -> None:
         model, data, bodies = self._model, self._data, self._bodies
         momentum = np.zeros(model.nv)
         mujoco.mj_forward(model, data)
         mujoco.mj_mulM(model, data, momentum, bodies.velocities)
-        bodies.held[bodies.places] = np.where(joints, _HELD_KG_M2, 0.0)
+        bodies.inertia[bodies.places] = np.where(joints, _HELD_KG_M2, self._rotors)
         # A brake acts on its own joint alone: along the free ones, momentum stays what it was.
         mujoco.mj_forward(model, data)
         mujoco.mj_solveM(model, data, bodies.velocities[None], momentum[None])
@@ -191,7 +198,7 @@ def _read(bodies: Bodies, motion: Matrix) -> None:
     """Read positions and velocities of the joints; those that brakes hold stand still."""
     for i in range(motion.shape[1]):
         place = bodies.places[i]
-        if bodies.held[place] > 0.0:
+        if bodies.inertia[place] == _HELD_KG_M2:
             bodies.velocities[place] = 0.0
         motion[0, i] = bodies.positions[place]
         motion[1, i] = bodies.velocities[place]

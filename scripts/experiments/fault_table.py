@@ -19,10 +19,10 @@ import numpy as np
 from bus_schema.messages import topics
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import load_run
-from deploy.runs.simulate import simulate
+from deploy.judge.metrics import summarise
+from deploy.judge.run_data import RunData
+from deploy.run.execute import execute
+from deploy.run.run_folder import load_run
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.setup import Setup
 from plant_emulator.faults.process_faults import process_faults
@@ -76,10 +76,9 @@ def measure(name: str) -> Outcome:
     setup = load_setup(name)
     if needs_processes(setup):
         return _run(name)
-    data = simulate(setup).data()
-    summary = summarise(data)
-    code = int(not summary["completed"])
-    return Outcome(data, summary, code, to_safe_state_ms(data))
+    run = execute(setup)
+    code = int(not run.summary["completed"])
+    return Outcome(run.data, run.summary, code, to_safe_state_ms(run.data))
 
 
 def to_safe_state_ms(run: RunData) -> float | None:

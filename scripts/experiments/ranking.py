@@ -18,8 +18,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from controller.laws import LAWS
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
+from deploy.run.execute import execute
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import override, read_yaml
@@ -54,7 +53,7 @@ class Evaluation:
 
 def evaluate(setup: Setup) -> Evaluation:
     """Run a scenario and judge it."""
-    summary = summarise(simulate(setup).data())
+    summary = execute(setup).summary
     tracking = summary["tracking"]
     return Evaluation(
         rms_mrad=1e3 * np.array(tracking["rms_rad"]),

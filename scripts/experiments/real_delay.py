@@ -3,7 +3,7 @@
 ``python -m scripts.experiments.real_delay paper_arm --set duration_s=10
 --round-trips 48,64 --repetitions 3 --out FOLDER`` simulates the scenario once with each round trip,
 constant and half of it each way, and runs it several times in real time, one run after another,
-over a relay that holds every byte back for as long (`deploy.processes.network.delay_relay`). A run
+over a relay that holds every byte back for as long (`deploy.run.network.delay_relay`). A run
 that was held up for more than 20 ms is counted apart: it says something of the host.
 """
 
@@ -18,18 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from bus_schema.errors import InputError
 from bus_schema.messages import topics
 from bus_schema.recording.atomic_files import write_json, write_whole
-from deploy.exit_codes import BAD_INPUT
-from deploy.input_error import InputError
-from deploy.processes.launcher import Launcher
-from deploy.processes.network.links import check_link, require_keys, with_free_endpoints
-from deploy.processes.network.real_delay import check_real_delay, knowing_real_delay, real_delay
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.judging.stalls import STALL_MS
-from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import RunFolder, RunFolderError, load_run, provenance
-from deploy.runs.simulate import simulate
+from deploy.judge.stalls import STALL_MS
+from deploy.run.execute import InProcess, InProcesses, JudgedRun, execute
+from deploy.run.exit_codes import BAD_INPUT
+from deploy.run.network.links import check_link, require_keys, with_free_endpoints
+from deploy.run.network.real_delay import check_real_delay, knowing_real_delay, real_delay
+from deploy.run.run_folder import RunFolder, RunFolderError, provenance
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError, override
@@ -49,7 +46,7 @@ class Outcome:
         round_trip_ms: percentiles from a state to the arrival of its answer at the plant.
         horizon_ms: median of the controller's estimate, from 0.5 s on; None without compensation.
         horizon_jitter_ms: between its 1st and 99th percentile.
-        longest_stall_ms: see `deploy.runs.judging.stalls`; None in virtual time.
+        longest_stall_ms: see `deploy.judge.stalls`; None in virtual time.
         faults: what went wrong.
     """
 
@@ -76,9 +73,9 @@ class Row:
     real: list[Outcome]
 
 
-def outcome_of(run: RunData) -> Outcome:
-    """Judge a run."""
-    summary = summarise(run)
+def outcome_of(judged: JudgedRun) -> Outcome:
+    """What the table has of a run."""
+    run, summary = judged.data, judged.summary
     bounds, timing = summary["bounds"], summary["timing"]
     status = run.tables[topics.CONTROL_STATUS.name]
     is_settled = run.times_s(topics.CONTROL_STATUS) >= _SETTLED_S
@@ -108,28 +105,21 @@ def in_virtual_time(scenario: str, overrides: Sequence[str], round_trip_ms: floa
         override(f"link.{name}.delay_ms", channel.delay_ms + 0.5 * round_trip_ms)
         for name, channel in (("uplink", link.uplink), ("downlink", link.downlink))
     ]
-    return outcome_of(simulate(load_setup(scenario, [*overrides, *delays])).data())
+    return outcome_of(execute(load_setup(scenario, [*overrides, *delays]), InProcess()))
 
 
 def over_real_delay(setup: Setup, round_trip_ms: float, folder: Path) -> Outcome:
     """Run in real time as `run --real-delay` does."""
     setup = with_free_endpoints(knowing_real_delay(setup, round_trip_ms))
-    delay = real_delay(setup, round_trip_ms)
     files = RunFolder.begin(setup, folder, overwrite=True)
-    launcher = Launcher(
-        setup, scenario=files.scenario, log=files.log, can_log=files.can_log, delay=delay
-    )
-    outcome = launcher.run(lambda _: None)
-    held_back = {"round_trip_ms": round_trip_ms, **outcome.relay}
-    files.write_manifest(setup, outcome.realtime, held_back)
+    run = execute(setup, InProcesses(real_delay(setup, round_trip_ms)), files)
     try:
-        data, _ = load_run(files.path)
+        run.keep(files)
     except RunFolderError as error:
         unknown = dict.fromkeys(("p50", "p99", "p99_9", "max"))
-        faults = [*outcome.failures, str(error)]
+        faults = [*run.outcome.failures, str(error)]
         return Outcome(False, None, None, unknown, None, None, None, faults)
-    write_json(files.summary, summarise(data))
-    return outcome_of(data)
+    return outcome_of(run)
 
 
 def rows(

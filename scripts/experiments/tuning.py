@@ -31,8 +31,7 @@ from typing import Any
 import numpy as np
 
 from bus_schema.arrays import Vector
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
+from deploy.run.execute import execute
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import plain, to_yaml
@@ -116,10 +115,9 @@ def cost(setup: Setup, travel_limit_per_s: float | None = None) -> float:
         travel_limit_per_s: how far any torque may travel, in its own limits per second; smoothness
             below it is worth nothing. None: every bit of smoothness is.
     """
-    simulation = simulate(setup)
-    summary = summarise(simulation.data())
+    summary = execute(setup).summary
     torque, bounds = summary["torque"], summary["bounds"]
-    if simulation.failure or not summary["completed"]:
+    if not summary["completed"]:
         return UNFINISHED
     if torque["saturated_fraction"] > 0.0:
         return float(SATURATED * (1.0 + torque["saturated_fraction"]))

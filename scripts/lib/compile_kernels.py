@@ -21,7 +21,7 @@ def main() -> None:
     folder = os.environ.get(FOLDER)
     if folder is None or any(Path(folder).iterdir()):
         return
-    from deploy.runs.simulate import simulate
+    from deploy.run.simulate import simulate
     from deploy.scenario.scenario import load_setup
 
     for law in LAWS:

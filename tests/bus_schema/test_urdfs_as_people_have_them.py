@@ -6,51 +6,31 @@ import numpy as np
 import pytest
 
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.physics.engines import ENGINES
 from tests.arms import INSTALLED, FreeArm
+from tests.bus_schema.urdf_texts import LIMIT, inertial, joint, two_links
 
-LIMIT = '<limit effort="5" velocity="3" lower="-1" upper="2"/>'
-
-
-def inertial(mass="2", ixx="0.02", iyy="0.03", izz="0.04"):
-    return f"""<inertial><origin xyz="0.2 0 0"/><mass value="{mass}"/>
-      <inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial>"""
-
-
-def joint(name, parent, child, kind="revolute", axis="0 1 0", inside=LIMIT):
-    return f"""<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
-      <origin xyz="0.3 0 0"/><axis xyz="{axis}"/>{inside}</joint>"""
-
-
-def two_links(first=None, second=None, b=None, c=None, a=""):
-    return f"""<robot name="test"><link name="a">{a}</link>
-      <link name="b">{inertial() if b is None else b}</link>
-      <link name="c">{inertial() if c is None else c}</link>
-      {first or joint("first", "a", "b")}{second or joint("second", "b", "c")}</robot>"""
-
-
-@pytest.fixture
-def load(tmp_path):
-    def load_text(text, *arguments, **options):
-        path = tmp_path / "arm.urdf"
-        path.write_text(text)
-        return load_robot(path, *arguments, **options)
-
-    return load_text
+FIXED = two_links(joint("first", "a", "b", "fixed"), joint("second", "b", "c", "fixed"))
 
 
 @pytest.mark.parametrize(
     ("text", "told"),
     [
+        ("no XML at all", ("cannot be read as URDF",)),
+        ("<sdf/>", ("root element is <sdf>",)),
+        (FIXED, ("no revolute or continuous joint",)),
+        (two_links().replace('effort="5"', 'effort="strong"'), ("effort='strong' of joint first",)),
+        (two_links().replace('lower="-1"', 'lower=""'), ("lower='' of joint first",)),
+        (two_links().replace('upper="2"', 'upper="nan"'), ("upper='nan' of joint first",)),
+        (two_links().replace('"second"', '"first"'), ("unique",)),
+        (two_links().replace('name="second"', ""), ("unique and not empty",)),
+        (two_links().replace('<child link="c"/>', ""), ("second lacks parent or child",)),
         (two_links(c=""), ("link c", "joint second", "no inertia", "<inertial>")),
         (two_links(b=inertial("0", "0", "0", "0")), ("link b", "joint first", "no inertia")),
         (two_links(joint("first", "a", "b", axis="0 0 0")), ("0 0 0", "joint first", "0 0 1")),
         (two_links(b=inertial("${m}")), ("${m}", "<mass>", "xacro")),
-        (two_links(b=inertial("$(arg m)")), ("$(arg m)", "<mass>", "xacro")),
         (two_links(b=inertial("nan")), ("mass='nan'", "link b", "finite")),
-        (two_links(joint("first", "a", "b", axis="0 nan 1")), ("axis", "joint first", "finite")),
         (two_links(joint("%s%n", "a", "b")), ("'%s%n'", "<joint>", "must have no %")),
         (two_links(b=inertial("-2")), ("mass=-2", "link b", "negative")),
         (two_links(second=joint("second", "c", "c")), ("joint second", "itself", "two links")),
@@ -97,7 +77,7 @@ def test_the_length_of_an_axis_changes_no_torque(engine, load):
 
 
 @pytest.mark.parametrize("engine", INSTALLED)
-@pytest.mark.parametrize(("izz", "repair"), [("0.0505", False), ("0.055", False), ("0.2", True)])
+@pytest.mark.parametrize(("izz", "repair"), [("0.055", False), ("0.2", True)])
 def test_odd_inertias_are_mended_for_every_engine_and_said(engine, load, izz, repair):
     robot = load(two_links(b=inertial(izz=izz)), repair=repair)
     assert "link b breaks the triangle rule" in robot.warnings[0]
@@ -119,7 +99,7 @@ def test_inertia_without_mass_is_called_odd(load):
     assert not load(two_links()).warnings
 
 
-@pytest.mark.parametrize("name", ["package://some_robot/arm.stl", "lost.stl", "arm.step"])
+@pytest.mark.parametrize("name", ["package://some_robot/arm.stl", "arm.step"])
 def test_meshes_that_are_not_there_cost_one_line(load, name):
     shape = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
     robot = load(two_links(a=shape, b=inertial() + shape + shape.replace("visual", "collision")))
@@ -174,7 +154,7 @@ def test_as_many_links_as_bullet_answers_for(engine, load, links):
         f'<link name="more{i}">{inertial()}</link>{joint(f"j{i}", "c", f"more{i}", "fixed")}'
         for i in range(links - 3)
     )
-    text = two_links().replace("\n", " ").replace("</robot>", f"{more}</robot>")  # on one line
+    text = two_links(more=more).replace("\n", " ")  # on one line
     if links > 127:
         with pytest.raises(RobotDescriptionError, match="has 128 links; there must be 1 to 127"):
             load(text)

@@ -17,9 +17,7 @@ TWICE = "".join(
     f'<xacro:macro name="m{level}"><xacro:m{level - 1}/><xacro:m{level - 1}/></xacro:macro>'
     for level in range(1, 40)
 )
-DOUBLED = "".join(
-    f'<xacro:property name="p{i}" value="${{p{i - 1}}}${{p{i - 1}}}"/>' for i in range(1, 40)
-)
+TOO_MUCH = "takes more time or memory than an arm may"
 
 
 def value(expression):
@@ -38,8 +36,8 @@ def expand(tmp_path, monkeypatch):
         + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 12))
     )
     (folder / "limits.yaml").write_text("j1: {max: 2.5}\nangle: !degrees 180\n")
+    os.mkfifo(folder / "pipe")
     monkeypatch.setenv("STRANGER", "secret")
-    monkeypatch.setattr("bus_schema.urdf.xacro_files._LONGEST_S", 1.0)
     monkeypatch.chdir(tmp_path)
 
     def of(text):
@@ -64,28 +62,21 @@ def expand(tmp_path, monkeypatch):
         (value("open('/etc/passwd')"), "'open' is not defined"),
         (value("xacro.load_yaml('../secret.yaml')"), "must be below"),
         (value("load_yaml('/etc/passwd')"), "must be below"),
-        (value("load_yaml('bomb.yaml')"), "at most 100000"),
+        (value("load_yaml('bomb.yaml')"), TOO_MUCH),
         ('<xacro:include filename="/etc/passwd"/>', "must be below"),
         ('<xacro:include filename="../secret.xml"/>', "must be below"),
         ('<xacro:include filename="link.xacro"/>', "must be below"),
         ('<xacro:include filename="/*/*/*/*/*/*/*"/>', "must be below"),
         ('<xacro:include filename="$(find etc)/passwd"/>', "no folder 'etc'"),
         ('<a v="$(env STRANGER)"/>', "environment variables"),
-        (value("9**9**9"), "a power has at most"),
-        (value("'a' * 10**9"), "at most 10000"),
-        (value("[[0] * 5000] * 5000"), "at most 10000"),
-        (value("'%999999999d' % 1"), "three digits"),
-        (value("range(10**12)"), "at most 10000"),
-        (value("factorial(10**7)"), "'factorial' is not defined"),
-        (value("round(5, -10**9)") + value("undefined"), "'undefined' is not defined"),
+        (value("9**9**9"), TOO_MUCH),
+        (value("python.vars(python.type)"), "vars"),
         (value("(" * 300 + ")" * 300), "parenthes"),
         (value("-" * 1500 + "1"), "recursion|too deep"),
         (MACRO.format("", "<xacro:a/>", ""), "nested too deep, or without an end"),
         ('<xacro:include filename="arm.xacro"/>', "nested too deep, or without an end"),
-        (MACRO.format("a:=" + "a" * 60 + "'", "", ""), "Undefined param|expression|unpack|token"),
-        (f'<xacro:macro name="m0"><b/></xacro:macro>{TWICE}<xacro:m39/>', "more than an arm"),
-        (f'<xacro:property name="p0" value="ab"/>{DOUBLED}<a v="${{p39}}"/>', "characters|more"),
-        ("<!---->" * 20_000, "comments"),
+        (f'<xacro:macro name="m0"><b/></xacro:macro>{TWICE}<xacro:m39/>', TOO_MUCH),
+        (value("load_yaml('pipe')"), "no regular file"),
     ],
 )
 def test_refused_in_a_sentence_with_the_file(expand, text, said):
@@ -119,3 +110,13 @@ def test_what_xacro_documents_is_computed(expand, text, expected):
 def test_folders_that_the_user_names_may_be_included_from(expand, tmp_path, monkeypatch):
     monkeypatch.setenv(INCLUDE, os.pathsep.join(["/nowhere", str(tmp_path)]))
     assert "<secret/>" in expand('<xacro:include filename="../secret.xml"/>')
+
+
+@pytest.mark.parametrize("name", ["..", ".", "../package", "/"])
+def test_no_package_is_a_way_out_of_the_folders_that_the_user_names(
+    expand, tmp_path, monkeypatch, name
+):
+    (tmp_path / "named").mkdir()
+    monkeypatch.setenv(INCLUDE, str(tmp_path / "named"))
+    with pytest.raises(RobotDescriptionError, match="no folder"):
+        expand(f'<xacro:include filename="$(find {name})/secret.xml"/>')

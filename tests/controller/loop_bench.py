@@ -1,7 +1,5 @@
 """A control loop on an in-process bus, and states to feed it."""
 
-from pathlib import Path
-
 import numpy as np
 
 from bus_schema.drive_feedback import no_drive_feedback
@@ -9,7 +7,6 @@ from bus_schema.limits import JointLimits
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import VirtualClock
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.delay_compensation import DelayCompensation
@@ -17,12 +14,12 @@ from controller.compensation.model_identification import identification
 from controller.configuration import ControllerConfiguration
 from controller.control_law import Diagnostics
 from controller.control_loop import ControlLoop, ControlTask
-from controller.funnel_configuration import FunnelConfiguration
+from controller.funnel import FunnelConfiguration
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
-from deploy.scenario.referenced_files import find_urdf
+from tests.arms import PAPER_ARM
 
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
+ROBOT = PAPER_ARM
 NAMES = ROBOT.joint_names
 INERTIA = ManipulatorModel(ROBOT).governing_inertia(np.zeros((1, 3)))
 OFFSET = np.array([0.15, -0.12, 0.10])

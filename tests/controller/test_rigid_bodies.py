@@ -1,22 +1,14 @@
 """Compiled rigid-body dynamics against pinocchio's."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from controller.rigid_bodies import inverse_dynamics, invert, mass_and_load
-from deploy.scenario.referenced_files import find_urdf
-from tests.arms import ARMS, listed_from_the_tip
+from tests.arms import PAPER_ARM, listed_from_the_tip
 
 SAMPLES = 20
-
-
-@pytest.fixture(params=ARMS)
-def robot(request):
-    return load_robot(find_urdf(request.param, Path()))
 
 
 def states(robot):
@@ -78,24 +70,9 @@ def test_inverse_of_the_mass_matrix_is_that_of_pinocchio(robot):
         np.testing.assert_allclose(inverse @ mass, np.eye(robot.joints), atol=1e-9)
 
 
-def test_inertia_tables_add_and_scale_as_masses_do(robot):
-    """What identification relies on: M and load of a sum are the sums of M and load."""
-    bare = ManipulatorModel(robot)
-    bodies, table = bare.rigid_bodies(), bare.inertia_table()
-    tip = ManipulatorModel(robot, payload_kg=1.0).inertia_table() - table
-    true = ManipulatorModel(robot, scale=1.3, payload_kg=2.5)
-    for position, velocity, acceleration in states(robot):
-        torque = compiled_torque(bodies, 1.3 * table + 2.5 * tip, position, velocity, acceleration)
-        assert_equal_to_rounding(torque, true.inverse_dynamics(position, velocity, acceleration))
-        parts = 1.3 * compiled_torque(bodies, table, position, velocity, acceleration)
-        parts += 2.5 * compiled_torque(bodies, tip, position, velocity, acceleration)
-        assert_equal_to_rounding(torque, parts)
-
-
 def test_joints_listed_from_the_tip_are_worked_through_from_the_base(tmp_path):
-    original = find_urdf("paper_arm", Path())
-    path = listed_from_the_tip(original, tmp_path)
-    forward, backward = load_robot(original), load_robot(path)
+    path = listed_from_the_tip(PAPER_ARM.path, tmp_path)
+    forward, backward = PAPER_ARM, load_robot(path)
     assert backward.joint_names == forward.joint_names[::-1]
     model, reversed_model = ManipulatorModel(forward), ManipulatorModel(backward)
     bodies, table = reversed_model.rigid_bodies(), reversed_model.inertia_table()
@@ -110,3 +87,20 @@ def test_joints_listed_from_the_tip_are_worked_through_from_the_base(tmp_path):
         torque = compiled_torque(bodies, table, *motion, acceleration[::-1].copy())
         expected = model.inverse_dynamics(position, velocity, acceleration)
         assert_equal_to_rounding(torque[::-1], expected)
+
+
+def test_rotors_are_the_same_in_both():
+    rotors = np.array([3.0, 5.0, 1.0])
+    model = ManipulatorModel(PAPER_ARM, scale=0.8, rotor_inertia_kg_m2=rotors)
+    bare = ManipulatorModel(PAPER_ARM, scale=0.8)
+    bodies, table = model.rigid_bodies(), model.inertia_table()
+    for position, velocity, acceleration in states(PAPER_ARM):
+        mass, load = compiled_terms(bodies, table, position, velocity)
+        np.testing.assert_allclose(mass - bare.mass_matrix(position), np.diag(rotors), atol=1e-9)
+        zero = np.zeros(3)
+        assert_equal_to_rounding(load, bare.inverse_dynamics(position, velocity, zero))
+        torque = compiled_torque(bodies, table, position, velocity, acceleration)
+        expected = model.inverse_dynamics(position, velocity, acceleration)
+        assert_equal_to_rounding(torque, expected)
+        own = bare.inverse_dynamics(position, velocity, acceleration)
+        np.testing.assert_allclose(torque - own, rotors * acceleration, atol=1e-9)

@@ -2,8 +2,6 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from bus_schema.limits import JointLimits
 from controller.torque_guard import ControllerError, InvalidTorqueError, TorqueGuard
@@ -11,49 +9,10 @@ from controller.torque_guard import ControllerError, InvalidTorqueError, TorqueG
 LIMITS = np.array([400.0, 700.0, 300.0])
 UNLIMITED = np.full(3, np.inf)
 REST = np.zeros((2, 3))
-TORQUE = st.lists(st.floats(-1e300, 1e300), min_size=3, max_size=3).map(np.array)
 
 
 def guard_of(law, limits):
     return TorqueGuard(law, limits, REST)
-
-
-@given(torque=TORQUE, step_s=st.floats(0.0, 1.0))
-def test_torque_within_limits_passes_unchanged_and_beyond_them_is_cut(torque, step_s):
-    given_torque = torque.copy()
-    out = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(torque, 0, step_s)
-    assert out.tolist() == np.clip(given_torque, -LIMITS, LIMITS).tolist()
-    assert torque.tolist() == given_torque.tolist()
-
-
-def test_infinite_limits_hold_nothing_back():
-    out = guard_of("pid", JointLimits.of_torques(UNLIMITED, UNLIMITED)).admit(
-        np.array([1e9, -1e9, 0.0]), 0, 1e-3
-    )
-    assert out.tolist() == [1e9, -1e9, 0.0]
-
-
-@given(torques=st.lists(TORQUE, min_size=2, max_size=10), step_s=st.floats(1e-4, 0.1))
-def test_no_torque_changes_faster_than_its_rate_limit(torques, step_s):
-    rates = np.array([1000.0, 500.0, np.inf])
-    guard = guard_of("pid", JointLimits.of_torques(LIMITS, rates))
-    previous = guard.admit(np.zeros(3), 0, 0.0).copy()
-    for tick, torque in enumerate(torques):
-        out = guard.admit(torque, tick, step_s)
-        # One rounding of a sum of at most 400 N m.
-        assert (np.abs(out - previous) <= rates * step_s + 1e-12).all()
-        assert (np.abs(out) <= LIMITS).all()
-        reachable = np.clip(torque, -LIMITS, LIMITS)
-        expected = np.clip(reachable, previous - rates * step_s, previous + rates * step_s)
-        assert out.tolist() == expected.tolist()
-        previous = out.copy()
-
-
-def test_first_torque_is_not_rate_limited():
-    # Without a step there is no rate; the brakes held the arm until now.
-    guard = guard_of("pid", JointLimits.of_torques(LIMITS, np.full(3, 1.0)))
-    assert guard.admit(np.array([100.0, 0.0, 0.0]), 0, 0.0).tolist() == [100.0, 0.0, 0.0]
-    assert guard.admit(np.array([200.0, 0.0, 0.0]), 1, 1.0).tolist() == [101.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -70,10 +29,14 @@ def test_not_finite_torque_is_refused_by_law_and_tick(bad, joint):
 
 
 @pytest.mark.parametrize(
-    "wrong", [np.zeros(2), np.zeros(4), np.zeros((3, 1)), np.float64(0.0), [0.0, 0.0, 0.0], None]
-)
-def test_wrong_shape_is_refused_by_law_and_tick(wrong):
-    with pytest.raises(InvalidTorqueError, match=r"law smc .*shape \(3,\).* at tick 4"):
+    "wrong",
+    [
+        np.zeros(2), np.zeros(4), np.zeros((3, 1)), np.float64(0.0), [0.0, 0.0, 0.0], None,
+        memoryview(np.zeros(3)), np.zeros(3, np.float32),
+    ],
+)  # fmt: skip
+def test_what_is_no_array_of_three_doubles_is_refused_by_law_and_tick(wrong):
+    with pytest.raises(InvalidTorqueError, match=r"law smc .* is expected at tick 4"):
         guard_of("smc", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(wrong, 4, 1e-3)
 
 
@@ -126,9 +89,3 @@ def test_float64_is_float64_whatever_object_says_so():
     torque = pickle.loads(pickle.dumps(np.full(3, 5.0)))
     guard = guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED))
     assert guard.admit(torque, 0, 1.0).tolist() == [5.0] * 3
-
-
-@pytest.mark.parametrize("other", [memoryview(np.zeros(3)), np.zeros(3, np.float32)])
-def test_what_is_no_array_of_doubles_is_refused_by_law_and_tick(other):
-    with pytest.raises(InvalidTorqueError, match="at tick 3"):
-        guard_of("pid", JointLimits.of_torques(LIMITS, UNLIMITED)).admit(other, 3, 1.0)

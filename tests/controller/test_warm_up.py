@@ -30,9 +30,18 @@ def test_warming_up_shows_a_law_the_very_situation_it_will_be_shown(is_compensat
     assert [each is shown for each in bench.law.shown] == [True] * 3
 
 
+@pytest.mark.parametrize("is_compensated", [False, True])
 @pytest.mark.parametrize("law", ["pid", "fixed_time_neural", "ftsmc"])
-def test_warming_up_leaves_no_trace_in_a_compensation(law):
-    warm, cold = (Bench(law, compensation=predicting(), sends_targets=True) for _ in range(2))
+def test_warming_up_leaves_no_trace(law, is_compensated):
+    warm, cold = (
+        Bench(
+            law,
+            rate_limit=1000.0,
+            compensation=predicting() if is_compensated else None,
+            sends_targets=is_compensated,
+        )
+        for _ in range(2)
+    )
     warm.loop.warm_up()
     assert warm.heard == []
     for tick in range(5):

@@ -10,7 +10,7 @@ import pytest
 
 from deploy import cli
 from deploy.cli import one_run
-from deploy.cli import processes as cli_processes
+from deploy.run.processes import roles
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +38,6 @@ def nothing_starts(monkeypatch):
     def start(*_):
         pytest.fail("something was started")
 
-    monkeypatch.setattr(one_run, "Launcher", start)
-    monkeypatch.setattr(one_run, "simulate_setup", start)
-    for name in ("run_controller", "run_plant", "run_recorder"):
-        monkeypatch.setattr(cli_processes, name, start)
+    monkeypatch.setattr(one_run, "execute", start)
+    for name in ("ControlLoop", "PlantLoop", "run_recorder"):
+        monkeypatch.setattr(roles, name, start)

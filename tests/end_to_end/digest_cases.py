@@ -11,8 +11,8 @@ import json
 import numpy as np
 
 from bus_schema.urdf.resolved import pybullet_data
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
+from deploy.judge.metrics import summarise
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, load_setup
 from deploy.scenario.uncertainty import Draw
 

@@ -1,7 +1,7 @@
 """A subscriber to everything that stops reading with the first message: it freezes itself.
 
-`python frozen_subscriber.py ENDPOINT`. It says so when it begins to look for the endpoint, and is
-told to be gone a second after it was last heard of.
+`python frozen_subscriber.py ENDPOINT MODE`, as ``peer`` or ``client``. It says so when it begins to
+look for the endpoint. Others count it as gone a second after they last heard of it.
 """
 
 import json
@@ -12,7 +12,9 @@ import sys
 import zenoh
 
 SETTINGS = {
-    "mode": "client",
+    "mode": sys.argv[2],
+    "listen/endpoints": [],
+    "connect/exit_on_failure": False,
     "connect/endpoints": [f"{sys.argv[1]}#so_rcvbuf=4096"],
     "connect/timeout_ms": -1,
     "connect/retry": {"period_init_ms": 20, "period_max_ms": 20, "period_increase_factor": 1},

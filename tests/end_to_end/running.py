@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,9 +26,9 @@ from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.runtime.modes import Mode
 from bus_schema.zenoh.session import Delivery, ZenohSession
 from deploy import cli
-from deploy.processes.network.free_ports import free_ports
-from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import load_run
+from deploy.judge.run_data import RunData
+from deploy.run.network.links import free_ports
+from deploy.run.run_folder import load_run
 from tests.warm_process import (
     FUNNEL_HIL,
     HANG_S,
@@ -241,6 +241,15 @@ def processes_of(folder: Path) -> dict[str, int]:
                     verb = words[words.index("deploy.cli") + 1]
                     found["recorder" if verb == "record" else verb] = int(entry.name)
     return found
+
+
+def outputs_of(processes: Sequence[WarmProcess]) -> list[str]:
+    """What processes said, once all have ended; whatever is left of them is killed."""
+    try:
+        return [process.communicate()[0] for process in processes]
+    finally:
+        for process in processes:
+            process.kill()
 
 
 def await_true(condition: Callable[[], bool], meaning: str) -> None:

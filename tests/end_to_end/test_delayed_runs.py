@@ -8,13 +8,10 @@ import signal
 from contextlib import suppress
 from pathlib import Path
 
-import pytest
 from running import Watcher, funnel_hil_here, processes_of, settings, started
 
-from bus_schema.link.key_files import KeyFolder
-from bus_schema.messages.topics import PLANT_TRUTH, Role
-from deploy.processes.network.keys import create_authority, issue
-from deploy.runs.run_data import RunData
+from bus_schema.messages.topics import PLANT_TRUTH
+from deploy.judge.run_data import RunData
 
 ROUND_TRIP_MS = 4
 PATIENT = settings(plant__command_timeout_ms=20_000)  # a busy machine may hold up a loop
@@ -53,44 +50,13 @@ def test_no_command_comes_back_sooner_than_the_relay_lets_it(tmp_path: Path) -> 
     assert run.data.setup.scenario.link.deadline_ms == 1 + ROUND_TRIP_MS
 
 
-def test_emulated_delay_comes_on_top(tmp_path: Path) -> None:
-    emulated = settings(duration_s=1, link__uplink__delay_ms=3, link__downlink__delay_ms=2)
-    run = funnel_hil_here(*DELAYED, *emulated, out=tmp_path / "run")
-    assert run.code == 0, run.output
-    assert least_round_trip_ms(run.data) >= ROUND_TRIP_MS + 3  # the downlink's is after arrival
-    delays_ns = run.data.tables[PLANT_TRUTH.name]["command_age_ns"]
-    assert delays_ns[delays_ns >= 0].min() * 1e-6 >= ROUND_TRIP_MS + 5
-
-
-def test_relay_passes_on_what_is_encrypted(tmp_path: Path) -> None:
-    keys = KeyFolder.at(tmp_path / "keys")
-    create_authority(keys, 1)
-    for role in Role:
-        issue(keys, role, ["127.0.0.1"], 1)
-    secured = settings(
-        link__security__enabled=True, link__security__folder=str(keys.path), duration_s=1
-    )
-    run = funnel_hil_here(*DELAYED, *secured, out=tmp_path / "run")
-    assert run.code == 0, run.output
-    assert least_round_trip_ms(run.data) >= ROUND_TRIP_MS
-
-
-@pytest.mark.parametrize(
-    ("number", "cause"),
-    [
-        (signal.SIGKILL, "the relay was killed by SIGKILL"),
-        (signal.SIGTERM, "the relay ended before the run did"),
-    ],
-)
-def test_run_ends_with_its_relay_and_names_it(
-    tmp_path: Path, number: signal.Signals, cause: str
-) -> None:
+def test_run_ends_with_its_relay_and_names_it(tmp_path: Path) -> None:
     with started(*DELAYED, *settings(duration_s=60), out=tmp_path / "run") as run:
         with Watcher(run.plant_endpoint()) as watcher:
             watcher.await_time(0.3, run)
-            os.kill(relay_of(run.folder), number)
+            os.kill(relay_of(run.folder), signal.SIGTERM)
             ended = run.end()
         assert processes_of(run.folder) == {}
     assert ended.code == 1
-    assert ended.summary["faults"][0] == cause
+    assert ended.summary["faults"][0] == "the relay ended before the run did"
     assert not ended.summary["completed"]

@@ -12,14 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from running import Finished, free_endpoint, settings
+from running import Finished, settings
 
-from deploy.runs.arithmetic import libm_fingerprint
-from deploy.runs.run_rows import read_rows
+from deploy.judge.arithmetic import libm_fingerprint
 from tests.warm_process import HANG_S, ROOT
 
-SHORT = settings(duration_s=0.3, metrics__from_s=0, clock="lockstep")
 ANOTHER_LIBM = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA"}
 
 
@@ -101,52 +98,6 @@ def test_every_case_has_the_same_bits_in_every_environment(
         if found[case] != expected[case]
     ]
     assert not differing, "\n".join(differing)
-
-
-def test_plant_controller_and_recorder_on_three_kinds_of_cpu_meet(
-    digests: dict[str, dict[str, list[str]]], tmp_path: Path
-) -> None:
-    at = settings(
-        link__plant_endpoint=free_endpoint(), link__controller_endpoint=free_endpoint(),
-        link__connect_timeout_s=60, link__reply_timeout_s=60,
-    )  # fmt: skip
-    roles = (
-        ["plant", "--await-recorder"],
-        ["controller"],
-        ["record", "--out", str(tmp_path / "a")],
-    )
-    processes = [
-        start(
-            ["-m", "deploy.cli", role, "iiwa", *SHORT, *at, *more],
-            {"OPENBLAS_CORETYPE": core},
-        )
-        for core, (role, *more) in zip(core_types(), roles, strict=False)
-    ]
-    try:
-        outputs = [process.communicate(timeout=HANG_S) for process in processes]
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-    assert [process.returncode for process in processes] == [0, 0, 0], outputs
-    simulated = next(iter(digests.values()))["iiwa fixed_time_neural plain"]
-    assert Finished(tmp_path / "a", 0, "").digest == simulated[0]
-
-
-def test_a_study_begun_on_one_kind_of_cpu_grows_on_another(tmp_path: Path) -> None:
-    """Without noise the seed changes nothing, so that the runs of both have the same digest."""
-    study = {
-        "name": "grown", "scenario": "iiwa", "grid": {"plant.payload_kg": [0]},
-        "set": {"duration_s": 0.1, "metrics.from_s": 0},
-    }  # fmt: skip
-    for seeds, core in enumerate(core_types()[:2], start=1):
-        (tmp_path / "study.yaml").write_text(yaml.safe_dump({**study, "seeds": seeds}))
-        words = ["sweep", str(tmp_path / "study.yaml"), "--workers", "1"]
-        ended = funnel_hil(*words, "--out", str(tmp_path / "out"), OPENBLAS_CORETYPE=core)
-        assert ended.code == 0, ended.output
-    rows = read_rows(tmp_path / "out" / "sweep.parquet")
-    assert sorted(row["seed"] for row in rows) == [1, 2]
-    assert len({row["digest"] for row in rows}) == 1
 
 
 def test_replay_and_diff_name_another_libm(tmp_path: Path) -> None:

@@ -26,9 +26,11 @@ LONG_S = 4.0
 
 
 @contextmanager
-def frozen_subscriber(endpoint: str) -> Iterator[subprocess.Popen[bytes]]:
+def frozen_subscriber(endpoint: str, mode: str) -> Iterator[subprocess.Popen[bytes]]:
     script = str(Path(__file__).with_name("frozen_subscriber.py"))
-    with subprocess.Popen([sys.executable, script, endpoint], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, script, endpoint, mode], stdout=subprocess.PIPE
+    ) as process:
         try:
             assert process.stdout is not None
             process.stdout.readline()
@@ -43,8 +45,8 @@ def is_frozen(process: subprocess.Popen[bytes]) -> bool:
     return bool(pid)
 
 
-@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
-def test_frozen_subscriber_changes_nothing(tmp_path: Path, clock: str) -> None:
+@pytest.mark.parametrize(("clock", "mode"), [("lockstep", "client"), ("realtime", "peer")])
+def test_frozen_subscriber_changes_nothing(tmp_path: Path, clock: str, mode: str) -> None:
     endpoint = free_endpoint()
     patient = settings(
         clock=clock,
@@ -53,7 +55,7 @@ def test_frozen_subscriber_changes_nothing(tmp_path: Path, clock: str) -> None:
         plant__command_timeout_ms=30_000.0,
     )
     with (
-        frozen_subscriber(endpoint) as stranger,
+        frozen_subscriber(endpoint, mode) as stranger,
         started("run", "paper_arm", *ENDLESS, *patient, out=tmp_path / "run") as run,
     ):
         await_true(lambda: is_frozen(stranger), "it has heard something")

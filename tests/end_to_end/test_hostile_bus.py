@@ -1,26 +1,30 @@
-"""A stranger on the command key: what is no valid command is counted, and changes nothing."""
+"""Strangers on the bus: what they send is counted, and makes no verdict better."""
 
 from __future__ import annotations
 
 import random
 import signal
 from collections import Counter
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from running import ENDLESS, Finished, Watcher, assert_as_simulated, settings, started
+import pytest
+from impostor import OWN_ID, Impostor
+from running import ENDLESS, Finished, Running, Watcher, assert_as_simulated, settings, started
 
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import CommandArrival
-from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS, layout
+from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS
 from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 from bus_schema.runtime.clock import VirtualClock
 from bus_schema.zenoh.ros_graph import Attachment
 from controller.control_loop import ControlLoop
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
 from plant_emulator.plant_loop import PlantLoop
+from plant_emulator.plant_task import PlantOutcome
 
 JOINTS = ("base_yaw", "shoulder", "elbow")
 SHOTS_FROM_S = 0.2
@@ -96,6 +100,47 @@ def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Pat
     assert_as_simulated(run, come_s, tmp_path / "simulation", *names)
 
 
+def stopped_later(run: Running) -> Finished:
+    """The run, once it has gone on for so long that all that was sent has come."""
+    with Watcher(run.plant_endpoint()) as watcher:
+        watcher.await_time(0.0, run)
+        watcher.await_time(watcher.last_stamp_ns * 1e-9 + LATER_S, run)
+    run.send(signal.SIGINT)
+    return run.end()
+
+
+@pytest.mark.parametrize("ids", ["own", "copied"])
+def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
+    tmp_path: Path, ids: str
+) -> None:
+    """But for them, a run that is stopped is one that was interrupted."""
+    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
+    with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
+        stranger.await_plant(run)
+        newest = stranger.spans[-1]
+        sender, number = (OWN_ID, 1) if ids == "own" else (newest.sender, newest.last)
+        stranger.speak_as_plant(stranger.truth, sender, number)
+        ended = stopped_later(run)
+    assert ended.code == 130, ended.output
+    recording = ended.summary["recording"]
+    reason = "second_plant" if ids == "own" else "altered_bundle"
+    assert recording["rejected"][reason] >= 1
+    assert recording["rejected"]["wrong_role"] >= 1  # the plant's end from a controller
+    assert "in the plant's name" in recording["damage"][0]
+    assert f"{reason}: " in ended.output
+    assert ended.summary["verdict"] == "unknown"
+    assert not ended.summary["bounds"]["kept"]
+
+
+def test_second_recorder_that_has_everything_ends_no_run(tmp_path: Path) -> None:
+    words = ["run", "paper_arm", *ENDLESS, *settings(clock="lockstep")]
+    with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
+        stranger.await_plant(run)
+        stranger.speak_as_recorder()
+        ended = stopped_later(run)
+    assert (ended.code, ended.summary["faults"]) == (130, []), ended.output
+
+
 class HauntedPlantLink(InProcessPlantLink):
     """Right behind every reply comes a command that answers the first state again."""
 
@@ -108,14 +153,18 @@ class HauntedPlantLink(InProcessPlantLink):
         self._haunted.commands.append(CommandArrival(command([HUGE_NM] * 3), 1, b"", 0))
 
 
-def test_stale_command_right_behind_the_reply_does_not_hide_it() -> None:
-    setup = load_setup("paper_arm", ["duration_s=0.05"])
+def outcome_over(kind: type[InProcessPlantLink], setup: Setup) -> tuple[PlantOutcome, InProcessBus]:
+    """Of a plant that hears its controller over such a link; and the bus."""
     clock = VirtualClock()
     bus = InProcessBus(clock)
     ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
-    arm = setup.arm()
-    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, HauntedPlantLink(bus), clock).run()
-    arm.close()
+    with closing(setup.arm()) as arm:
+        return PlantLoop(setup.plant_task(lockstep=True), arm, kind(bus), clock).run(), bus
+
+
+def test_stale_command_right_behind_the_reply_does_not_hide_it() -> None:
+    setup = load_setup("paper_arm", ["duration_s=0.05"])
+    outcome, _ = outcome_over(HauntedPlantLink, setup)
     assert outcome.faults == []
     assert outcome.completed
 
@@ -138,13 +187,7 @@ class CopiedIdPlantLink(InProcessPlantLink):
 
 def test_one_forged_number_bars_no_genuine_command_and_is_a_fault() -> None:
     setup = load_setup("paper_arm", ["duration_s=0.1"])
-    clock = VirtualClock()
-    bus = InProcessBus(clock)
-    ControlLoop(setup.control_task(), InProcessControllerLink(bus)).warm_up()
-    arm = setup.arm()
-    link = CopiedIdPlantLink(bus)
-    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, link, clock).run()
-    arm.close()
+    outcome, bus = outcome_over(CopiedIdPlantLink, setup)
     (fault,) = outcome.faults
     assert "two sources send as the one commander" in fault
     assert not outcome.completed
@@ -157,13 +200,3 @@ def test_one_forged_number_bars_no_genuine_command_and_is_a_fault() -> None:
     (counts,) = [event.values() for event in events if event.kind == EventKind.COUNTS]
     assert counts["downlink"]["sent"] == setup.ticks
     assert {why: n for why, n in counts["downlink"]["rejected"].items() if n} == {"stale": 1}
-
-
-def test_ammunition_is_what_it_claims_to_be() -> None:
-    commands = layout(JOINT_COMMANDS, JOINTS)
-    live = Record(commands)
-    commands.decode(command([1.0, 2.0, 3.0], stamp_s=4), live)
-    assert live.fields["effort"].tolist() == [1.0, 2.0, 3.0]
-    assert live.stamp_ns == 4_000_000_000
-    sizes = {len(payload) // 1000 for _, payload in ammunition()}
-    assert {60, 500} <= sizes

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from impostor import OWN_ID, Impostor
 from running import ENDLESS, Finished, assert_as_simulated, await_true, settings, started
 
 from bus_schema.link.key_files import KeyFolder
@@ -16,7 +17,7 @@ from bus_schema.messages.header import stamp_of
 from bus_schema.messages.topics import Role
 from bus_schema.zenoh.access import secure_settings
 from bus_schema.zenoh.session import ZenohSession
-from deploy.processes.network.keys import create_authority, issue
+from tests.security import issued_keys
 
 BESIEGED_S = 1.0
 """Of the run's time, from when the one stranger who may listen has heard something."""
@@ -33,15 +34,7 @@ class Besieged:
 
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> KeyFolder:
-    return make_keys(tmp_path_factory.mktemp("keys") / "keys")
-
-
-def make_keys(folder: Path) -> KeyFolder:
-    keys = KeyFolder.at(folder)
-    create_authority(keys, 1)
-    for role in Role:
-        issue(keys, role, ["127.0.0.1"], 1)
-    return keys
+    return issued_keys(tmp_path_factory.mktemp("keys") / "keys")
 
 
 def strangers(keys: KeyFolder, others: KeyFolder) -> list[tuple[str, dict[str, Any] | None]]:
@@ -67,7 +60,7 @@ def besieged(keys: KeyFolder, tmp_path_factory: pytest.TempPathFactory) -> Besie
     with started(*words, out=folder / "run") as run:
         endpoint = run.plant_endpoint()
         sessions, heard, guns = [], [], []
-        for protocol, security in strangers(keys, make_keys(folder / "others")):
+        for protocol, security in strangers(keys, issued_keys(folder / "others")):
             address = endpoint.replace("tls", protocol)
             session = ZenohSession([], [address], low_latency=True, security=security)
             said: list[bytes] = []
@@ -77,9 +70,16 @@ def besieged(keys: KeyFolder, tmp_path_factory: pytest.TempPathFactory) -> Besie
             sessions.append(session)
             heard.append(said)
 
+        controllers = secure_settings(Role.CONTROLLER, 0, keys)
+        del controllers["access_control"]
+        impostor = Impostor(endpoint, controllers)
+        sessions.append(impostor.session)
+        await_true(lambda: bool(impostor.session.connected()), "the plant lets it in")
+
         def shoot() -> float:
             """How far the run has come, as the third of them heard."""
             assert run.process.poll() is None, run.end().output
+            impostor.speak_as_plant(impostor.truth, OWN_ID, 1)
             for gun in guns:
                 gun.put(b"not even a command", b"")
             stamp_ns = stamp_of(heard[2][-1]) if heard[2] else None
@@ -88,6 +88,7 @@ def besieged(keys: KeyFolder, tmp_path_factory: pytest.TempPathFactory) -> Besie
         await_true(lambda: shoot() > 0.0, "one of them hears something")
         come_s = shoot() + BESIEGED_S
         await_true(lambda: shoot() >= come_s, "the run goes on")
+        impostor.speak_as_recorder()
         run.send(signal.SIGINT)
         ended = run.end()
         for session in sessions:
@@ -109,6 +110,14 @@ def test_no_stranger_reaches_the_plant(besieged: Besieged) -> None:
     assert downlink["rejected"] == {}  # one that gets through is counted as malformed
     ticks = besieged.run.summary["ticks"]
     assert downlink["delivered"] >= ticks - 1  # the last may have been on its way
+
+
+def test_controllers_certificate_lets_nobody_speak_as_the_plant(besieged: Besieged) -> None:
+    """What it can do without keys: see test_hostile_bus.py."""
+    summary = besieged.run.summary
+    assert summary["recording"]["rejected"] == {}
+    assert summary["recording"]["damage"] == []
+    assert summary["verdict"] == "interrupted"
 
 
 def test_only_the_recorders_certificate_lets_one_listen(besieged: Besieged) -> None:

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from running import Finished, funnel_hil_here, settings
+from running import Finished, funnel_hil_here, outputs_of, settings
 
 from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
-from deploy.processes.network.keys import create_authority, issue
+from deploy.run.network.keys import create_authority, issue
 from tests.warm_process import WarmProcess
 
 PLANT_HOST, CONTROLLER_HOST = "192.0.2.10", "192.0.2.11"
@@ -84,11 +84,7 @@ def test_plant_and_controller_on_two_hosts_under_tls(hosts: dict[str, str], tmp_
         start(hosts[PLANT_HOST], "plant", at_plant, "--await-recorder"),
         start(hosts[CONTROLLER_HOST], "controller", at_controller, "--await-recorder"),
     ]
-    try:
-        outputs = [process.communicate()[0] for process in processes]
-    finally:
-        for process in processes:
-            process.kill()
+    outputs = outputs_of(processes)
     assert [process.returncode for process in processes] == [0, 0, 0], outputs
     run = Finished(out, 0, outputs[0])
     assert run.summary["completed"]

@@ -14,13 +14,13 @@ import numpy as np
 from mutation import Mutator
 
 from bus_schema.can.frame import CanFrame
-from deploy.runs.simulate import simulate
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.bank import DriveBank
-from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
-from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.cansimple.drive import CanSimpleDrive
+from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveSettings
-from plant_emulator.drives.mit.mit_drive import MitDrive
+from plant_emulator.drives.mit.drive import MitDrive
 
 NODES = (1, 2, 3)
 RATED_NM, LIMIT_NM = 20.0, 60.0

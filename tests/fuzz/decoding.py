@@ -34,6 +34,7 @@ NEWEST_NS = 10**15
 COMMANDER = b"commander_123456"
 _NS = 1_000_000_000
 _SHOTS_PER_GATE = 5
+_KINDS = ("command", "state", "status", "layout", "event", "attachment", "key")
 _layout = cache(topics.layout)
 
 
@@ -56,6 +57,7 @@ class Target:
         self._loop = self._controller()
         self._log = McapLog(folder / "fuzz.mcap", bytes_per_s=1e6)
         self._payloads = {topic: self._payload(topic) for topic in topics.TOPICS}
+        self._fixed = [topic for topic in self._payloads if topic is not topics.RUN_EVENTS]
         self._sequence = 0
         self._stamp_ns = 0
         self._shots = 0
@@ -74,7 +76,7 @@ class Target:
 
     def attack(self) -> None:
         """Mutate one thing and have it decoded."""
-        kind = self._mutator.choose(("command", "state", "status", "event", "attachment", "key"))
+        kind = self._mutator.choose(_KINDS)
         self.kinds[kind] += 1
         getattr(self, f"_attack_{kind}")()
         self._bus.topics.clear()
@@ -125,6 +127,18 @@ class Target:
             self._loop.cycle(self._payloads[topics.JOINT_STATES], payload)
         except ControllerError:  # it says when the run began, and so what the reference is
             self._check_stop()
+
+    def _attack_layout(self) -> None:
+        """A message of any layout is read, or rejected with a reason."""
+        topic = self._mutator.choose(self._fixed)
+        layout = _layout(topic, self._names)
+        record = Record(layout)
+        try:
+            layout.decode(self._mutator.bytes(self._payloads[topic]), record)
+        except InvalidMessageError as error:
+            assert error.reason.isidentifier()
+            return
+        assert len(record.payload()) == layout.size
 
     def _attack_event(self) -> None:
         payload = self._mutator.bytes(self._payloads[topics.RUN_EVENTS])

@@ -6,13 +6,13 @@ import random
 from collections import Counter
 from pathlib import Path
 
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.run_folder import RunFolderError, load_run
-from deploy.runs.simulate import simulate
+from deploy.judge.metrics import summarise
+from deploy.run.run_folder import RunFolderError, load_run
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 _DURATION_S = 0.3
-_KINDS = ("bit", "bit", "bit", "cut", "bits", "bytes", "zeros", "hole", "insertion", "tail")
+_KINDS = ("bit", "bit", "bits", "bytes", "zeros", "cut", "hole", "insertion", "tail")
 
 
 def record(path: Path) -> None:
@@ -25,9 +25,7 @@ def damage(whole: bytes, chance: random.Random) -> tuple[str, bytes]:
     data = bytearray(whole)
     place = chance.randrange(len(data))
     some = chance.randint(1, 400)
-    kind = chance.choice(
-        ("bit", "bit", "bits", "bytes", "zeros", "cut", "hole", "insertion", "tail")
-    )
+    kind = chance.choice(_KINDS)
     match kind:
         case "bit":
             data[place] ^= 1 << chance.randrange(8)

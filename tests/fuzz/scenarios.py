@@ -14,10 +14,10 @@ from mutation import Mutator
 from urdfs import try_urdf
 
 from controller.laws import LAWS
-from deploy.processes.network.links import check_link
-from deploy.runs.simulate import simulate
+from deploy.run.network.links import check_link
+from deploy.run.simulate import simulate
+from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import SHIPPED, load_setup
-from deploy.scenario.written import effective_scenario
 from deploy.scenario.yaml_files import ScenarioError, plain, set_value
 
 _TICKS = 3

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mutation import Mutator
 
-from deploy.runs.simulate import simulate
+from deploy.run.simulate import simulate
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError

@@ -1,21 +1,18 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import TickGrid
 from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
+from tests.arms import PAPER_ARM, shipped_arm
 
 GRID = TickGrid(1000.0, 4)
 SUBSTEP_S = GRID.substep_s
 START = np.array([0.3, -0.9, 1.2])
 PUSH = np.array([60.0, -250.0, -20.0])
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
+ROBOT = PAPER_ARM
 
 
 pytestmark = pytest.mark.usefixtures("engine")
@@ -42,23 +39,14 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
-    """Makes benches, and frees their physics servers."""
-    made = []
-
-    def make(**options):
-        made.append(Bench(**options))
-        return made[-1]
-
-    yield make
-    for each in made:
-        each.arm.close()
+def bench(made_and_freed):
+    return made_and_freed(Bench)
 
 
 @pytest.mark.parametrize("payload_kg", [0.0, 5.0])
 @pytest.mark.parametrize("name", ["paper_arm", "iiwa"])
 def test_brakes_hold_under_gravity(bench, name, payload_kg):
-    robot = load_robot(find_urdf(name, Path()))
+    robot = shipped_arm(name)
     start = np.resize(START, robot.joints)
     held = bench(robot=robot, start=start, payload_kg=payload_kg)
     positions, _ = held.run(1.0)
@@ -98,22 +86,6 @@ def test_commanded_torque_stays_in_force_until_the_next(bench):
     moving.arm.command(-PUSH)
     moving.run(SUBSTEP_S)
     assert moving.arm.torques.actuator.tolist() == (-PUSH).tolist()
-
-
-def test_gravity_torque_keeps_the_arm_where_it_is(bench):
-    still = bench()
-    still.arm.command(ManipulatorModel(ROBOT).gravity(START))
-    positions, _ = still.run(0.2)
-    assert np.abs(positions - START).max() < 1e-6
-
-
-def test_payload_pulls_the_arm_down(bench):
-    loaded = bench(payload_kg=2.0)
-    bare, heavy = ManipulatorModel(ROBOT), ManipulatorModel(ROBOT, payload_kg=2.0)
-    loaded.arm.command(bare.gravity(START))
-    _, velocities = loaded.run(8 * SUBSTEP_S)
-    expected = 2e-3 * heavy.forward_dynamics(START, np.zeros(3), bare.gravity(START))
-    np.testing.assert_allclose(velocities[-1], expected, rtol=0.01, atol=1e-4)
 
 
 def moving_arm(bench, **plant):
@@ -194,19 +166,6 @@ def test_brake_ends_everything(bench, kind):
     assert stopped.arm.mode is Mode.FAULT
     positions, _ = stopped.run(0.2)
     assert np.abs(positions[-1] - positions[len(positions) // 2]).max() < 1e-3
-
-
-def test_encoders_show_the_joints(bench):
-    seen = bench(encoder={"resolution_rad": 1e-3})
-    position, velocity = seen.arm.measured
-    seen.arm.read_encoders()
-    np.testing.assert_allclose(position, START, atol=1e-12)  # whole milliradians
-    seen.arm.command(PUSH)
-    seen.run(0.1)
-    seen.arm.read_encoders()
-    np.testing.assert_allclose(position, seen.arm.position, atol=0.5e-3 + 1e-12)
-    assert (position != seen.arm.position).all()
-    assert velocity.tolist() == seen.arm.velocity.tolist()
 
 
 def test_same_seed_same_bits_other_seed_other_noise(bench):

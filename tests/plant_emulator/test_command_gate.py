@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from bus_schema.link.interface import CommandArrival
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_COMMANDS, layout
-from bus_schema.messages.types import JOINT_STATE, TYPESTORE
 from plant_emulator.command_gate import CommandGate
+from tests.joint_states import joint_state
 
 NAMES = ("yaw", "shoulder", "elbow")
 NEWEST_NS = 1_000_000
@@ -44,13 +44,7 @@ def aimed(stamp_ns, position=(0.1, 0.2, 0.3), velocity=(-1.0, 0.0, 1.0)):
 
 
 def foreign(names, effort, stamp_ns=5, position=(), velocity=()):
-    types = TYPESTORE.types
-    header = types["std_msgs/msg/Header"](
-        types["builtin_interfaces/msg/Time"](0, stamp_ns), "world"
-    )
-    rows = (np.array(row, dtype=np.float64) for row in (position, velocity, effort))
-    message = types[JOINT_STATE](header, list(names), *rows)
-    return bytes(TYPESTORE.serialize_cdr(message, JOINT_STATE))
+    return joint_state(names, position, velocity, effort, stamp_ns=stamp_ns)
 
 
 def test_valid_command_comes_through():
@@ -61,13 +55,6 @@ def test_valid_command_comes_through():
     assert (command.sequence, command.stamp_ns) == (1, 5)
     assert not bench.gate.is_waiting
     assert not bench.rejected
-
-
-def test_command_keeps_its_torque_when_the_next_arrives():
-    bench = Bench()
-    first = bench.admit(payload(5))
-    bench.admit(payload(6, (9.0, 9.0, 9.0)))
-    assert first.torque_nm.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_foreign_command_is_put_into_our_joint_order():
@@ -96,21 +83,13 @@ REJECTIONS = [
 def test_rejected_command_is_counted_and_changes_nothing(data, reason):
     bench = Bench()
     assert bench.admit(payload(5)) is not None
+    bench.gate.await_answer(4)
     assert bench.admit(data) is None
     assert bench.rejected == {reason: 1}
+    # In lockstep the plant waits for an answer to its state: a late one is one, garbage is none.
+    assert bench.gate.is_waiting == (data != payload(4))
     after = bench.admit(payload(6, (4.0, 5.0, 6.0)))
     assert (after.torque_nm.tolist(), after.stamp_ns) == ([4.0, 5.0, 6.0], 6)
-
-
-@pytest.mark.parametrize(("data", "reason"), REJECTIONS, ids=[reason for _, reason in REJECTIONS])
-def test_only_a_repeated_answer_counts_as_an_answer(data, reason):
-    # In lockstep the plant waits for an answer to its state: a late one is one, garbage is none.
-    bench = Bench()
-    bench.admit(payload(5))
-    bench.gate.await_answer(4)
-    bench.admit(data)
-    assert bench.gate.is_waiting == (data != payload(4))
-    assert bench.rejected[reason] == 1
 
 
 def test_another_sender_is_not_heard_until_the_commander_has_left():
@@ -173,30 +152,6 @@ def test_admitted_stamps_only_ever_grow(stamps):
     assert admitted == sorted(set(admitted))
     assert all(stamp <= NEWEST_NS for stamp in admitted)
     assert len(admitted) + bench.rejected.total() == len(stamps)
-
-
-@settings(max_examples=300)
-@given(data=st.binary(max_size=200), headed=st.booleans())
-def test_random_bytes_never_come_through_and_change_nothing(data, headed):
-    bench = Bench()
-    bench.admit(payload(5))
-    assert bench.admit(b"\0\1\0\0" + data if headed else data) is None
-    assert bench.rejected.total() == 1
-    assert bench.admit(payload(6)) is not None
-
-
-@settings(max_examples=300)
-@given(flips=st.lists(st.integers(0, 10_000), min_size=1, max_size=8))
-def test_what_comes_through_is_finite_and_in_time_whatever_bits_flip(flips):
-    bench, data = Bench(), bytearray(payload(5))
-    for flip in flips:
-        data[flip // 8 % len(data)] ^= 1 << flip % 8
-    command = bench.admit(bytes(data))
-    if command is not None:
-        assert np.isfinite(command.torque_nm).all()
-        assert 0 <= command.stamp_ns <= NEWEST_NS
-    else:
-        assert bench.rejected.total() == 1
 
 
 def test_target_comes_through_with_its_torque_and_is_kept_when_the_next_arrives():

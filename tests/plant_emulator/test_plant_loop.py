@@ -1,13 +1,18 @@
 """When the plant's loop delivers states and puts commands into force, where it waits for nobody."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bus_schema.link.interface import CommandArrival, PlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.clock import VirtualClock
 from deploy.scenario.scenario import load_setup
+from plant_emulator.command_path import Watchdog
 from plant_emulator.plant_loop import PlantLoop
 
 MS = 1_000_000
@@ -18,7 +23,7 @@ class Station:
     """A link whose other end sends what it is told to, when it is told to."""
 
     def __init__(self, joint_names, clock, *, has_targets=False):
-        self._clock = clock
+        self.clock = clock
         self._layout = topics.layout(topics.JOINT_STATES, joint_names)
         self._command = Record(
             topics.layout(topics.JOINT_COMMANDS, joint_names, has_targets=has_targets)
@@ -45,7 +50,7 @@ class Station:
     def send_state(self, state, status):
         record = Record(self._layout)
         self._layout.decode(state, record)
-        self.delivered.append((self._clock.now_ns(), record.stamp_ns))
+        self.delivered.append((self.clock.now_ns(), record.stamp_ns))
         self.messages.append((state, status))
 
     def wait_until(self, clock, instant_ns):
@@ -67,7 +72,7 @@ class Station:
         return False
 
     def take_commands(self):
-        now_ns = self._clock.now_ns()
+        now_ns = self.clock.now_ns()
         here = [arrival for arrival in self.to_come if arrival.arrival_ns <= now_ns]
         self.to_come = [arrival for arrival in self.to_come if arrival.arrival_ns > now_ns]
         return here
@@ -167,6 +172,11 @@ def test_command_that_was_overtaken_changes_nothing(run):
     assert 3.0 not in {torque for _, torque in steps}
 
 
+def in_lockstep(setup, station, arm):
+    """The outcome of a plant that waits for the answers of a station."""
+    return PlantLoop(setup.plant_task(lockstep=True), arm, station, station.clock).run()
+
+
 class LeavingController(Station):
     """Its one answer arrives, and it leaves, just when the plant has waited in vain."""
 
@@ -186,14 +196,13 @@ class LeavingController(Station):
 
 def test_answer_that_came_just_before_the_controller_left_is_taken():
     setup = load_setup("paper_arm", ["duration_s=0.02"])
-    clock, arm = VirtualClock(), setup.arm()
-    station = LeavingController(setup.robot.joint_names, clock)
+    station = LeavingController(setup.robot.joint_names, VirtualClock())
     station.expect(0, 0)
     taken = []
-    command = arm.command
-    arm.command = lambda *given: taken.append(clock.now_ns()) or command(*given)
-    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, station, clock).run()
-    arm.close()
+    with closing(setup.arm()) as arm:
+        command = arm.command
+        arm.command = lambda *given: taken.append(given) or command(*given)
+        outcome = in_lockstep(setup, station, arm)
     assert len(taken) == 1
     assert outcome.faults == ["the controller has left the bus"]
 
@@ -220,36 +229,23 @@ class DeafController(Station):
 
 def test_first_state_in_lockstep_is_sent_again_until_it_is_answered():
     setup = load_setup("paper_arm", ["duration_s=0.005"])
-    clock, arm = VirtualClock(), setup.arm()
-    station = DeafController(setup.robot.joint_names, clock)
-    outcome = PlantLoop(setup.plant_task(lockstep=True), arm, station, clock).run()
-    arm.close()
+    station = DeafController(setup.robot.joint_names, VirtualClock())
+    with closing(setup.arm()) as arm:
+        outcome = in_lockstep(setup, station, arm)
     assert outcome.faults == []
     assert [stamp_ns // MS for _, stamp_ns in station.delivered] == [0, 0, 0, 1, 2, 3, 4]
 
 
-def test_no_target_is_chased_once_the_watchdog_has_stopped_the_arm():
-    """The target is 1 rad away: 200 N m and more of stiffness, as long as it is in force."""
-    stop = ["plant.command_timeout_ms=5", "plant.safe_stop=zero_torque"]
-    stiff = ["plant.drive_feedback={enabled: true, stiffness_nm_rad: 200, damping_nm_s: 0}"]
-    setup = load_setup("paper_arm", ["duration_s=0.02", *stop, *stiff])
-    clock, arm = VirtualClock(), setup.arm()
-    station = Station(setup.robot.joint_names, clock, has_targets=True)
-    station.aim(arm.position + 1.0)
-    station.expect(1 * MS, 2 * MS)
-    delivered, advance = {}, arm.advance
-
-    def note_advance(first, end):
-        for number in range(first, end):
-            advance(number, number + 1)
-            delivered[number * SUBSTEP_NS] = arm.torques.actuator.copy()
-
-    arm.advance = note_advance
-    outcome = PlantLoop(setup.plant_task(lockstep=False), arm, station, clock).run()
-    arm.close()
-    assert outcome.faults == ["no valid command for 5 ms: safe stop (zero_torque)"]
-    for start_ns, torque in delivered.items():
-        if 2 * MS <= start_ns <= 7 * MS:
-            np.testing.assert_allclose(torque, 200.0 + 1.0, atol=10.0)
-        else:
-            assert not torque.any(), start_ns
+@given(
+    first_ns=st.integers(1, 1000), timeout_ns=st.integers(1, 1000),
+    gaps=st.lists(st.integers(0, 1000), min_size=1),
+)  # fmt: skip
+def test_expires_after_the_first_instant_and_then_after_longer_silence_than_the_timeout(
+    first_ns, timeout_ns, gaps
+):
+    watchdog, now_ns, allowed_ns = Watchdog(timeout_ns, first_ns), 0, first_ns
+    for gap in gaps:
+        now_ns += gap
+        assert (watchdog.expires_ns < now_ns) == (gap > allowed_ns)
+        watchdog.feed(now_ns)
+        allowed_ns = timeout_ns

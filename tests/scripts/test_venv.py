@@ -44,14 +44,6 @@ def test_caches_that_hide_the_sources_are_removed_from_the_installation(tree: Pa
     assert files_in(tree) == before
 
 
-def test_an_installation_with_sources_stays(tree: Path) -> None:
-    make(tree / SITE_PACKAGES / "bus_schema" / "can" / "frame.py")
-    make(tree / SITE_PACKAGES / "bus_schema" / "can" / "__pycache__" / "frame.pyc")
-    before = files_in(tree)
-    remove_leftovers(tree)
-    assert files_in(tree) == before
-
-
 def test_folders_from_which_all_files_have_moved_are_removed(tree: Path) -> None:
     before = files_in(tree)
     make(tree / "bus_schema" / "msg" / "old" / "__pycache__" / "gone.pyc")

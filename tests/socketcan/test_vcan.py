@@ -22,7 +22,7 @@ from bus_schema.can.frame import CanFrame
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
-from deploy.runs.simulate import simulate
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from tests.eds_decoding import EdsDecoder
 

@@ -1,7 +1,9 @@
 """Cyclic frames of ODrive axes on CANSimple, as ODrive's public protocol description has them.
 
 A cycle is, for each axis, a remote frame that asks for its encoder estimates, the answer (turns,
-turns per second) and the torque to give. Axes must not send estimates unasked
+turns per second) and the input: a torque, or in position control a position with velocity and
+torque feed-forward, each 16 bits in steps that the axis and its master must agree on
+(``input_vel_scale``, ``input_torque_scale``). Axes must not send estimates unasked
 (``encoder_msg_rate_ms = 0``): an answer could not be distinguished from one of those.
 """
 
@@ -10,18 +12,49 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from bus_schema.arrays import Vector
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.frame import CanFrame, is_classical_data
 from bus_schema.can.frame_timing import CycleFrames
+from bus_schema.drive_feedback import DriveGains
+from bus_schema.link.can_configuration import CanSimpleConfiguration
 
 COMMAND_BITS = 5
 HEARTBEAT, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 0x01, 0x07, 0x09
 SET_CONTROLLER_MODE, SET_INPUT_POS, SET_INPUT_TORQUE, CLEAR_ERRORS = 0x0B, 0x0C, 0x0E, 0x18
+TURN_RAD = 2.0 * math.pi
 
 _ESTIMATES = struct.Struct("<ff")
-_TORQUE = struct.Struct("<f")
-_TURN_RAD = 2.0 * math.pi
+_WORD = np.iinfo(np.int16)
+
+
+class CanSimpleMode(NamedTuple):
+    """What an axis is to control, and by which frames.
+
+    Attributes:
+        control: the control mode.
+        input: command that sets the input.
+        layout: of its data; the torque is the last number.
+        cycle: frames of a cycle.
+    """
+
+    control: int
+    input: int
+    layout: struct.Struct
+    cycle: CycleFrames
+
+
+TORQUE = CanSimpleMode(
+    1, SET_INPUT_TORQUE, struct.Struct("<f"),
+    CycleFrames((), (0, 8, 4), "{n} × (request + encoder estimates 8 bytes + torque 4 bytes)"),
+)  # fmt: skip
+POSITION = CanSimpleMode(
+    3, SET_INPUT_POS, struct.Struct("<fhh"),
+    CycleFrames((), (0, 8, 8), "{n} × (request + encoder estimates 8 bytes + position 8 bytes)"),
+)  # fmt: skip
 
 
 def identifier(node_id: int, command: int) -> int:
@@ -34,18 +67,30 @@ class CanSimpleCodec:
 
     Args:
         node_ids: addresses of the axes, one for each joint.
+        gains: of the loops that axes close in position control; None for torque control.
+        scales: of the feed-forwards.
+
+    Attributes:
+        gains: see above.
+        mode: what the axes control.
     """
 
-    cycle = CycleFrames(
-        (), (0, 8, 4), "{n} × (request + encoder estimates 8 bytes + torque 4 bytes)"
-    )
-
-    def __init__(self, node_ids: Sequence[int]) -> None:
+    def __init__(
+        self,
+        node_ids: Sequence[int],
+        gains: DriveGains | None = None,
+        scales: CanSimpleConfiguration | None = None,
+    ) -> None:
+        self.gains, self._scales = gains, scales or CanSimpleConfiguration()
+        self.mode = TORQUE if gains is None else POSITION
+        self.cycle = self.mode.cycle
         estimates = [identifier(node_id, GET_ENCODER_ESTIMATES) for node_id in node_ids]
-        self._torques = [identifier(node_id, SET_INPUT_TORQUE) for node_id in node_ids]
+        self._inputs = [identifier(node_id, self.mode.input) for node_id in node_ids]
         self._requests = tuple(CanFrame(each, is_remote=True) for each in estimates)
         self._joint_of_estimates = {each: joint for joint, each in enumerate(estimates)}
-        self._joint_of_torque = {each: joint for joint, each in enumerate(self._torques)}
+        self._joint_of_input = {each: joint for joint, each in enumerate(self._inputs)}
+        self._torque_scale = 1.0 if gains is None else self._scales.input_torque_scale
+        self._seen = np.zeros((2, len(node_ids)))
 
     def sampling_frames(self) -> Sequence[CanFrame]:
         return self._requests
@@ -58,19 +103,33 @@ class CanSimpleCodec:
         if joint is None or not is_classical_data(frame, _ESTIMATES.size):
             return None
         turns, turns_per_s = _ESTIMATES.unpack(frame.data)
-        position[joint] = turns * _TURN_RAD
-        velocity[joint] = turns_per_s * _TURN_RAD
+        position[joint] = turns * TURN_RAD
+        velocity[joint] = turns_per_s * TURN_RAD
+        if self.gains is not None:
+            self._seen[:, joint] = position[joint], velocity[joint]
         return joint
 
-    def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
-        return [
-            CanFrame(each, _TORQUE.pack(torque))
-            for each, torque in zip(self._torques, torque_nm.tolist(), strict=True)
-        ]
+    def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
+        pack = self.mode.layout.pack
+        if self.gains is None:
+            torques = zip(self._inputs, torque_nm.tolist(), strict=True)
+            return [CanFrame(each, pack(torque)) for each, torque in torques]
+        turns, turns_s = (self._seen if target is None else target) / TURN_RAD
+        columns = (
+            turns.tolist(),
+            _words(turns_s * self._scales.input_vel_scale),
+            _words(torque_nm * self._torque_scale),
+        )
+        rows = zip(self._inputs, *columns, strict=True)
+        return [CanFrame(each, pack(*values)) for each, *values in rows]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
-        joint = self._joint_of_torque.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, _TORQUE.size):
+        joint = self._joint_of_input.get(frame.identifier)
+        if joint is None or not is_classical_data(frame, self.mode.layout.size):
             return None
-        (torque_nm[joint],) = _TORQUE.unpack(frame.data)
+        torque_nm[joint] = self.mode.layout.unpack(frame.data)[-1] / self._torque_scale
         return joint
+
+
+def _words(values: Vector) -> list[int]:
+    return [int(each) for each in np.clip(np.rint(values), _WORD.min, _WORD.max).tolist()]

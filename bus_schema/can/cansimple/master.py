@@ -1,4 +1,4 @@
-"""Master of ODrive axes on CANSimple, in torque control."""
+"""Master of ODrive axes on CANSimple, in torque or position control."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from bus_schema.can.cansimple.codec import (
     SET_CONTROLLER_MODE,
     SET_INPUT_POS,
     SET_INPUT_TORQUE,
+    TURN_RAD,
     CanSimpleCodec,
     identifier,
 )
@@ -25,8 +26,10 @@ from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.link.can_configuration import CanConfiguration
 
 _IDLE, _CLOSED_LOOP_CONTROL = 1, 8
-_TORQUE_CONTROL, _PASSTHROUGH = 1, 1
+_PASSTHROUGH = 1
+_SET_POS_GAIN, _SET_VEL_GAINS = 0x1A, 0x1B
 _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
+_GAIN, _GAINS = struct.Struct("<f"), struct.Struct("<ff")
 _BEAT = struct.Struct("<IBB")
 _COMMANDS = {
     SET_AXIS_STATE: "Set_Axis_State", SET_CONTROLLER_MODE: "Set_Controller_Mode",
@@ -40,13 +43,11 @@ _AGAIN_S = 0.3
 class CanSimpleMaster(CanMaster):
     """The master; the arguments are those of `CanMaster`.
 
-    What an axis is doing, its heartbeats report; they can be requested.
-
-    Attributes:
-        mode: what the axes are to control.
+    What an axis is doing, its heartbeats report; they can be requested. In position control the
+    master sets the axes' gains; their integrals are off.
     """
 
-    mode = _TORQUE_CONTROL
+    _codec: CanSimpleCodec
 
     def __init__(
         self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: CanSimpleCodec
@@ -75,11 +76,14 @@ class CanSimpleMaster(CanMaster):
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
 
     def _try_to_enable(self, is_stop_requested: Callable[[], bool]) -> bool:
-        """Ask all axes to follow torques, and watch for a while whether they do."""
+        """Ask all axes to follow their inputs, and watch for a while whether they do."""
+        self._send_gains()
         self._states = [0] * len(self._node_ids)
         self._is_powered = [False] * len(self._node_ids)
         self._send_to_all(CLEAR_ERRORS, b"\0")
-        self._send_to_all(SET_CONTROLLER_MODE, _TWO_U32.pack(self.mode, _PASSTHROUGH))
+        self._send_to_all(
+            SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
+        )
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
         until_s = time.monotonic() + _AGAIN_S
@@ -90,6 +94,23 @@ class CanSimpleMaster(CanMaster):
             if all(self._is_powered):
                 return True
         return False
+
+    def _send_gains(self) -> None:
+        """Tune the loops that axes close in position control."""
+        if self._codec.gains is None:
+            return
+        _, stiffnesses, dampings = self._codec.gains
+        for node_id, stiffness, damping in zip(
+            self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True
+        ):
+            position_gain = _GAIN.pack(stiffness / damping)
+            velocity_gains = _GAINS.pack(damping * TURN_RAD, 0.0)
+            self._send(
+                (
+                    CanFrame(identifier(node_id, _SET_POS_GAIN), position_gain),
+                    CanFrame(identifier(node_id, _SET_VEL_GAINS), velocity_gains),
+                )
+            )
 
     def _not_enabled(self, timeout_s: float) -> str:
         sentences = []

@@ -1,4 +1,4 @@
-"""Master of CiA 402 drives on CANopen, in cyclic synchronous torque mode.
+"""Master of CiA 402 drives on CANopen, in cyclic synchronous torque or position mode.
 
 Enabling is left to canopen's own CiA 402 client, for which a thread hands it the frames that come.
 The cycle needs neither: its frames are fixed once the drives follow.
@@ -13,15 +13,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any
 
-import canopen
 from canopen.emcy import EmcyError
 from canopen.profiles.p402 import BaseNode402, State402
 from canopen.sdo.exceptions import SdoError
 
-from bus_schema.can.cia402.codec import Cia402Codec
-from bus_schema.can.cia402.eds import object_dictionary
+from bus_schema.can.cia402.canopen_adapter import CanopenNetwork, object_dictionary
+from bus_schema.can.cia402.codec import POSITION, Cia402Codec
 from bus_schema.can.frame import CanBus, CanFrame, is_data
 from bus_schema.can.master import CanMaster, DriveError
 from bus_schema.errors import BusError
@@ -48,20 +46,18 @@ _BOOT_S = 1.0
 class Cia402Master(CanMaster):
     """The master; the arguments are those of `CanMaster`.
 
-    Attributes:
-        mode: what the drives are to do, as canopen calls it.
-        command_pdo: number of the RPDO with the controlword.
+    In position mode it maps RPDO 3 and 4, and writes the gains to objects 0x60FB and 0x60F9, whose
+    contents each maker decides on: these are those of our description.
     """
 
-    mode = "CYCLIC SYNCHRONOUS TORQUE"
-    command_pdo = 1
     _codec: Cia402Codec
 
     def __init__(
         self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: Cia402Codec
     ) -> None:
         super().__init__(bus, can, node_ids, codec)
-        self._network = _Network(bus)
+        self._mode = codec.mode
+        self._network = CanopenNetwork(bus.send)
         self._nodes = [
             BaseNode402(node_id, object_dictionary(can.eds or CIA402_EDS, node_id))
             for node_id in node_ids
@@ -90,8 +86,8 @@ class Cia402Master(CanMaster):
                     raise DriveError(f"drive {node.id} does not follow: {error}") from error
             for node in self._nodes:
                 # From now on torques must keep coming; the last one came long ago.
-                node.rpdo[self.command_pdo].transmit()
-                communication = 0x1400 + self.command_pdo - 1
+                node.rpdo[self._mode.command_pdo].transmit()
+                communication = 0x1400 + self._mode.command_pdo - 1
                 self._set(node, communication, 5, self._can.command_timeout_ms)
         self._is_powered = [True] * len(self._nodes)
         return True
@@ -138,30 +134,42 @@ class Cia402Master(CanMaster):
         for what, (found, expected) in wanted.items():
             if found != expected:
                 raise DriveError(f"drive {node.id}: {what} is {found}, not {expected}")
-        if not node.is_op_mode_supported(self.mode):
-            raise DriveError(f"drive {node.id} has no {self.mode.lower()} mode (0x6502)")
+        if not node.is_op_mode_supported(self._mode.name):
+            raise DriveError(f"drive {node.id} has no {self._mode.name.lower()} mode (0x6502)")
 
     def _enable(self, node: BaseNode402) -> None:
         """From pre-operational to operation enabled, as canopen's documentation shows it."""
         self._set(node, 0x1016, 1, MASTER_NODE << 16 | self._can.heartbeat_timeout_ms)
         self._set(node, 0x1017, 0, self._can.heartbeat_ms)
         node.nmt.state = "PRE-OPERATIONAL"
-        self._prepare(node)
+        if self._mode is POSITION:
+            self._prepare_position_mode(node)
         node.setup_402_state_machine()
         node.nmt.state = "OPERATIONAL"
         if node.state == "FAULT":
             node.reset_from_fault()
-        node.op_mode = self.mode
-        if node.op_mode != self.mode:
+        node.op_mode = self._mode.name
+        if node.op_mode != self._mode.name:
             raise DriveError(f"drive {node.id} stays in mode {node.op_mode}")
-        self._before_enabling(node)
+        if self._mode is POSITION:  # the first target is where the joint is: else it is a step
+            node.rpdo[3]["Target position"].raw = node.sdo[0x6064].raw
         node.state = "OPERATION ENABLED"
 
-    def _prepare(self, node: BaseNode402) -> None:
-        """Set what the mode needs, in a drive that is pre-operational: here all is as delivered."""
-
-    def _before_enabling(self, node: BaseNode402) -> None:
-        """Set what must be there when the drive begins to follow: torques are 0."""
+    def _prepare_position_mode(self, node: BaseNode402) -> None:
+        """Map targets and set the gains of a drive that is pre-operational."""
+        node.rpdo.read()
+        node.rpdo[1].enabled = False
+        for number, objects in self._mode.mapped.items():
+            pdo = node.rpdo[number]
+            pdo.clear()
+            for index in objects:
+                pdo.add_variable(index)
+            pdo.enabled = True
+        node.rpdo.save()
+        position_gain, velocity_gain = self._codec.loop_gains[self._nodes.index(node)]
+        self._set(node, 0x60FB, 1, position_gain)
+        self._set(node, 0x60F9, 1, velocity_gain)
+        self._set(node, 0x60F9, 2, 0)
 
     def _set(self, node: BaseNode402, index: int, subindex: int, value: int) -> None:
         entry = node.sdo[index]
@@ -276,15 +284,3 @@ def _note_boot(missing: set[int], node_id: int, state: int) -> None:
     """A heartbeat has come; a node that has just booted is missing no longer."""
     if state == _BOOT_UP:
         missing.discard(node_id)
-
-
-class _Network(canopen.Network):
-    """canopen's network on a bus of ours."""
-
-    def __init__(self, bus: CanBus) -> None:
-        super().__init__()
-        self._our_bus = bus
-
-    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a frame."""
-        self._our_bus.send(CanFrame(can_id, bytes(data), is_remote=remote))

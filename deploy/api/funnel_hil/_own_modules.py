@@ -6,15 +6,14 @@ packages are installed: a file ``controller.py`` there takes the place of a pack
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 _PACKAGES = {
     "bus_schema": "registry.py",
     "controller": "control_law.py",
     "plant_emulator": "plant_loop.py",
-    "deploy": "exit_codes.py",
+    "deploy": "run/execute.py",
 }
 """Each with a file by which it is known."""
 
@@ -26,24 +25,15 @@ def require_own() -> None:
         ImportError: something else is in the place of one, or none is there.
     """
     for name, known_by in _PACKAGES.items():
-        file = _file_of(name)
-        if file is None:
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
             raise ImportError(f"funnel_hil needs its package {name}, which is not installed")
+        file = Path(spec.origin)
         if not (file.parent / known_by).is_file():
             raise ImportError(
                 f"{file} hides the package {name} that funnel_hil is made of: rename it, or move it"
                 f" to another folder (the same goes for {', '.join(_PACKAGES)})"
             )
-
-
-def _file_of(name: str) -> Path | None:
-    """The file that ``import name`` runs, or has run."""
-    if name in sys.modules:
-        file = getattr(sys.modules[name], "__file__", None)
-    else:
-        spec = importlib.util.find_spec(name)
-        file = None if spec is None else spec.origin
-    return None if file is None else Path(file)
 
 
 require_own()

@@ -4,35 +4,75 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import plotly.graph_objects as go
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.errors import did_you_mean
+from bus_schema.errors import InputError, did_you_mean
 from bus_schema.messages import topics
-from deploy.comparison.comparison import Comparison as LawComparison
-from deploy.comparison.recorded import RecordedRuns
-from deploy.input_error import InputError
-from deploy.reports.figures.template import template, without_template
+from deploy.judge.run_data import RunData, Table
+from deploy.judge.run_rows import Row, row
+from deploy.judge.time_series import SERIES, TRACKING, Columns, series
+from deploy.judge.verdict import Verdict, verdict_of
+from deploy.reports.figure_json import template, without_template
+from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Panel
-from deploy.reports.run_report import PANELS as RUN_PANELS
-from deploy.reports.studies.compare_report import PANELS as COMPARISON_PANELS
-from deploy.reports.studies.diff_report import PANELS as DIFF_PANELS
-from deploy.reports.studies.study_content import Study as StudyFigures
-from deploy.reports.studies.study_report import content_of
-from deploy.runs.judging.time_series import SERIES, TRACKING, Columns, series
-from deploy.runs.judging.verdict import Verdict, verdict_of
-from deploy.runs.run_data import RunData, Table
-from deploy.runs.run_rows import Row, row
+from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
+from deploy.reports.study_report import page_of
+from deploy.run.execute import JudgedRun
+from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.recorded import RecordedRuns
 
 if TYPE_CHECKING:
     import pandas as pd
 
-T = TypeVar("T")
+
+class _Drawn:
+    """What has the figures of a report.
+
+    Args:
+        panels: the figures.
+        shown: what they show.
+    """
+
+    def __init__(self, panels: Sequence[Panel[Any]], shown: Any) -> None:
+        self._panels = {panel.id: panel for panel in panels}
+        self._shown = shown
+
+    @property
+    def figure_names(self) -> list[str]:
+        """The figures of the report."""
+        return list(self._panels)
+
+    def figure(self, name: str) -> go.Figure:
+        """A figure of the report.
+
+        Raises:
+            InputError: there is none of that name, or there is nothing to draw in it.
+        """
+        panel = self._panels[_known(name, self.figure_names, "figure")]
+        figure = without_template(panel.draw, self._shown)
+        if not isinstance(figure, go.Figure):
+            raise InputError(f"figure {name!r}: there is nothing to draw")
+        return figure.update_layout(template=template())
 
 
-class Run:
+class _Table(_Drawn):
+    """Runs that are rows of a table, with the figures of a report.
+
+    Attributes:
+        rows: one for each run.
+    """
+
+    rows: list[Row]
+
+    def frame(self) -> pd.DataFrame:
+        """The rows as a data frame; needs pandas."""
+        return _frame(self.rows)
+
+
+class Run(_Drawn):
     """One run.
 
     Attributes:
@@ -45,6 +85,7 @@ class Run:
         self.data = data
         self.summary = summary
         self.path = path
+        super().__init__(RUN_PANELS, ComparedRuns([JudgedRun(self.law, data, summary)]))
 
     def __repr__(self) -> str:
         return f"<Run of {self.summary['scenario']}, {self.law}: {self.verdict}>"
@@ -111,58 +152,36 @@ class Run:
         """A series as a data frame over ``time_s``; needs pandas."""
         return _frame(self.series(name)).set_index("time_s")
 
-    @property
-    def figure_names(self) -> list[str]:
-        """The figures of the report."""
-        return _names(RUN_PANELS)
-
     def figure(self, name: str = "error-in-funnel") -> go.Figure:
-        """A figure of the report.
-
-        Raises:
-            InputError: there is none of that name, or this run has nothing to draw in it.
-        """
-        return _draw(RUN_PANELS, name, self.data)
+        return super().figure(name)
 
 
-class Comparison:
+class Comparison(_Table):
     """Runs of one scenario under several laws.
 
     Attributes:
         runs: by law.
+        rows: one for each law, as in ``comparison.parquet``.
     """
 
-    def __init__(self, compared: LawComparison) -> None:
-        self._compared = compared
-        self.runs = {run.law: Run(run.data, run.summary, run.path) for run in compared.runs}
+    def __init__(self, compared: ComparedRuns) -> None:
+        super().__init__(LAW_PANELS, compared)
+        self.runs = _by_name(compared.runs)
+        self.rows = [row(run.summary, run.seed) for run in compared.runs]
 
     def __getitem__(self, law: str) -> Run:
         return self.runs[_known(law, list(self.runs), "law")]
 
-    @property
-    def rows(self) -> list[Row]:
-        """A row for each law, as in ``comparison.parquet``."""
-        return [row(run.summary, run.seed) for run in self._compared.runs]
-
-    def frame(self) -> pd.DataFrame:
-        """The rows as a data frame; needs pandas."""
-        return _frame(self.rows)
-
-    @property
-    def figure_names(self) -> list[str]:
-        """The figures of the report."""
-        return _names(COMPARISON_PANELS)
-
     def figure(self, name: str = "errors") -> go.Figure:
-        """A figure of the report; errors as `Run.figure`."""
-        return _draw(COMPARISON_PANELS, name, self._compared)
+        return super().figure(name)
 
 
-class Diff:
+class Diff(_Table):
     """Recorded runs side by side; the first is what the others are held against.
 
     Attributes:
         runs: by label, the shortest ends of their paths that tell them apart.
+        rows: one for each run, with its label as ``run``.
         differing: values of the scenarios by run, as JSON, for each key that is not the same.
         first_different_ticks: by label of each run but the first: the first tick at which position,
             velocity or torque are not the same bits; None where they are throughout,
@@ -170,8 +189,9 @@ class Diff:
     """
 
     def __init__(self, compared: RecordedRuns) -> None:
-        self._compared = compared.comparison
-        self.runs = {run.law: Run(run.data, run.summary, run.path) for run in compared.runs}
+        super().__init__(RECORDED_PANELS, compared.comparison)
+        self.runs = _by_name(compared.runs)
+        self.rows = [{"run": run.law, **row(run.summary, run.seed)} for run in compared.runs]
         self.differing = compared.differing
         ticks = [None if each is None else each.tick for each in compared.partings]
         self.first_different_ticks = dict(zip(compared.labels[1:], ticks[1:], strict=True))
@@ -179,26 +199,11 @@ class Diff:
     def __getitem__(self, label: str) -> Run:
         return self.runs[_known(label, list(self.runs), "run")]
 
-    @property
-    def rows(self) -> list[Row]:
-        """A row for each run, with its label as ``run``."""
-        return [{"run": run.law, **row(run.summary, run.seed)} for run in self._compared.runs]
-
-    def frame(self) -> pd.DataFrame:
-        """The rows as a data frame; needs pandas."""
-        return _frame(self.rows)
-
-    @property
-    def figure_names(self) -> list[str]:
-        """The figures of the report."""
-        return _names(DIFF_PANELS)
-
     def figure(self, name: str = "errors") -> go.Figure:
-        """A figure of the report, with all runs in it; errors as `Run.figure`."""
-        return _draw(DIFF_PANELS, name, self._compared)
+        return super().figure(name)
 
 
-class Study:
+class Study(_Table):
     """What came of a sweep or of margins.
 
     Attributes:
@@ -209,9 +214,9 @@ class Study:
     def __init__(
         self, summary: dict[str, Any], rows: Sequence[Row], rerun: Callable[[str], str]
     ) -> None:
+        drawn = DrawnStudy(summary, rerun)
+        super().__init__(list(page_of(drawn).panels), drawn)
         self.summary, self.rows = summary, list(rows)
-        self._panels = content_of(summary).panels
-        self._drawn = StudyFigures(summary, rerun)
 
     @property
     def margins(self) -> dict[str, float | None]:
@@ -222,30 +227,9 @@ class Study:
             raise InputError("margins: must be asked of margins with one case a law; see summary")
         return found
 
-    def frame(self) -> pd.DataFrame:
-        """The rows as a data frame; needs pandas."""
-        return _frame(self.rows)
 
-    @property
-    def figure_names(self) -> list[str]:
-        """The figures of the report."""
-        return _names(self._panels)
-
-    def figure(self, name: str) -> go.Figure:
-        """A figure of the report; errors as `Run.figure`."""
-        return _draw(self._panels, name, self._drawn)
-
-
-def _names(panels: Sequence[Panel[T]]) -> list[str]:
-    return [panel.id for panel in panels]
-
-
-def _draw(panels: Sequence[Panel[T]], name: str, what: T) -> go.Figure:
-    by_name = {panel.id: panel for panel in panels}
-    figure = without_template(by_name[_known(name, list(by_name), "figure")].draw, what)
-    if not isinstance(figure, go.Figure):
-        raise InputError(f"figure {name!r}: there is nothing to draw")
-    return figure.update_layout(template=template())
+def _by_name(runs: Sequence[JudgedRun]) -> dict[str, Run]:
+    return {run.law: Run(run.data, run.summary, run.path) for run in runs}
 
 
 def _known(name: str, names: Sequence[str], what: str) -> str:

@@ -6,20 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.comparison.comparison import Comparison as LawComparison
-from deploy.comparison.comparison import LawRun
-from deploy.comparison.folder import ComparisonFolder, judged_again
-from deploy.comparison.recorded import KIND, recorded_runs
-from deploy.processes.network.links import check_link
-from deploy.reports.conclude import conclude
-from deploy.reports.studies.compare_report import write_comparison_report
-from deploy.reports.studies.diff_report import conclude_diff
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.new_folder import new_folder
-from deploy.runs.run_folder import ResultFolder, RunFolder, provenance
-from deploy.runs.simulate import attempt
-from deploy.runs.simulate import simulate as simulate_setup
+from deploy.reports.results import write_diff_results, write_run_results
+from deploy.reports.run_reports import write_comparison_report
+from deploy.run.execute import InProcess, JudgedRun, execute
+from deploy.run.network.links import check_link
+from deploy.run.new_folder import new_folder
+from deploy.run.run_folder import ResultFolder, RunFolder, provenance
 from deploy.scenario.study_keys import laws_beside
+from deploy.study.comparison.comparison import ComparedRuns, ComparisonFolder, judged_again
+from deploy.study.comparison.recorded import KIND, recorded_runs
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
 
@@ -49,12 +44,11 @@ def simulate(
     check_link(given.setup, one_process=True)
     with given.laws():
         if out is None:
-            data = simulate_setup(given.setup).data()
-            return Run(data, summarise(data))
+            run = execute(given.setup, InProcess())
+            return Run(run.data, run.summary)
         with RunFolder.begin(given.setup, Path(out), overwrite=overwrite) as folder:
-            simulation = simulate_setup(given.setup, can_log=folder.can_log)
-            data = simulation.data(simulation.write_log(folder.log))
-            return Run(data, conclude(folder, data), folder.path)
+            run = execute(given.setup, InProcess(), folder)
+            return Run(run.data, write_run_results(folder, run.data), folder.path)
 
 
 def compare(
@@ -84,16 +78,15 @@ def compare(
             f"laws: must have different names: {', '.join(each.law for each in tried)}"
         )
     if out is None:
-        return Comparison(LawComparison([_judged(each) for each in tried]))
+        return Comparison(ComparedRuns([_judged(each) for each in tried]))
     setups = [each.setup for each in tried]
     with ComparisonFolder.begin(setups, Path(out), overwrite=overwrite) as folder:
         runs = []
         for each in tried:
             with each.laws():
-                runs.append(folder.known(each.setup) or folder.add(attempt(each.setup)))
-        compared = LawComparison(runs)
-        folder.conclude(compared)
-        write_comparison_report(compared, folder.report, folder.conditions(compared))
+                runs.append(folder.known(each.setup) or folder.add(each.setup))
+        compared = ComparedRuns(runs)
+        write_comparison_report(compared, folder.report, folder.conclude(compared))
     return Comparison(compared)
 
 
@@ -123,11 +116,9 @@ def diff(*runs: Run | str | Path, out: str | Path | None = None, overwrite: bool
     """
     compared = recorded_runs([_recording(run) for run in runs])
     if out is not None:
-        folder = ResultFolder(new_folder(KIND, Path(out), overwrite=overwrite))
-        folder.lock()
-        with folder:
+        with ResultFolder(new_folder(KIND, Path(out), overwrite=overwrite)).lock() as folder:
             write_json(folder.manifest, provenance())
-            conclude_diff(compared, folder)
+            write_diff_results(compared, folder)
     return Diff(compared)
 
 
@@ -142,7 +133,6 @@ def _recording(run: Run | str | Path) -> Path:
     return Path(place)
 
 
-def _judged(scenario: Scenario) -> LawRun:
+def _judged(scenario: Scenario) -> JudgedRun:
     with scenario.laws():
-        data = attempt(scenario.setup).data()
-    return LawRun(scenario.law, data, summarise(data))
+        return execute(scenario.setup)

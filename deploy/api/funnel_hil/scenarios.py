@@ -12,20 +12,19 @@ from typing import Any
 
 import numpy as np
 
+from bus_schema.errors import InputError
 from controller.control_law import ControlLaw
 from controller.laws.custom import Maker, laws_given
-from deploy.input_error import InputError
+from deploy.scenario.effective import effective_values
 from deploy.scenario.referenced_files import data_files
-from deploy.scenario.scenario import SHIPPED, build_setup, given_values
+from deploy.scenario.scenario import SHIPPED, build_setup, file_values, given_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
-from deploy.scenario.written import effective_values
 from deploy.scenario.yaml_files import (
     ScenarioError,
     find_yaml,
     override,
     plain,
-    read_yaml,
     set_value,
     to_yaml,
 )
@@ -81,7 +80,7 @@ class Scenario:
             self._values, self._file = plain(dict(source)), Path("scenario")
         else:
             self._file = find_yaml(str(source), SHIPPED)
-            self._values = read_yaml(self._file)
+            self._values = file_values(self._file)
         told = dict(_leaves(changes or {}))
         if law is not None:
             told[LAW], makers = named_law(law)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from controller.laws.custom import Maker, laws_given
-from deploy.reports.studies.conclude import conclude_study
-from deploy.runs.run_rows import Row
-from deploy.study.conduct import Workers, carry_out
+from deploy.judge.run_rows import Row
+from deploy.reports.results import write_study_results
 from deploy.study.folder import StudyFolder, create_folder, find_folder
 from deploy.study.robustness import margin_study
-from deploy.study.study import Run, execute
-from deploy.study.study import Study as StudyOfRuns
+from deploy.study.runner import Workers, carry_out
+from deploy.study.study import PlannedRun, StudyOfRuns, row_of
 from deploy.study.sweep import Sweep
 from funnel_hil.results import Study
 from funnel_hil.scenarios import Changes, Law, Scenario, ScenarioLike, named_law
@@ -65,7 +65,7 @@ def sweep(
         return Sweep({**definition, "scenario": str(file)}, Path("sweep"))
 
     with given.laws():
-        return _conducted(given, build, _team(workers, scheduler), out, progress)
+        return _conducted(given, build, workers, scheduler, out, progress)
 
 
 def margin(
@@ -110,7 +110,7 @@ def margin(
         return margin_study({**definition, "scenarios": [str(file)]}, Path("margin"))
 
     with given.laws(), laws_given(makers):
-        return _conducted(given, build, _team(workers, scheduler), out, progress)
+        return _conducted(given, build, workers, scheduler, out, progress)
 
 
 def _seeds(seeds: int | Sequence[int]) -> int | list[int]:
@@ -123,48 +123,21 @@ class _Here:
     count = 1
 
     def __init__(self) -> None:
-        self._waiting: deque[Run] = deque()
+        self._waiting: deque[PlannedRun] = deque()
 
-    def submit(self, run: Run) -> None:
+    def submit(self, run: PlannedRun) -> None:
         self._waiting.append(run)
 
-    def finished(self, _timeout_s: float) -> tuple[Run, Row]:
+    def finished(self, _timeout_s: float) -> tuple[PlannedRun, Row]:
         run = self._waiting.popleft()
-        return run, execute(run)
-
-
-class _Counter:
-    """Tells of runs that are done."""
-
-    def __init__(self, told: Told | None) -> None:
-        self._told, self._done = told, 0
-
-    def done(self, _values: Row, expected: int, *, before: bool) -> None:  # noqa: ARG002
-        self._done += 1
-        if self._told is not None:
-            self._told(self._done, expected)
-
-
-def _team(workers: int | None, scheduler: str | None) -> Callable[[StudyOfRuns], Any]:
-    """What gives workers for a study, as a context."""
-
-    @contextmanager
-    def team(study: StudyOfRuns) -> Iterator[Workers]:
-        if workers == 0 and scheduler is None:
-            yield _Here()
-            return
-        from deploy.study.dask_workers import DaskWorkers  # heavy
-
-        with DaskWorkers(workers or None, scheduler, study.laws) as processes:
-            yield processes
-
-    return team
+        return run, row_of(run)
 
 
 def _conducted(
     given: Scenario,
     build: Callable[[Path], StudyOfRuns],
-    team: Callable[[StudyOfRuns], Any],
+    workers: int | None,
+    scheduler: str | None,
     out: str | Path | None,
     told: Told | None,
 ) -> Study:
@@ -172,21 +145,27 @@ def _conducted(
 
     The scenario is written to a file, from which every run reads it.
     """
+    done = itertools.count(1)
+
+    def progress(_row: Row, expected: int, _before: bool) -> None:
+        if told is not None:
+            told(next(done), expected)
+
     with ExitStack() as stack:
         if out is None:
             place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         else:
             place = Path(out).resolve()
         study, path = _begun(given, build, place)
-        folder = stack.enter_context(StudyFolder(path, study))
-        folder.lock()
+        folder = stack.enter_context(StudyFolder(path, study).lock())
         folder.become()
-        workers = stack.enter_context(team(study))
-        try:
-            carry_out(study, workers, folder, _Counter(told), threading.Event())
-        finally:
-            folder.flush()
-        return Study(conclude_study(study, folder), folder.rows, folder.rerun_command)
+        team: Workers = _Here()
+        if workers != 0 or scheduler is not None:
+            from deploy.study.dask_workers import DaskWorkers  # heavy
+
+            team = stack.enter_context(DaskWorkers(workers or None, scheduler, study.laws))
+        carry_out(study, team, folder, threading.Event(), progress)
+        return Study(write_study_results(study, folder), folder.rows, folder.rerun_command)
 
 
 def _begun(

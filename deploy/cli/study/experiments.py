@@ -12,41 +12,55 @@ import typer
 from rich.console import Console
 
 from bus_schema.errors import Stopped
+from bus_schema.recording.atomic_files import write_json
 from controller.laws import LAWS
 from deploy.cli.common import judging, leave, parse_laws, say_oddities, show_places, watching
-from deploy.cli.options import Confirm, Out, Overrides, Overwrite, RequireBounds, ScenarioArgument
-from deploy.cli.study.studies import is_study, report_study
+from deploy.cli.options import (
+    Confirm,
+    NoReport,
+    Out,
+    Overrides,
+    Overwrite,
+    RequireBounds,
+    ScenarioArgument,
+)
+from deploy.cli.study.studies import report_study
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
-from deploy.comparison.comparison import Comparison, LawRun, load_setups
-from deploy.comparison.folder import KIND, ComparisonFolder
-from deploy.comparison.recorded import KIND as DIFF
-from deploy.comparison.recorded import read_again
-from deploy.comparison.settling import SettlingTest, settling_test
-from deploy.exit_codes import FAULT, FINISHED
-from deploy.processes.program import require_program
-from deploy.reports.conclude import conclude, conditions_in
-from deploy.reports.confirmation_table import confirmation_tables
-from deploy.reports.quantities import RMS_ERROR
-from deploy.reports.studies.compare_report import write_comparison_report
-from deploy.reports.studies.compare_tables import (
-    bounds_sentence,
-    joint_table,
-    recording_sentences,
+from deploy.reports.comparison_tables import (
+    difference_table,
+    law_table,
+    recorded_joint_tables,
+    recorded_table,
+    recorded_timing_table,
     verdict_table,
 )
+from deploy.reports.quantities import RMS_ERROR
+from deploy.reports.results import conditions_in, write_diff_results, write_run_results
+from deploy.reports.run_reports import write_comparison_report
+from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
-from deploy.runs.confirmation import check_confirmable
-from deploy.runs.run_folder import (
+from deploy.reports.verdict import bounds_sentence, recording_sentences, verdict_on_runs
+from deploy.run.confirmation import check_confirmable
+from deploy.run.execute import How, InProcess, JudgedRun, Lockstep
+from deploy.run.exit_codes import FAULT, FINISHED
+from deploy.run.new_folder import new_folder
+from deploy.run.processes.program import require_program
+from deploy.run.run_folder import (
     ResultFolder,
     RunFolder,
     load_run,
+    provenance,
     read_summary,
 )
-from deploy.runs.simulate import attempt
+from deploy.run.stop_signals import on_stop, stop_at_once
 from deploy.scenario.setup import Setup
-from deploy.stop_signals import on_stop, stop_at_once
+from deploy.study.comparison.comparison import KIND, ComparedRuns, ComparisonFolder, load_setups
+from deploy.study.comparison.recorded import KIND as DIFF
+from deploy.study.comparison.recorded import RecordedRuns, read_again, recorded_runs
+from deploy.study.comparison.settling import SettlingTest, settling_test
+from deploy.study.folder import STUDY_FILE
 
 
 def compare(
@@ -75,7 +89,7 @@ def compare(
     folder = ComparisonFolder.begin(setups, out, overwrite=overwrite)
     with folder:
         console, stop = Console(), threading.Event()
-        comparison = Comparison(_run_all(setups, folder, console, stop, confirms=confirm))
+        comparison = ComparedRuns(_run_all(setups, folder, console, stop, confirms=confirm))
         if settling and not stop.is_set():
             try:
                 stop_at_once()
@@ -91,6 +105,24 @@ def compare(
         )
 
 
+def diff(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN RUN…", help="Folders or MCAP files of runs.")
+    ],
+    out: Out = None,
+    overwrite: Overwrite = False,
+    no_report: NoReport = False,
+) -> None:
+    """Set recorded runs side by side: real time and lockstep, two laws, two versions.
+
+    The first is what the others are held against. They may differ in everything but their joints.
+    """
+    compared = recorded_runs(runs)
+    with ResultFolder(new_folder(DIFF, out, overwrite=overwrite)).lock() as folder:
+        write_json(folder.manifest, provenance())
+        _show_diff(compared, folder, Console(), draws_report=not no_report)
+
+
 def report(
     run_dir: Annotated[
         Path, typer.Argument(help="Folder of a recorded run, a comparison, a sweep or margins.")
@@ -102,30 +134,23 @@ def report(
     ends with exit code 1.
     """
     console = Console()
-    if is_study(run_dir):
+    if (run_dir / STUDY_FILE).is_file():
         report_study(run_dir, console)
     elif read_summary(run_dir).get("kind") == KIND:
-        comparison_folder = ComparisonFolder(run_dir)
-        comparison_folder.lock()
-        with comparison_folder:
-            comparison = comparison_folder.load()
-            _conclude_comparison(comparison, comparison_folder, console)
+        with ComparisonFolder(run_dir).lock() as of_laws:
+            comparison = of_laws.load()
+            _conclude_comparison(comparison, of_laws, console)
         if any(run.data.damage for run in comparison.runs):
             raise typer.Exit(FAULT)
     elif read_summary(run_dir).get("kind") == DIFF:
-        from deploy.cli.study.diff import show_diff  # with all figures
-
-        compared, diff_folder = read_again(run_dir), ResultFolder(run_dir.resolve())
-        diff_folder.lock()
-        with diff_folder:
-            show_diff(compared, diff_folder, console)
+        compared = read_again(run_dir)
+        with ResultFolder(run_dir.resolve()).lock() as of_runs:
+            _show_diff(compared, of_runs, console)
     else:
         data, _ = load_run(run_dir)
-        folder = RunFolder(run_dir if run_dir.is_dir() else run_dir.parent)
-        folder.lock()
-        with folder:
+        with RunFolder(run_dir if run_dir.is_dir() else run_dir.parent).lock() as folder:
             with judging(console, folder):
-                summary = conclude(folder, data)
+                summary = write_run_results(folder, data)
             show_summary(console, data, summary, conditions_in(folder, data))
             console.print(f"report: {folder.report}", soft_wrap=True)
         raise typer.Exit(FAULT if data.damage else FINISHED)
@@ -140,10 +165,27 @@ def bench(
     ] = False,
 ) -> None:
     """Measure what things cost on this machine, as ratios of medians side by side."""
-    from deploy.benchmarks.bench import run_bench  # imports what nothing else needs
+    from deploy.bench.bench import run_bench  # imports what nothing else needs
 
     sections = run_bench(Console(), json_file, quick=quick)
     raise typer.Exit(FINISHED if all(section.ratios for section in sections) else FAULT)
+
+
+def _show_diff(
+    compared: RecordedRuns, folder: ResultFolder, console: Console, *, draws_report: bool = True
+) -> None:
+    """Write summary and report, and show what came of it."""
+    write_diff_results(compared, folder, draws_report=draws_report)
+    tables = [*recorded_joint_tables(compared), recorded_timing_table(compared)]
+    tables += [recorded_table(compared)]
+    tables += [difference_table(compared)] if compared.differing else []
+    for table in tables:
+        print_table(console, table)
+    verdict = verdict_on_runs(compared)
+    console.print(verdict.headline, style="bold", markup=False)
+    for reason in verdict.reasons:
+        console.print(reason, markup=False, highlight=False)
+    show_places(console, folder)
 
 
 def _run_all(
@@ -153,23 +195,19 @@ def _run_all(
     stop: threading.Event,
     *,
     confirms: bool,
-) -> list[LawRun]:
+) -> list[JudgedRun]:
     """Simulate one law after another, until the user sets `stop` by an interrupt."""
     runs = []
     total_s, before_s = sum(setup.scenario.duration_s for setup in setups), 0.0
     with CommandProgress(console, "starting", total_s, "s") as progress:
         for setup in setups:
             law = setup.scenario.controller.name
+            watch = watching(progress, setup, law, stop, before_s)
+            how: How = InProcess(watch, partial(on_stop, stop.set))
+            if setup.scenario.controller.process is not None:
+                how = Lockstep(partial(_stop_by, stop))
             known = folder.known(setup)
-            if known is not None:
-                runs.append(known)
-            elif setup.scenario.controller.process is None:
-                watch = watching(progress, setup, law, stop, before_s)
-                simulation = attempt(setup, watch)
-                on_stop(stop.set)
-                runs.append(folder.add(simulation))
-            else:
-                runs.append(folder.add_process(setup, partial(_stop_by, stop)))
+            runs.append(known or folder.add(setup, how))
             if confirms and not stop.is_set():
                 folder.confirm(runs[-1])
             before = "" if known is None else " (from before)"
@@ -181,7 +219,7 @@ def _run_all(
 
 
 def _settle(
-    setups: list[Setup], comparison: Comparison, folder: ComparisonFolder, console: Console
+    setups: list[Setup], comparison: ComparedRuns, folder: ComparisonFolder, console: Console
 ) -> None:
     """Measure how the laws settle, and say it of each."""
     earlier = folder.earlier_settling()
@@ -205,14 +243,17 @@ def _stop_by(stop: threading.Event, request_stop: Callable[[], None]) -> None:
 
 
 def _conclude_comparison(
-    comparison: Comparison, folder: ComparisonFolder, console: Console
+    comparison: ComparedRuns, folder: ComparisonFolder, console: Console
 ) -> None:
     """Write rows, summary and report, and show what came of it."""
     with judging(console, folder):
-        folder.conclude(comparison)
-        conditions = folder.conditions(comparison)
+        conditions = folder.conclude(comparison)
         write_comparison_report(comparison, folder.report, conditions)
-    _show_comparison(console, comparison)
+    confirmed = confirmation_tables([run.summary for run in comparison.runs])
+    for table in (verdict_table(comparison), law_table(comparison, RMS_ERROR), *confirmed):
+        print_table(console, table)
+    for lack in recording_sentences(comparison.runs):
+        console.print(lack, markup=False, highlight=False)
     print_conditions(console, conditions)
     show_places(console, folder)
 
@@ -228,16 +269,3 @@ def settling_sentence(test: SettlingTest) -> str:
         f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
         f"{slowest}{bound}"
     )
-
-
-def _show_comparison(console: Console, comparison: Comparison) -> None:
-    """The result as two tables: what decides, and the RMS errors joint by joint."""
-    if not comparison.runs:
-        console.print("no law was run")
-        return
-    print_table(console, verdict_table(comparison))
-    print_table(console, joint_table(comparison, RMS_ERROR))
-    for table in confirmation_tables([run.summary for run in comparison.runs]):
-        print_table(console, table)
-    for lack in recording_sentences(comparison.runs):
-        console.print(lack, markup=False, highlight=False)

@@ -103,30 +103,27 @@ class MarginOptions:
     confirm: Confirm = False
 
 
+_LISTED = ("compensation", "drive_feedback", "running", "offsets", "values")
+_AS_GIVEN = (
+    "quantity", "direction", "resolution", "limit", "plants", "plant_seed", "uncertainty",
+    "kept_share",
+)  # fmt: skip
+"""Options that are called as a study's file has them: lists of values, and others."""
+
+
 def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str, Any]:
     """A study's definition with the options that are given beside it, which take precedence.
 
     Raises:
         ScenarioError: options contradict each other.
     """
-    given = {
+    given = {name: getattr(options, name) for name in _AS_GIVEN}
+    given |= {name: _listed(name, getattr(options, name)) for name in _LISTED}
+    given |= {
         "scenarios": options.scenario or None,
         "laws": parse_laws(options.laws),
-        "compensation": _listed("--compensation", options.compensation),
-        "drive_feedback": _listed("--drive-feedback", options.drive_feedback),
-        "running": _listed("--running", options.running),
-        "quantity": options.quantity,
-        "direction": options.direction,
         "seeds": None if options.seeds is None else option_value("--seeds", options.seeds),
-        "offsets": _listed("--offsets", options.offsets),
         "duration_s": options.duration,
-        "resolution": options.resolution,
-        "limit": options.limit,
-        "plants": options.plants,
-        "plant_seed": options.plant_seed,
-        "uncertainty": options.uncertainty,
-        "values": _listed("--values", options.values),
-        "kept_share": options.kept_share,
         "confirm": options.confirm or None,
     }
     fixed = dict(map(parse_override, options.overrides or []))
@@ -143,6 +140,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     return values | {"set": {**own, **fixed}}
 
 
-def _listed(option: str, text: str | None) -> list[Any] | None:
+def _listed(name: str, text: str | None) -> list[Any] | None:
     """Values from ``a,b,…``, typed as YAML has them."""
+    option = f"--{name.replace('_', '-')}"
     return None if text is None else [option_value(option, part) for part in text.split(",")]

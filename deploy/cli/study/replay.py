@@ -9,13 +9,14 @@ import typer
 from rich.console import Console
 
 from controller.laws.custom import is_custom
-from deploy.exit_codes import FAULT, FINISHED
+from deploy.judge.arithmetic import difference_of_arithmetic
+from deploy.judge.run_data import RunData
 from deploy.reports.verdict import PARTIAL, damaged
-from deploy.runs.arithmetic import difference_of_arithmetic
-from deploy.runs.replay import Replay
-from deploy.runs.replay import replay as replay_run
-from deploy.runs.run_data import RunData
-from deploy.runs.run_folder import load_run, provenance, read_manifest
+from deploy.run.exit_codes import FAULT, FINISHED
+from deploy.run.replay import Replay
+from deploy.run.replay import replay as replay_run
+from deploy.run.run_folder import load_run, provenance, read_manifest
+from deploy.run.stop_signals import WITHIN_S, stop_at_once
 from deploy.scenario.yaml_files import ScenarioError, naming
 
 
@@ -32,8 +33,10 @@ def replay(
     """Feed a recorded run to the law again and compare the torques bit for bit."""
     data, contents = load_run(run_dir)
     _require_replayable(run_dir, data, allow_custom_law=allow_custom_law)
+    stop_at_once(WITHIN_S, may_hold_lock=is_custom(data.setup.scenario.controller.law))
     with naming(run_dir):
         result = replay_run(data.setup, contents)
+    stop_at_once()
     recorded = read_manifest(run_dir if run_dir.is_dir() else run_dir.parent)
     _show(result, data, difference_of_arithmetic(recorded, provenance()))
     raise typer.Exit(FINISHED if result.is_identical and not data.damage else FAULT)

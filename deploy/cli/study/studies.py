@@ -23,30 +23,34 @@ from deploy.cli.study.margin_options import (
     definition_with,
 )
 from deploy.cli.terminal.progress import CommandProgress
-from deploy.exit_codes import FAULT, FINISHED, INTERRUPTED
-from deploy.processes.program import require_program
-from deploy.reports.confirmation_table import confirmation_tables
-from deploy.reports.studies.conclude import conclude_study
-from deploy.reports.studies.robustness_tables import (
-    losses_table,
-    robustness_table,
-    write_robustness_table,
-)
-from deploy.reports.studies.study_tables import (
+from deploy.judge.run_rows import Row
+from deploy.reports.results import write_study_results
+from deploy.reports.run_tables import confirmation_tables
+from deploy.reports.study_tables import (
     held_again,
+    losses_table,
     margin_table,
     point_table,
-    write_margin_table,
+    robustness_table,
+    write_study_table,
 )
 from deploy.reports.terminal import print_conditions, print_table
-from deploy.runs.confirmation import check_confirmable
-from deploy.runs.run_rows import Row
+from deploy.run.confirmation import check_confirmable
+from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.run.processes.program import require_program
+from deploy.run.run_folder import read_summary
+from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
-from deploy.stop_signals import on_stop
-from deploy.study.conduct import Workers, carry_out, retrace
-from deploy.study.folder import STUDY_FILE, StudyFolder, create_folder, find_folder, read_study
+from deploy.study.folder import (
+    StudyFolder,
+    changes_since,
+    create_folder,
+    find_folder,
+    read_study,
+)
 from deploy.study.robustness import margin_study
-from deploy.study.study import SHIPPED, Study, is_sweep
+from deploy.study.runner import carry_out, retrace
+from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
@@ -57,8 +61,6 @@ _OPEN_SCHEDULER = (
     " 127.0.0.1 or a network of your own, or run it under tls:// (deploy/README.md, Sweeps and"
     " margins)"
 )
-_TABLES = {"margin": write_margin_table, "robustness": write_robustness_table}
-"""What writes the table for documents, by kind of study."""
 
 
 def sweep(
@@ -118,7 +120,7 @@ class RunCounter:
         self._progress = progress
         self._done = self._before = self._failed = 0
 
-    def done(self, values: Row, expected: int, *, before: bool) -> None:
+    def done(self, values: Row, expected: int, before: bool) -> None:
         """A run is done, now or by an earlier command; `expected` runs there will be in all."""
         self._done += 1
         self._before += before
@@ -130,23 +132,33 @@ class RunCounter:
         self._progress.update(self._done, total=expected, note=note)
 
 
-def is_study(path: Path) -> bool:
-    """Whether a folder holds a sweep or margins."""
-    return (path / STUDY_FILE).is_file()
-
-
 def report_study(path: Path, console: Console) -> None:
     """Judge the rows of a study again, and write its summary and report."""
     study = read_study(path)
-    folder = StudyFolder(path.resolve(), study)
-    folder.lock()
-    with folder:
-        retrace(study, folder)
-        _conclude(study, folder, console)
+    with StudyFolder(path.resolve(), study).lock() as folder:
+        changed = changes_since(study, folder.path)
+        if not changed:
+            retrace(study, folder)
+            _conclude(study, folder, console)
+            return
+        from deploy.reports.study_report import write_study_report  # with all figures
+
+        said, summary = "; ".join(changed), read_summary(folder.path)
+        if "conditions" not in summary:
+            raise ScenarioError(f"{folder.path}: {said}: must be as it was, as no summary is there")
+        console.print(f"{said}: this is the summary of before", markup=False, soft_wrap=True)
+        with judging(console, folder):
+            write_study_report(summary, folder)
+        _show(summary, folder, console)
 
 
 def _conduct(
-    study: Study, workers: int | None, scheduler: str | None, out: Path | None, *, overwrite: bool
+    study: StudyOfRuns,
+    workers: int | None,
+    scheduler: str | None,
+    out: Path | None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Carry a study out, or on, and show what came of it."""
     if workers is not None and scheduler is not None:
@@ -154,7 +166,7 @@ def _conduct(
     if scheduler is None:  # else it has to be on the hosts of the cluster
         for base in study.bases:
             require_program(base)
-    from deploy.study.dask_workers import DaskWorkers  # heavy
+    from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
     if study.definition.confirm:
         for base in study.bases:
@@ -166,56 +178,40 @@ def _conduct(
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
             warning = _OPEN_SCHEDULER.format(scheduler)
             Console(stderr=True).print(warning, markup=False, soft_wrap=True)
-        folder = StudyFolder(path or create_folder(study, out, overwrite=overwrite), study)
-        folder.lock()
-        with folder:
+        path = path or create_folder(study, out, overwrite=overwrite)
+        with StudyFolder(path, study).lock() as folder:
             folder.become()
-            lost = _carry_out(study, team, folder, console, stop)
+            on_stop(stop.set)
+            lost = None
+            with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:
+                try:
+                    carry_out(study, team, folder, stop, RunCounter(shown).done)
+                except ClusterLostError as error:
+                    lost = error
             completed = _conclude(study, folder, console)
     if completed:
-        raise typer.Exit(FINISHED if _has_results(folder) else FAULT)
+        has_results = any(row["error"] is None for row in folder.rows)
+        raise typer.Exit(FINISHED if has_results else FAULT)
     reason = f"{lost}; the" if lost else "The"
     console.print(f"{reason} same command goes on from here.", markup=False)
     raise typer.Exit(INTERRUPTED if stop.is_set() and not lost else FAULT)
 
 
-def _carry_out(
-    study: Study, team: Workers, folder: StudyFolder, console: Console, stop: threading.Event
-) -> Exception | None:
-    """Do the runs that are not done yet, or as many as come before a request to stop.
-
-    Returns:
-        How the cluster was lost; None if it was not.
-    """
-    from deploy.study.dask_workers import ClusterLostError  # heavy
-
-    on_stop(stop.set)
-    with CommandProgress(console, study.definition.name, study.expected, "runs") as progress:
-        try:
-            carry_out(study, team, folder, RunCounter(progress), stop)
-        except ClusterLostError as error:
-            return error
-        finally:
-            folder.flush()
-    return None
-
-
-def _conclude(study: Study, folder: StudyFolder, console: Console) -> bool:
+def _conclude(study: StudyOfRuns, folder: StudyFolder, console: Console) -> bool:
     """Write table, summary and report; whether the study is complete."""
     with judging(console, folder):
-        summary = conclude_study(study, folder)
-    show_study(console, summary)
-    write_table = _TABLES.get(study.kind)
-    if write_table is not None:
-        write_table(summary, folder.path / "table.md")
-        console.print(f"table:   {folder.path / 'table.md'}", soft_wrap=True)
-    show_places(console, folder)
+        summary = write_study_results(study, folder)
+    _show(summary, folder, console)
     return bool(summary["completed"])
 
 
-def _has_results(folder: StudyFolder) -> bool:
-    """Whether a run came to anything."""
-    return any(row["error"] is None for row in folder.rows)
+def _show(summary: dict[str, Any], folder: StudyFolder, console: Console) -> None:
+    """Show what came of a study, and write its table for documents."""
+    show_study(console, summary)
+    if summary["kind"] != "sweep":
+        write_study_table(summary, folder.path / "table.md")
+        console.print(f"table:   {folder.path / 'table.md'}", soft_wrap=True)
+    show_places(console, folder)
 
 
 def show_study(console: Console, summary: dict[str, Any]) -> None:

@@ -10,16 +10,15 @@ from rich.markup import escape
 
 from bus_schema.runtime.compiled import say_that_it_compiles
 from deploy.cli.terminal.progress import CommandProgress
-from deploy.processes.lacking import lacking
-from deploy.processes.live.viewer import VIEWER
-from deploy.processes.status import StatusMessage
-from deploy.reports.confirmation_table import confirmation_tables
-from deploy.reports.run_tables import joint_table, timing_table
+from deploy.judge.conditions import Conditions
+from deploy.judge.run_data import RunData
+from deploy.reports.run_tables import confirmation_tables, joint_table, timing_table
 from deploy.reports.tables import number, percent, short_names
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import verdict_on_run
-from deploy.runs.conditions import Conditions
-from deploy.runs.run_data import RunData
+from deploy.run.processes.child import VIEWER
+from deploy.run.processes.scheduling import missing_settings
+from deploy.run.processes.status import StatusMessage
 
 _STYLES = {"good": "bold green", "bad": "bold red", "broken": "bold red"}
 
@@ -38,7 +37,7 @@ def status_handler(
                 progress.skip_to(message.values["time_s"])  # starting up is over
             state.update(message.values)
             if settings:  # of all processes, as they are at work now
-                if text := lacking(settings):
+                if text := missing_settings(settings):
                     progress.say(text)
                 settings.clear()
             progress.update(state.get("time_s", 0.0), note=_note(state, names))

@@ -1,6 +1,6 @@
-"""What delay compensation learned of the arm over a run, beside what was to be learned.
+"""What delay compensation and neural networks learned over a run, beside the truth.
 
-Every function gives None where a run learned nothing of the kind.
+Functions that draw give None where a run learned nothing of the kind.
 """
 
 from __future__ import annotations
@@ -10,14 +10,25 @@ import plotly.graph_objects as go
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
+from controller.manipulator_model import ManipulatorModel
+from deploy.judge.identified import identified, series, truth_over_time
+from deploy.judge.run_data import RunData, stamps_s
 from deploy.reports.figures import style
 from deploy.reports.tables import Column, Table
-from deploy.runs.judging.identified import identified, series, truth_over_time
-from deploy.runs.run_data import RunData
+from deploy.study.comparison.comparison import ComparedRuns
+from plant_emulator.faults.arm_faults import payload_steps
 
-_HEIGHT_PX = 230
 _ROOM = 0.07
-_TRUTH = {"color": style.INK, "width": 1.4, "dash": "dash"}
+_POINTS = 4000
+_TRUTH = {"color": style.INK, "width": 1.4, "dash": "dash", "shape": "hv"}
+_UNITS = {
+    "inertia_factor": ("Inertia factor 1 + α", ""),
+    "payload_kg": ("Payload", "kg"),
+    "lag_ms": ("Actuators' lag", "ms"),
+    "coulomb_nm": ("Coulomb friction", "N m"),
+    "viscous_nm_s": ("Viscous friction", "N m s"),
+}
+"""Name and unit of what is learned, by its key in a summary."""
 
 
 def learned_values(run: RunData) -> Table | None:
@@ -26,86 +37,97 @@ def learned_values(run: RunData) -> Table | None:
     if found is None:
         return None
     names, truth = run.setup.robot.joint_names, found["truth"]
-    titles = {
-        "inertia_factor": "Inertia factor 1 + α", "payload_kg": "Payload (kg)",
-        "lag_ms": "Actuators' lag (ms)", "coulomb_nm": "Coulomb friction (N m)",
-        "viscous_nm_s": "Viscous friction (N m s)",
-    }  # fmt: skip
     rows: list[tuple[str, float, float]] = []
-    for key, title in titles.items():
+    for key, (name, unit) in _UNITS.items():
+        title = Column(name, unit).title
         if isinstance(found[key], list):
             entries = zip(names, found[key], truth[key], strict=True)
-            rows += [(f"{title}, {name}", value, true) for name, value, true in entries]
+            rows += [(f"{title}, {joint}", value, true) for joint, value, true in entries]
         elif found[key] is not None:
             rows.append((title, found[key], truth[key]))
     columns = [Column("Quantity", is_text=True), Column("At the end"), Column("Truth")]
     return Table("Final values", columns, rows)
 
 
-def learned_inertia(run: RunData) -> go.Figure | None:
-    """The inertia factor 1 + α."""
-    truth = truth_over_time(run.setup).inertia_factor
-    return _of_the_arm(run, "inertia_factor", "1 + α", [(0.0, truth)])
-
-
-def learned_payload(run: RunData) -> go.Figure | None:
-    """Mass at the tip, which scheduled faults may change."""
-    return _of_the_arm(run, "payload_kg", "kg", truth_over_time(run.setup).payload_kg)
-
-
-def learned_lag(run: RunData) -> go.Figure | None:
-    """The actuators' time constant."""
-    return _of_the_arm(run, "lag_ms", "ms", [(0.0, truth_over_time(run.setup).lag_ms)])
-
-
-def learned_coulomb(run: RunData) -> go.Figure | None:
-    """Coulomb friction of every joint."""
-    return _of_joints(run, "coulomb_nm", "N m", truth_over_time(run.setup).coulomb_nm)
-
-
-def learned_viscous(run: RunData) -> go.Figure | None:
-    """Viscous friction of every joint."""
-    return _of_joints(run, "viscous_nm_s", "N m s", truth_over_time(run.setup).viscous_nm_s)
-
-
-def _of_the_arm(
-    run: RunData, name: str, unit: str, steps: list[tuple[float, float]]
-) -> go.Figure | None:
-    values = series(run, name)
+def learned_over_time(run: RunData, key: str) -> go.Figure | None:
+    """One of the learned numbers over time, a row for each joint where each has its own."""
+    values = series(run, key)
     if values is None:
         return None
+    truth, (title, unit) = getattr(truth_over_time(run.setup), key), _UNITS[key]
+    if values.ndim > 1:
+        names, steps = run.setup.robot.joint_names, [[(0.0, value)] for value in truth]
+    else:
+        names, steps = (title,), [truth if key == "payload_kg" else [(0.0, truth)]]
     times_s = run.times_s(topics.CONTROL_STATUS)
     end_s = float(times_s[-1])
-    known = [(at_s, true) for at_s, true in steps if at_s <= end_s]
-    x, y = zip(*known, (end_s, known[-1][1]), strict=True)
-    figure = go.Figure([
-        style.line(times_s, values, style.palette(0), "believed"),
-        go.Scatter(x=x, y=y, name="truth", mode="lines", line={**_TRUTH, "shape": "hv"}),
-    ])  # fmt: skip
-    style.apply(figure, _HEIGHT_PX)
-    figure.update_xaxes(title_text="time (s)")
-    figure.update_yaxes(title_text=unit, range=_room(values, np.array(y)))
+    figure = style.joint_rows(names, unit or "1 + α")
+    rows = zip(names, values.reshape(len(values), -1).T, steps, strict=True)
+    for row, (name, believed, its_steps) in enumerate(rows, start=1):
+        known = [(at_s, true) for at_s, true in its_steps if at_s <= end_s]
+        x, y = zip(*known, (end_s, known[-1][1]), strict=True)
+        true = go.Scatter(x=x, y=y, name="truth", mode="lines", line=_TRUTH)
+        line = style.line(times_s, believed, style.palette(row - 1), name)
+        figure.add_traces([line, true], rows=row, cols=1)
+        figure.update_yaxes(range=_room(believed, np.array(y)), row=row)
     return figure
 
 
-def _of_joints(run: RunData, name: str, unit: str, truth: Vector) -> go.Figure | None:
-    values: Matrix | None = series(run, name)
-    if values is None:
-        return None
-    times_s, names = run.times_s(topics.CONTROL_STATUS), run.setup.robot.joint_names
-    ends_s = np.array([times_s[0], times_s[-1]])
-    figure = style.joint_rows(names, unit)
-    for joint, joint_name in enumerate(names):
-        believed = style.line(times_s, values[:, joint], style.palette(joint), joint_name)
-        true = go.Scatter(x=ends_s, y=np.full(2, truth[joint]), name="truth", mode="lines")
-        figure.add_traces([believed, true.update(line=_TRUTH)], rows=joint + 1, cols=1)
-        figure.update_yaxes(range=_room(values[:, joint], truth[joint]), row=joint + 1)
-    return figure
-
-
-def _room(values: Vector, truth: Vector | float) -> list[float]:
+def _room(values: Vector, truth: Vector) -> list[float]:
     """A vertical range with all of a line and of the truth well inside."""
     lowest = float(min(np.nanmin(values), np.min(truth)))
     highest = float(max(np.nanmax(values), np.max(truth)))
     room = _ROOM * (highest - lowest) or _ROOM
     return [lowest - room, highest + room]
+
+
+def network_output(runs: ComparedRuns) -> go.Figure | None:
+    """Output of the first network and the dynamics it stands in for; None without one."""
+    drawings = (_network_output(run.data) for run in runs.drawn)
+    return next((figure for figure in drawings if figure is not None), None)
+
+
+def _network_output(run: RunData) -> go.Figure | None:
+    figure = style.joint_series(run, topics.CONTROL_STATUS, "network_output", "N m")
+    if figure is None:
+        return None
+    times_s, truth = unknown_dynamics_nm(run, _POINTS)
+    late = times_s >= run.setup.scenario.metrics.from_s
+    for row, values in enumerate(truth.T, start=1):
+        trace = style.line(times_s, values, "rgba(123,135,148,0.55)", "true dynamics", 4.5)
+        figure.add_trace(trace, row=row, col=1)
+        if late.any():
+            lowest, highest = values[late].min(), values[late].max()
+            room = 0.3 * (highest - lowest) + 1.0
+            figure.update_yaxes(range=[lowest - room, highest + room], row=row)
+    figure.data = figure.data[::-1]  # what is drawn first lies below
+    return figure
+
+
+def unknown_dynamics_nm(run: RunData, points: int) -> tuple[Vector, Matrix]:
+    """M(q) q̈_d + C(q, q̇) q̇ + G(q) + friction + disturbance at evenly spaced ticks.
+
+    With the true arm's M, C and G, what it carries included, and the reference acceleration q̈_d.
+
+    Args:
+        run: the run.
+        points: how many at most; a tick costs as much as all else that is drawn of it.
+
+    Returns:
+        Times (s), shape (ticks,), and torques, shape (ticks, joints).
+    """
+    setup = run.setup
+    table = run.tables[topics.PLANT_TRUTH.name]
+    truth = table[:: max(1, -(-len(table) // points))]
+    steps = payload_steps(setup.scenario.plant.payload_kg, setup.scenario.faults)
+    models = [ManipulatorModel(setup.robot, payload_kg=payload_kg) for _, payload_kg in steps]
+    times_s = stamps_s(truth)
+    carried = np.searchsorted([at_s for at_s, _ in steps], times_s, side="right") - 1
+    position, velocity = truth["position"], truth["velocity"]
+    torque = truth["friction"] + truth["disturbance"]
+    wanted, rate, acceleration = np.empty((3, setup.robot.joints))
+    for tick, time_s in enumerate(times_s):
+        setup.reference.evaluate(float(time_s), wanted, rate, acceleration)
+        model = models[carried[tick]]
+        torque[tick] += model.inverse_dynamics(position[tick], velocity[tick], acceleration)
+    return times_s, np.asarray(torque)

@@ -1,4 +1,4 @@
-"""What all figures have in common: colours, fonts, and one row per joint."""
+"""What all figures have in common: colours, fonts, series thinned, and one row per joint."""
 
 from __future__ import annotations
 
@@ -7,20 +7,23 @@ from functools import lru_cache
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages.topics import Topic
-from deploy.reports.figures.decimation import decimate
-from deploy.runs.run_data import RunData
+from deploy.judge.run_data import RunData
 
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 INK, MUTED, GRID, BAND, ALARM = "#1f2933", "#7b8794", "#e9edf1", "rgba(0,114,178,0.11)", "#c0392b"
 _PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3508b", "#b07d00", "#3a9bd9", "#5b5b5b")
 TOP_PX, BOTTOM_PX, _ROW_GAP_PX = 34, 50, 34
 _BUTTONS_PX, _LEGEND_ROW_PX = 27, 21  # plotly's buttons stand above the legend
+MAX_POINTS = 4000
 MRAD = MM = 1e3
 DOTTED = {"color": MUTED, "width": 1, "dash": "dot"}
+
+_Indices = NDArray[np.int64]
 
 
 def palette(index: int) -> str:
@@ -137,3 +140,33 @@ def put_legend_on_top(figure: go.Figure, rows: int, **entries: object) -> None:
             "yref": "container", "traceorder": "normal", **entries,
         },
     )  # fmt: skip
+
+
+def decimate(x: Vector, y: Vector, max_points: int = MAX_POINTS) -> tuple[Vector, Vector]:
+    """The smallest and the largest y of each of max_points / 2 equally long stretches, in order.
+
+    A series of at most `max_points` comes back as it is. NaN is passed over, unless a stretch has
+    nothing else.
+
+    Args:
+        x: shape (points,).
+        y: shape (points,).
+        max_points: at least 2.
+    """
+    if len(y) <= max_points:
+        return x, y
+    edges = np.linspace(0, len(y), max_points // 2 + 1).astype(np.int64)
+    starts, ends = edges[:-1], edges[1:]
+    lowest = _first_in_each_stretch(np.where(np.isnan(y), np.inf, y), starts, ends, np.minimum)
+    highest = _first_in_each_stretch(np.where(np.isnan(y), -np.inf, y), starts, ends, np.maximum)
+    kept = np.union1d(lowest, highest)
+    return x[kept], y[kept]
+
+
+def _first_in_each_stretch(
+    y: Vector, starts: _Indices, ends: _Indices, extreme: np.ufunc
+) -> _Indices:
+    """Indices at which each stretch first takes its extreme value."""
+    hits = y == np.repeat(extreme.reduceat(y, starts), ends - starts)
+    positions: _Indices = np.flatnonzero(hits)
+    return positions[np.searchsorted(positions, starts)]

@@ -1,14 +1,27 @@
-"""The timeline of a run: what controller and plant were doing, and when something went wrong."""
+"""What happened when and how well time was kept: modes, scheduled faults, times, deadlines.
+
+Functions that draw give None where a run has nothing to draw.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+import numpy as np
 import plotly.graph_objects as go
 
+from bus_schema.arrays import Vector
+from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.modes import Mode, mode_in
+from deploy.judge.metrics import times_us
+from deploy.judge.run_data import RunData
 from deploy.reports.figures import style
-from deploy.runs.run_data import RunData
+from deploy.reports.figures.several_runs import colour_of
+from deploy.reports.quantities import TIMES
+from deploy.study.comparison.comparison import ComparedRuns
 
 _ROLES = (Role.PLANT, Role.CONTROLLER)
 _COLOURS = {
@@ -21,6 +34,13 @@ _COLOURS = {
 _MARKS = {EventKind.FAULT: ("x", style.ALARM), EventKind.LIMIT: ("triangle-down", style.INK)}
 _HEIGHT_PX, _BELOW_PX = 240, 105
 _LEAST_SHARE = 0.004
+_OPACITY = 0.09
+_LEAST_SHADE = 0.002
+_PERCENTILES = (50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 99.9999)
+_CURVE_POINTS = 300
+_BARS = 200
+
+T = TypeVar("T")
 
 
 def timeline(run: RunData) -> go.Figure | None:
@@ -75,3 +95,121 @@ def mode_spans(run: RunData, role: Role) -> list[tuple[Mode, float, float]]:
     ends = [start_s for _, start_s in changes[1:]]
     ends.append(max(event.stamp_ns * 1e-9 for event in run.events))
     return [(mode, start, end) for (mode, start), end in zip(changes, ends, strict=True)]
+
+
+def with_faults(draw: Callable[[ComparedRuns], T]) -> Callable[[ComparedRuns], T]:
+    """The figure over time that `draw` makes, with the scheduled faults of its runs as shades.
+
+    Runs with different faults have no shades.
+    """
+
+    def shaded(runs: ComparedRuns) -> T:
+        figure = draw(runs)
+        faults = [run.data.setup.scenario.faults for run in runs.runs]
+        if isinstance(figure, go.Figure) and all(each == faults[0] for each in faults):
+            _shade(figure, runs.runs[0].data)
+        return figure
+
+    return shaded
+
+
+def fault_spans_s(run: RunData) -> list[tuple[float, float]]:
+    """Begin and end of every fault within the run; one of an instant is wide enough to be seen."""
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    if not len(times_s):
+        return []
+    end_s = float(times_s[-1])
+    spans = []
+    for fault in run.setup.scenario.faults:
+        if fault.at_s <= end_s:
+            until_s = min(fault.end_ns * 1e-9, end_s)
+            spans.append((fault.at_s, max(until_s, fault.at_s + _LEAST_SHADE * end_s)))
+    return spans
+
+
+def _shade(figure: go.Figure, run: RunData) -> None:
+    """Add the shades: one shape in each row, as Plotly takes its time for each of hundreds."""
+    spans = fault_spans_s(run)
+    if not spans:
+        return
+    outline = " ".join(f"M{start},0 L{start},1 L{end},1 L{end},0 Z" for start, end in spans)
+    look = {
+        "type": "path", "path": outline, "fillcolor": style.ALARM, "opacity": _OPACITY,
+        "line": {"width": 0}, "layer": "below",
+    }  # fmt: skip
+    axes = dict.fromkeys((trace.xaxis or "x", trace.yaxis or "y") for trace in figure.data)
+    shades = [{**look, "xref": x, "yref": f"{y} domain"} for x, y in axes]
+    figure.layout.shapes = [*figure.layout.shapes, *shades]
+
+
+def times_of_run(run: RunData) -> go.Figure | None:
+    """Every time of a run as a curve over its percentiles."""
+    return _percentiles({TIMES[key]: values for key, values in times_us(run).items()}, 460)
+
+
+def time_of_runs(runs: ComparedRuns, key: str) -> go.Figure | None:
+    """One time of every run as a curve over its percentiles; None where it is 0 in all."""
+    of_all = {run.law: times_us(run.data)[key] for run in runs.runs}
+    colours = {run.law: colour_of(runs, run.law) for run in runs.runs}
+    return _percentiles({law: v for law, v in of_all.items() if v.any()}, 380, colours)
+
+
+def _percentiles(
+    series: Mapping[str, Vector], height_px: float, colours: Mapping[str, str] | None = None
+) -> go.Figure | None:
+    """A line for each series, over percentiles spaced by 1 / (1 − p)."""
+    known = {name: values for name, values in series.items() if len(values)}
+    if not known:
+        return None
+    figure = go.Figure()
+    for index, (name, values) in enumerate(known.items()):
+        figure.add_trace(_curve(name, values, (colours or {}).get(name, style.palette(index))))
+    style.apply(figure, height_px, legend=True)
+    longest = max(map(len, known.values()))
+    ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
+    figure.update_xaxes(
+        type="log",
+        title_text="percentile",
+        tickvals=[1.0 / (1.0 - p / 100.0) for p in ticks],
+        ticktext=[f"{p:.6g} %" for p in ticks],
+    )
+    figure.update_yaxes(type="log", title_text="µs", dtick=1, tickformat=",")
+    return figure
+
+
+def deadline_misses(run: RunData) -> go.Figure | None:
+    """Ticks that missed their deadline, over time; None if none did."""
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    missed = truth["deadline_met"] == 0
+    if not missed.any():
+        return None
+    edges = np.linspace(0.0, times_s[-1] + run.setup.grid.period_ns * 1e-9, _BARS + 1)
+    misses, _ = np.histogram(times_s[missed], edges)
+    ticks, _ = np.histogram(times_s, edges)
+    percent = 100.0 * misses / np.maximum(ticks, 1)
+    figure = go.Figure(
+        go.Bar(
+            x=(edges[:-1] + edges[1:]) / 2, y=percent, customdata=misses,
+            marker={"color": style.ALARM, "line": {"width": 0}},
+            hovertemplate="%{x:.3g} s: %{customdata} ticks, %{y:.1f} %<extra></extra>",
+        )
+    )  # fmt: skip
+    style.apply(figure, 460)
+    figure.update_layout(bargap=0)
+    figure.update_xaxes(title_text="time (s)", range=[0.0, edges[-1]])
+    figure.update_yaxes(title_text="missed ticks (%)", rangemode="tozero")
+    return figure
+
+
+def _curve(name: str, values: Vector, colour: str) -> go.Scatter:
+    """A time as a curve over its percentiles, spaced by 1 / (1 − p)."""
+    one_in = np.geomspace(1.0, max(len(values), 2), _CURVE_POINTS)
+    percentiles = 1.0 - 1.0 / one_in
+    curve = np.quantile(values, percentiles, method="inverted_cdf")
+    return go.Scatter(
+        x=one_in, y=np.where(curve > 0.0, curve, np.nan), mode="lines",
+        name=style.plain(name if curve[-1] > 0.0 else f"{name} (always 0)"),
+        line={"color": colour, "width": 2, "shape": "hv"},
+        customdata=100.0 * percentiles, hovertemplate="%{customdata:.5g} %: %{y:.4g} µs",
+    )  # fmt: skip

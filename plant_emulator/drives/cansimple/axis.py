@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 
+from bus_schema.can.cansimple.codec import TURN_RAD
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cansimple.controller import (
     TORQUE_CONSTANT_NM_A,
-    TURN_RAD,
     Controller,
 )
 from plant_emulator.drives.drive import (
     AT_REST,
+    Drive,
     DriveFault,
     DriveSettings,
     JointDemand,
     JointReading,
     Loop,
+    Send,
 )
 
 _VELOCITY_TOLERANCE = 1.2
@@ -58,7 +60,7 @@ class ProcedureResult(IntEnum):
     INVALID_STATE = 13
 
 
-class Axis:
+class Axis(Drive):
     """An axis on a joint; all at the joint, in turns and N m.
 
     Attributes:
@@ -67,10 +69,8 @@ class Axis:
         reports: signals of each message that the axis sends.
     """
 
-    def __init__(self, settings: DriveSettings) -> None:
-        self._settings = settings
-        self._reading = JointReading()
-        self._is_hot = False
+    def __init__(self, settings: DriveSettings, send: Send) -> None:
+        super().__init__(settings, send)
         self._watchdog_fed_ns = 0
         self.controller = Controller(settings)
         self._start()
@@ -108,33 +108,27 @@ class Axis:
 
     @property
     def targets(self) -> int:
-        """Inputs taken so far."""
         return self.controller.targets
 
     @property
     def fault(self) -> str | None:
-        """What disarmed it."""
         names = [error.name for error in self._errors if error.name]
         return " and ".join(names) or None
 
     @property
     def status(self) -> str:
-        """Its state."""
         return self.state.name
 
     def measure(self, reading: JointReading) -> None:
-        """Take in what the sensors show."""
-        self._reading = reading
+        super().measure(reading)
         limit = self.controller.velocity_limit * _VELOCITY_TOLERANCE * TURN_RAD
         if self._is_armed() and abs(reading.velocity_rad_s) > limit:
             self._disarm(AxisError.VELOCITY_LIMIT_VIOLATION)
 
     def demand(self) -> JointDemand:
-        """What the axis does to its joint; a disarmed one has its brake engaged."""
         return JointDemand(self._given_nm(), is_released=True) if self._is_armed() else AT_REST
 
     def loop(self) -> Loop | None:
-        """The loop that the axis closes."""
         return self.controller.loop() if self._is_armed() else None
 
     def request(self, state: int) -> None:
@@ -182,11 +176,6 @@ class Axis:
             self._disarm(AxisError.MOTOR_OVER_TEMP)
         else:
             self._disarm(AxisError.DRV_FAULT)
-
-    def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        """The motor cools down."""
-        if fault is DriveFault.OVER_TEMPERATURE:
-            self._is_hot = False
 
     def advance(self, now_ns: int) -> None:
         """Disarm if nothing has come for too long."""

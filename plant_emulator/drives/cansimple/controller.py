@@ -7,8 +7,7 @@ last inputs stay in force until others come or the axis is disarmed.
 
 from __future__ import annotations
 
-import math
-
+from bus_schema.can.cansimple.codec import TURN_RAD
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
 from plant_emulator.drives.drive import DriveSettings, JointReading
@@ -16,7 +15,6 @@ from plant_emulator.drives.drive import DriveSettings, JointReading
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 2, 3, 1
 TORQUE_CONSTANT_NM_A = 1.0
 VELOCITY_LIMIT_TURNS_S = 10.0
-TURN_RAD = 2.0 * math.pi
 _CONTROLLED = (TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL)
 
 

@@ -38,7 +38,7 @@ def describe(frame: CanFrame, node: DriveNode, process_data: ProcessData) -> str
     if identifier in (node.sdo.rx_cobid, node.sdo.tx_cobid):
         return _sdo(data, node, is_request=identifier == node.sdo.rx_cobid)
     for direction, pdo in (
-        ("RPDO", process_data.receiving(identifier)),
+        ("RPDO", process_data.received_by().get(identifier)),
         ("TPDO", process_data.sending(identifier)),
     ):
         if pdo is not None:
@@ -67,15 +67,12 @@ def _sdo(data: bytes, node: DriveNode, *, is_request: bool) -> str:
     if "segment" in words:
         return f"node {node.node_id} {words} {data[1:].hex(' ')}"
     index, subindex = int.from_bytes(data[1:3], "little"), data[3]
-    text = f"node {node.node_id} {words} 0x{index:04X}:{subindex:02X} {_object_name(node, index)}"
+    entry = node.object_dictionary.indices.get(index)
+    name = "(no such object)" if entry is None else entry.name
+    text = f"node {node.node_id} {words} 0x{index:04X}:{subindex:02X} {name}"
     if kind == 0x80 or (is_request and kind == 0x20) or (not is_request and kind == 0x40):
         text += f" 0x{int.from_bytes(data[4:], 'little'):X}"
     return text
-
-
-def _object_name(node: DriveNode, index: int) -> str:
-    entry = node.object_dictionary.indices.get(index)
-    return "(no such object)" if entry is None else entry.name
 
 
 def _values(pdo: Pdo, data: bytes, node: DriveNode) -> str:

@@ -7,8 +7,7 @@ from enum import IntEnum
 
 from canopen.sdo.exceptions import SdoAbortedError
 
-from plant_emulator.drives.cia402.abort import Abort
-from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.node import Abort, DriveNode
 
 _HISTORY = 8
 _NOT_VALID = 1 << 31
@@ -56,10 +55,10 @@ class ErrorLog:
         self._may_send = may_send
         self._lasting: dict[ErrorCode, bool] = {}
         self._history: list[int] = []
-        node.serve(0x1001, lambda _: self.register)
-        node.serve(0x1003, self._read_history)
-        node.on_write(0x1003, self._clear_history)
-        node.on_write(0x1014, lambda _, value: check_identifier(value, node.value(0x1014)))
+        node.readers[0x1001] = lambda _: self.register
+        node.readers[0x1003] = self._read_history
+        node.writers[0x1003] = self._clear_history
+        node.writers[0x1014] = lambda _, value: check_identifier(value, node.value(0x1014))
 
     @property
     def any(self) -> bool:
@@ -138,16 +137,13 @@ def check_identifier(value: int, present: int) -> None:
         SdoAbortedError: it cannot be.
     """
     is_valid = not value & _NOT_VALID
-    if value & _BITS_11_TO_29 or (is_valid and is_restricted(value & _IDENTIFIER)):
+    # CiA 301 (table 40) keeps some identifiers for something else.
+    is_kept = any(first <= value & _IDENTIFIER <= last for first, last in _RESTRICTED)
+    if value & _BITS_11_TO_29 or (is_valid and is_kept):
         raise SdoAbortedError(Abort.INVALID_VALUE)
     is_changed = (value ^ present) & _IDENTIFIER
     if is_changed and is_valid and not present & _NOT_VALID:
         raise SdoAbortedError(Abort.INVALID_VALUE)
-
-
-def is_restricted(identifier: int) -> bool:
-    """Whether CiA 301 (table 40) keeps an identifier for something else."""
-    return any(first <= identifier <= last for first, last in _RESTRICTED)
 
 
 _IDENTIFIER = 0x7FF

@@ -7,12 +7,10 @@ import math
 from canopen.sdo.exceptions import SdoAbortedError
 
 from plant_emulator.drives.cascade import CascadeLoop
-from plant_emulator.drives.cia402.abort import Abort
-from plant_emulator.drives.cia402.automaton import Automaton
 from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog
-from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.cia402.position_mode import PositionMode
-from plant_emulator.drives.cia402.state_machine import Command, State, Statusword
+from plant_emulator.drives.cia402.state_machine import Automaton, ControlCommand, State, Statusword
 from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, JointReading
 
 NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE = 0, 8, 10
@@ -93,9 +91,9 @@ class Motor:
         if option == _ABORT_FAULT:
             self.fail(code)
         elif option == _ABORT_DISABLE:
-            self.automaton.command(Command.DISABLE_VOLTAGE)
+            self.automaton.command(ControlCommand.DISABLE_VOLTAGE)
         elif option == _ABORT_QUICK_STOP:
-            self.automaton.command(Command.QUICK_STOP)
+            self.automaton.command(ControlCommand.QUICK_STOP)
 
     def demand(self) -> JointDemand:
         """What the motor does to the joint."""
@@ -107,7 +105,7 @@ class Motor:
             return AT_REST
         loop = self.loop()
         if loop is not None:
-            return JointDemand(self._position_mode.torque_nm(loop), is_released=True)
+            return JointDemand(loop.torque_nm(*self._reading[:2]), is_released=True)
         return JointDemand(self._nm(self._limited()[0]), is_released=True)
 
     def loop(self) -> CascadeLoop | None:
@@ -133,7 +131,7 @@ class Motor:
         word = self.automaton.state | _ALWAYS_SET
         if self._errors.any:
             word |= Statusword.WARNING
-        if self._mode != NO_MODE and self.automaton.follows:
+        if self._follows():
             word |= Statusword.FOLLOWS_COMMAND
             if self._is_limited():
                 word |= Statusword.INTERNAL_LIMIT_ACTIVE
@@ -154,8 +152,8 @@ class Motor:
         loop = None if self._mode == CYCLIC_SYNCHRONOUS_TORQUE else self.loop()
         if loop is None:
             return self._limited()[1]
-        position_mode = self._position_mode
-        return position_mode.is_target_limited or position_mode.is_torque_limited(loop)
+        is_torque_limited = abs(loop.torque_nm(*self._reading[:2])) >= loop.most_nm
+        return self._position_mode.is_target_limited or is_torque_limited
 
     def _most(self) -> int:
         most, hard_limit = self._max_torque, self._hard_limit
@@ -194,17 +192,17 @@ class Motor:
 
     def _serve(self) -> None:
         node = self._node
-        node.serve(0x603F, lambda _: self.error_code)
-        node.serve(0x6041, self.statusword)
-        node.serve(0x6061, lambda _: self._mode)
-        node.serve(0x6064, lambda _: self._position)
-        node.serve(0x606C, lambda _: self._velocity)
-        node.serve(0x6077, lambda _: self.torque())
-        node.on_write(0x6040, lambda _, value: self.automaton.obey(value))
-        node.on_write(0x6060, self._set_mode)
-        node.on_write(0x6071, self._set_target)
-        node.on_write(0x6072, self._set_max_torque)
-        node.on_write(0x60B2, self._set_offset)
+        node.readers[0x603F] = lambda _: self.error_code
+        node.readers[0x6041] = self.statusword
+        node.readers[0x6061] = lambda _: self._mode
+        node.readers[0x6064] = lambda _: self._position
+        node.readers[0x606C] = lambda _: self._velocity
+        node.readers[0x6077] = lambda _: self.torque()
+        node.writers[0x6040] = lambda _, value: self.automaton.obey(value)
+        node.writers[0x6060] = self._set_mode
+        node.writers[0x6071] = self._set_target
+        node.writers[0x6072] = self._set_max_torque
+        node.writers[0x60B2] = self._set_offset
 
     def _set_mode(self, _subindex: int, value: int) -> None:
         if value not in _MODES:

@@ -8,8 +8,7 @@ from enum import IntEnum
 from canopen.sdo.exceptions import SdoAbortedError
 
 from bus_schema.can.frame import CanFrame
-from plant_emulator.drives.cia402.abort import Abort
-from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.drive import Cycle, Send
 
 HEARTBEAT = 0x700
@@ -72,8 +71,8 @@ class NetworkState:
         self._heartbeats = Cycle(0)
         self._heard_ns: dict[int, int] = {}
         self._lost: set[int] = set()
-        node.on_write(0x1016, self._check_consumed)
-        node.on_write(0x1017, self._on_period)
+        node.writers[0x1016] = self._check_consumed
+        node.writers[0x1017] = self._on_period
 
     @property
     def has_sdo(self) -> bool:

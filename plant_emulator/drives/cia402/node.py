@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from enum import IntEnum
 from typing import Any
 
 import canopen
@@ -15,10 +16,8 @@ from canopen.objectdictionary import NUMBER_TYPES, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
-from bus_schema.can.cia402.eds import object_dictionary
-from bus_schema.can.frame import CanFrame
+from bus_schema.can.cia402.canopen_adapter import CanopenNetwork, object_dictionary
 from bus_schema.link.can_configuration import CIA402_EDS
-from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.drive import Send
 
 SDO_BYTES = 8
@@ -35,16 +34,23 @@ Writer = Callable[[int, int], None]
 """Takes a sub-index and the value written to it; raises `SdoAbortedError` to refuse."""
 
 
-class PassiveNetwork(canopen.Network):
-    """canopen's network with nothing behind it but a function that takes frames."""
+class Abort(IntEnum):
+    """Why an SDO transfer was refused (abort codes of CiA 301, table 22 of 7.2.4.3.17)."""
 
-    def __init__(self, send: Send) -> None:
-        super().__init__()
-        self._send = send
-
-    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a frame."""
-        self._send(CanFrame(can_id, bytes(data), is_remote=remote))
+    UNKNOWN_COMMAND = 0x0504_0001
+    OUT_OF_MEMORY = 0x0504_0005
+    UNSUPPORTED_ACCESS = 0x0601_0000
+    READ_ONLY = 0x0601_0002
+    NO_SUCH_OBJECT = 0x0602_0000
+    NOT_MAPPABLE = 0x0604_0041
+    PDO_TOO_LONG = 0x0604_0042
+    INCOMPATIBLE = 0x0604_0043
+    NO_SUCH_SUBINDEX = 0x0609_0011
+    INVALID_VALUE = 0x0609_0030
+    TOO_HIGH = 0x0609_0031
+    TOO_LOW = 0x0609_0032
+    MAXIMUM_BELOW_MINIMUM = 0x0609_0036
+    NO_DATA = 0x0800_0024
 
 
 class StrictSdoServer(SdoServer):
@@ -119,36 +125,22 @@ class DriveNode(canopen.LocalNode):
     Attributes:
         node_id: its address.
         now_ns: the time of what is being done.
+        readers: where the values of objects come from that are not stored, by index.
+        writers: what checks values that are written to objects, by index, before they are stored.
     """
 
     def __init__(self, node_id: int, send: Send) -> None:
         super().__init__(node_id, object_dictionary(CIA402_EDS, node_id))
         self.sdo = StrictSdoServer(self, node_id)
-        self.network = PassiveNetwork(send)
+        self.network = CanopenNetwork(send)
         self.sdo.network = self.emcy.network = self.network
         self.node_id = node_id
         self.now_ns = 0
-        self._readers: dict[int, Reader] = {}
-        self._writers: dict[int, Writer] = {}
+        self.readers: dict[int, Reader] = {}
+        self.writers: dict[int, Writer] = {}
         self._read_callbacks = [self._read_live]
         self._write_callbacks = [self._write_checked]
         self._factory: dict[tuple[int, int], int] = {}
-
-    def serve(self, index: int, read: Reader) -> None:
-        """Have an object's value come from a function."""
-        self._readers[index] = read
-
-    def on_write(self, index: int, write: Writer) -> None:
-        """Have a function look at what is written to an object before it is stored."""
-        self._writers[index] = write
-
-    def reader(self, index: int) -> Reader | None:
-        """Where an object's value comes from; None if it is stored."""
-        return self._readers.get(index)
-
-    def writer(self, index: int) -> Writer | None:
-        """What looks at an object's values before they are stored; None if nothing does."""
-        return self._writers.get(index)
 
     def fit(self, index: int, subindex: int, value: int) -> None:
         """Give an object of this drive another default than the EDS has."""
@@ -189,7 +181,7 @@ class DriveNode(canopen.LocalNode):
     _find_object = find  # what canopen's own methods call
 
     def _read_live(self, index: int, subindex: int, **_: Any) -> int | None:
-        read = self._readers.get(index)
+        read = self.readers.get(index)
         return None if read is None else read(subindex)
 
     def _write_checked(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
@@ -200,6 +192,6 @@ class DriveNode(canopen.LocalNode):
             raise SdoAbortedError(Abort.TOO_HIGH)
         if od.min is not None and value < od.min:
             raise SdoAbortedError(Abort.TOO_LOW)
-        write = self._writers.get(index)
+        write = self.writers.get(index)
         if write is not None:
             write(subindex, value)

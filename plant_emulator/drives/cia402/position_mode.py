@@ -12,8 +12,7 @@ from functools import partial
 from canopen.sdo.exceptions import SdoAbortedError
 
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
-from plant_emulator.drives.cia402.abort import Abort
-from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.drive import DriveSettings, JointReading
 
 _TARGET, _VELOCITY_OFFSET = 0x607A, 0x60B1
@@ -47,17 +46,17 @@ class PositionMode:
     def __init__(self, node: DriveNode, settings: DriveSettings) -> None:
         self._node, self._settings = node, settings
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
-        self._reading, self._counts = JointReading(), 0
+        self._counts = 0
         self.targets = 0
         self._fit()
         self.restore()
-        node.serve(0x6062, lambda _: self.demanded)
-        node.serve(0x60F4, lambda _: self._error())
-        node.on_write(_TARGET, self._set_target)
-        node.on_write(_VELOCITY_OFFSET, self._set_velocity_offset)
-        node.on_write(0x607D, self._set_limit)
+        node.readers[0x6062] = lambda _: self.demanded
+        node.readers[0x60F4] = lambda _: self._error()
+        node.writers[_TARGET] = self._set_target
+        node.writers[_VELOCITY_OFFSET] = self._set_velocity_offset
+        node.writers[0x607D] = self._set_limit
         for index in (_POSITION_LOOP, _VELOCITY_LOOP, _WINDOW, _WINDOW_MS, _FAULTS):
-            node.on_write(index, partial(self._set_parameter, index))
+            node.writers[index] = partial(self._set_parameter, index)
 
     def restore(self) -> None:
         """Take the objects' values from the dictionary."""
@@ -77,7 +76,6 @@ class PositionMode:
 
     def measure(self, reading: JointReading) -> int:
         """Take in what the sensors show; the position in increments, as object 0x6064 has it."""
-        self._reading = reading
         self._counts = round(reading.position_rad * self._counts_per_rad)
         return self._actual
 
@@ -127,14 +125,6 @@ class PositionMode:
             offset_nm, self._gains, 1.0 / self._counts_per_rad, math.inf, most_nm,
             self._integral,
         )  # fmt: skip
-
-    def is_torque_limited(self, loop: CascadeLoop) -> bool:
-        """Whether the loop has no more torque to give where the joint is."""
-        return loop.is_limited(self._reading.position_rad, self._reading.velocity_rad_s)
-
-    def torque_nm(self, loop: CascadeLoop) -> float:
-        """Torque of the loop where the joint is."""
-        return loop.torque_nm(self._reading.position_rad, self._reading.velocity_rad_s)
 
     @property
     def _actual(self) -> int:

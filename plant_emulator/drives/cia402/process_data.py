@@ -8,9 +8,8 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
-from plant_emulator.drives.cia402.abort import Abort
 from plant_emulator.drives.cia402.errors import ErrorCode, ErrorLog, check_identifier
-from plant_emulator.drives.cia402.node import DriveNode
+from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.cia402.pdo import Pdo
 from plant_emulator.drives.drive import Send
 
@@ -86,7 +85,7 @@ class ProcessData:
             for number in range(_PDOS)
         ]
         self._pdos: list[ReceivedPdo | SentPdo] = [*self._received, *self._sent]
-        node.on_write(0x1005, self._move_sync)
+        node.writers[0x1005] = self._move_sync
         self.samplings = 0
         self.load()
 
@@ -102,10 +101,6 @@ class ProcessData:
         """The node is not operational: nothing is pending or awaited."""
         for pdo in self._pdos:
             pdo.rest()
-
-    def receiving(self, identifier: int) -> ReceivedPdo | None:
-        """The RPDO with this identifier."""
-        return self.received_by().get(identifier)
 
     def received_by(self) -> dict[int, ReceivedPdo]:
         """The RPDOs as they are set up now, by identifier; of several with one, the first."""

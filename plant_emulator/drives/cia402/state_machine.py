@@ -1,4 +1,4 @@
-"""The power drive system's finite state automaton of CiA 402-2 (IEC 61800-7-201), and nothing else.
+"""The power drive system's finite state automaton of CiA 402-2 (IEC 61800-7-201).
 
 Transitions are numbered as in the standard:
 
@@ -25,7 +25,11 @@ Transitions are numbered as in the standard:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum, auto
+from typing import NamedTuple
+
+from plant_emulator.drives.cia402.node import DriveNode
 
 
 class State(IntEnum):
@@ -41,7 +45,7 @@ class State(IntEnum):
     FAULT = 0x08
 
 
-class Command(IntEnum):
+class ControlCommand(IntEnum):
     """What a controlword asks for."""
 
     SHUTDOWN = auto()
@@ -74,8 +78,8 @@ class Statusword:
     FOLLOWING_ERROR = 1 << 13
 
 
-_S, _C = State, Command
-TRANSITIONS: dict[tuple[State, Command], State] = {
+_S, _C = State, ControlCommand
+TRANSITIONS: dict[tuple[State, ControlCommand], State] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
     (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 3, then 4 by itself
@@ -96,7 +100,7 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
 """What a command does in a state; whatever is not here, does nothing."""
 
 
-def decode_command(controlword: int, previous: int) -> Command | None:
+def decode_command(controlword: int, previous: int) -> ControlCommand | None:
     """The command in a controlword (CiA 402-2, command coding), None if it codes none.
 
     Args:
@@ -104,15 +108,15 @@ def decode_command(controlword: int, previous: int) -> Command | None:
         previous: the word before it: a fault reset is a rising edge.
     """
     if controlword & Controlword.FAULT_RESET:
-        return None if previous & Controlword.FAULT_RESET else Command.FAULT_RESET
+        return None if previous & Controlword.FAULT_RESET else ControlCommand.FAULT_RESET
     return _COMMANDS[controlword & _COMMAND_BITS]
 
 
 _COMMAND_WITHOUT = {
-    Controlword.ENABLE_VOLTAGE: Command.DISABLE_VOLTAGE,
-    Controlword.QUICK_STOP: Command.QUICK_STOP,
-    Controlword.SWITCH_ON: Command.SHUTDOWN,
-    Controlword.ENABLE_OPERATION: Command.SWITCH_ON,
+    Controlword.ENABLE_VOLTAGE: ControlCommand.DISABLE_VOLTAGE,
+    Controlword.QUICK_STOP: ControlCommand.QUICK_STOP,
+    Controlword.SWITCH_ON: ControlCommand.SHUTDOWN,
+    Controlword.ENABLE_OPERATION: ControlCommand.SWITCH_ON,
 }
 """What a controlword asks for by the first of these bits that it lacks."""
 
@@ -124,3 +128,144 @@ _COMMANDS = [
     )
     for word in range(_COMMAND_BITS + 1)
 ]
+
+_MS = 1_000_000
+_QUICK_STOP, _FAULT_REACTION = 0x605A, 0x605E
+_SLOW_DOWN_OPTIONS = {ControlCommand.SHUTDOWN: 0x605B, ControlCommand.SWITCH_ON: 0x605C}
+_LONGEST_SLOW_DOWN = 0x2000
+_STAYS_IN_QUICK_STOP = (5, 6, 7, 8)
+_POWER_OFF = 0
+
+
+class _SlowDown(NamedTuple):
+    """The motor brings the joint to a halt.
+
+    Attributes:
+        then: state that follows.
+        until_ns: time at which it ends at the latest.
+    """
+
+    then: State
+    until_ns: int
+
+
+class Automaton:
+    """A drive's state, moved by controlwords, faults and time.
+
+    Args:
+        node: has the option codes.
+        is_still: whether the joint is at rest.
+        reset_errors: resets all errors; false while the cause of one is there.
+
+    Attributes:
+        state: as the statusword has it.
+        halted: the controlword's halt bit is set.
+    """
+
+    def __init__(
+        self, node: DriveNode, is_still: Callable[[], bool], reset_errors: Callable[[], bool]
+    ) -> None:
+        self._node, self._is_still, self._reset_errors = node, is_still, reset_errors
+        self.state = State.NOT_READY_TO_SWITCH_ON
+        self.halted = False
+        self._controlword = 0
+        self._slow_down: _SlowDown | None = None
+
+    @property
+    def follows(self) -> bool:
+        """Whether the motor follows its target torque."""
+        return self.state is State.OPERATION_ENABLED and self._slow_down is None and not self.halted
+
+    @property
+    def brings_to_rest(self) -> bool:
+        """Whether the motor slows the joint down."""
+        is_halting = self.halted and self.state is State.OPERATION_ENABLED and not self._is_still()
+        return self._slow_down is not None or is_halting
+
+    def power_on(self) -> None:
+        """Transitions 0 and 1."""
+        self._controlword = 0
+        self.halted = False
+        self._enter(State.SWITCH_ON_DISABLED)
+
+    def power_off(self) -> None:
+        """As before power-on."""
+        self._enter(State.NOT_READY_TO_SWITCH_ON)
+
+    def obey(self, controlword: int) -> None:
+        """Take a controlword."""
+        command = decode_command(controlword, self._controlword)
+        self._controlword = controlword
+        self.halted = bool(controlword & Controlword.HALT)
+        if command is not None:
+            self.command(command)
+
+    def command(self, command: ControlCommand) -> None:
+        """Make the transition that a command asks for, if the standard has one."""
+        if self.state is State.OPERATION_ENABLED and command is ControlCommand.ENABLE_OPERATION:
+            self._slow_down = None  # a slow-down to another state is called off
+            return
+        following = TRANSITIONS.get((self.state, command))
+        if following is not None:
+            self._go(command, following)
+
+    def fault(self, *, power_off: bool = False) -> None:
+        """Transition 13, and 14 as soon as the reaction is done.
+
+        Args:
+            power_off: the power stage cannot slow anything down.
+        """
+        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            if power_off:
+                self._enter(State.FAULT)
+            return
+        was_moving = self.state is State.OPERATION_ENABLED or self._slow_down is not None
+        self.state = State.FAULT_REACTION_ACTIVE
+        if was_moving and not power_off and self._node.value(_FAULT_REACTION) != _POWER_OFF:
+            self._begin_slow_down(State.FAULT)
+        else:
+            self._enter(State.FAULT)
+
+    def advance(self) -> None:
+        """End a slow-down whose time has come."""
+        slow_down = self._slow_down
+        if slow_down is not None and (self._is_still() or self._node.now_ns >= slow_down.until_ns):
+            self._enter(slow_down.then)
+
+    def _go(self, command: ControlCommand, following: State) -> None:
+        was_enabled = self.state is State.OPERATION_ENABLED
+        if command is ControlCommand.FAULT_RESET:
+            if self._reset_errors():
+                self._enter(following)
+        elif command is ControlCommand.QUICK_STOP and was_enabled:
+            self._quick_stop()
+        elif following is State.OPERATION_ENABLED and self.state is State.QUICK_STOP_ACTIVE:
+            if self._node.value(_QUICK_STOP) in _STAYS_IN_QUICK_STOP:  # else 16 is not possible
+                self._enter(following)
+        elif was_enabled and self._slows_down_for(command):
+            if self._slow_down is None or self._slow_down.then is not following:
+                self._begin_slow_down(following)
+        else:
+            self._enter(following)
+
+    def _slows_down_for(self, command: ControlCommand) -> bool:
+        """Whether an option code wants the joint at rest before the drive function ends."""
+        option = _SLOW_DOWN_OPTIONS.get(command)
+        return option is not None and self._node.value(option) != _POWER_OFF
+
+    def _quick_stop(self) -> None:
+        option = self._node.value(_QUICK_STOP)
+        if option == _POWER_OFF:
+            self._enter(State.SWITCH_ON_DISABLED)
+            return
+        self.state = State.QUICK_STOP_ACTIVE
+        stays = option in _STAYS_IN_QUICK_STOP
+        self._begin_slow_down(State.QUICK_STOP_ACTIVE if stays else State.SWITCH_ON_DISABLED)
+
+    def _begin_slow_down(self, then: State) -> None:
+        until_ns = self._node.now_ns + self._node.value(_LONGEST_SLOW_DOWN) * _MS
+        self._slow_down = _SlowDown(then, until_ns)
+
+    def _enter(self, state: State) -> None:
+        self.state = state
+        self._slow_down = None

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import pickle
-import resource
-import subprocess
 import sys
 from contextlib import closing
 
@@ -14,9 +11,11 @@ from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix
 from bus_schema.robot_description import RobotDescription
-from bus_schema.runtime.signal_names import signal_name
-
-_CPU_S, _WAIT_S, _MEMORY_BYTES = 6, 9.0, 1 << 30
+from bus_schema.runtime.limited_process import (
+    LimitedProcess,
+    LimitedProcessError,
+    limit_this_process,
+)
 
 
 class RenderError(Exception):
@@ -37,12 +36,8 @@ class Rendering:
         self, robot: RobotDescription, positions: Matrix, width_px: int, height_px: int
     ) -> None:
         self._shape = len(positions), height_px, width_px, 3
-        self._order = pickle.dumps((robot, positions, width_px, height_px))
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", __name__],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )  # fmt: skip
+        order = pickle.dumps((robot, positions, width_px, height_px))
+        self._process = LimitedProcess(__name__, order)
 
     def pictures(self) -> NDArray[np.uint8]:
         """The pictures on white by one camera, shape (pictures, height, width, 3), RGB.
@@ -50,26 +45,17 @@ class Rendering:
         Raises:
             RenderError: the process crashed, or took more than it may.
         """
-        with self._process as process:
-            try:
-                pixels, _ = process.communicate(self._order, _WAIT_S)
-            except subprocess.TimeoutExpired:
-                pixels = b""
-            finally:
-                process.kill()
-        if len(pixels) != np.prod(self._shape):
-            code = process.returncode
-            how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+        try:
+            pixels = self._process.answer()
+        except LimitedProcessError as error:
             what = "Bullet cannot draw the arm: a mesh file is damaged or too large"
-            raise RenderError(f"{what} ({how})")
+            raise RenderError(f"{what} ({error})") from error
         return np.frombuffer(pixels, np.uint8).reshape(self._shape)
 
 
 def main() -> None:
     """Draw what standard input asks for, on standard output, within limits."""
-    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    limit_this_process(cpu_s=6)
     from plant_emulator.physics.bullet.camera import ArmCamera
 
     robot, positions, width_px, height_px = pickle.load(sys.stdin.buffer)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -19,8 +19,8 @@ from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, Shapes
 from bus_schema.runtime.compiled import c_function, compiled
+from bus_schema.urdf.joints import Follower
 from bus_schema.urdf.resolved import PAYLOAD_LINK
-from plant_emulator.physics.bullet.gears import tie
 from plant_emulator.physics.bullet.library import (
     DOUBLE,
     INT,
@@ -28,9 +28,47 @@ from plant_emulator.physics.bullet.library import (
     POINTER,
     JointInfo,
     function,
+    quiet,
     setter,
 )
-from plant_emulator.physics.bullet.quiet import quiet
+
+_GEAR = 6
+_LARGEST_FORCE = 1e9
+
+_couple = function("InitCreateUserConstraintCommand", POINTER, POINTER, INT, INT, INT, INT, POINTER)
+_couple_id = function("GetStatusUserConstraintUniqueId", INT, POINTER)
+_change_couple = function("InitChangeUserConstraintCommand", POINTER, POINTER, INT)
+_set_gear_ratio = setter("InitChangeUserConstraintSetGearRatio", DOUBLE)
+_set_gear_force = setter("InitChangeUserConstraintSetMaxForce", DOUBLE)
+_set_gear_erp = setter("InitChangeUserConstraintSetERP", DOUBLE)
+_set_gear_offset = setter("InitChangeUserConstraintSetRelativePositionTarget", DOUBLE)
+
+
+def tie(
+    server: int, body: int, links: tuple[int, int], follower: Follower, submit: Callable[[int], int]
+) -> None:
+    """Tie a joint to another one: q = multiplier × q of the leader + offset.
+
+    The solver keeps their speeds tied in every step; an error in position fades in a few steps.
+
+    Args:
+        server: the physics server.
+        body: the arm there.
+        links: numbers of the joint that follows and of its leader.
+        follower: how it follows.
+        submit: has a command carried out; gives its status.
+    """
+    link, leader = links
+    info = JointInfo(joint_type=_GEAR)
+    info.parent_frame[6] = info.child_frame[6] = 1.0  # no rotation
+    create = _couple(server, body, link, body, leader, ctypes.addressof(info))
+    change = _change_couple(server, _couple_id(submit(create)))
+    _set_gear_ratio(change, -follower.multiplier)
+    _set_gear_offset(change, follower.offset)
+    _set_gear_force(change, _LARGEST_FORCE)
+    _set_gear_erp(change, 1.0)
+    submit(change)
+
 
 GRAVITY_M_S2 = 9.81
 CONTROL_VELOCITY, CONTROL_TORQUE = 0, 1

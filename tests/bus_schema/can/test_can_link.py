@@ -99,9 +99,17 @@ def spin(
     CanControllerLink(run, master, Bus(), clock, telemetry).spin(is_stop_requested)  # type: ignore[arg-type]
 
 
-def test_silent_drive_is_waited_for_once() -> None:
-    master = Master()
-    with pytest.raises(DriveError, match="no answer from drive 1 within 2 s"):
+@pytest.mark.parametrize(
+    ("failure", "said"),
+    [
+        (None, "no answer from drive 1 within 2 s"),
+        (DriveError("drive 2 has failed"), "drive 2 has failed"),
+    ],
+    ids=["alone", "when another fails"],
+)
+def test_silent_drive_is_waited_for_once(failure: DriveError | None, said: str) -> None:
+    master = Master(failure)
+    with pytest.raises(DriveError, match=said):
         spin(master)
     assert master.waits_s == [POLL_S] * 40
     assert master.has_left
@@ -112,14 +120,6 @@ def test_fault_names_who_else_is_on_the_bus() -> None:
     master.is_disturbed = True
     with pytest.raises(DriveError, match=r"^drive 1: fault; another master is on this bus"):
         spin(master)
-
-
-def test_drive_that_is_silent_when_another_fails_is_waited_for_once() -> None:
-    master = Master(DriveError("drive 2 has failed"))
-    with pytest.raises(DriveError, match="drive 2 has failed"):
-        spin(master)
-    assert master.waits_s == [POLL_S] * 40
-    assert master.has_left
 
 
 def test_silence_after_a_request_to_stop_is_waited_out_for_a_second() -> None:

@@ -5,7 +5,7 @@ import pytest
 from bus_schema.recording.atomic_files import RecordFile, new_partial, write_whole
 from bus_schema.recording.mcap_log import McapLog
 from bus_schema.user_files import read_bytes
-from deploy.runs.run_rows import write_rows
+from deploy.judge.run_rows import write_rows
 
 
 @pytest.mark.parametrize(

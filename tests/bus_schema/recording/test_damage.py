@@ -7,15 +7,14 @@ import struct
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Message, Schema
+from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
-from bus_schema.recording.checked_records import CheckedRecords
 from bus_schema.recording.mcap_log import McapLog, read_log
 
-COUNT = 40
+COUNT = 30
 
 
 @pytest.fixture
@@ -81,18 +80,6 @@ def test_messages_are_told_apart_though_the_chunk_that_names_their_topic_is_dama
     assert kept == written["joint_states"][-len(kept) :]
 
 
-@pytest.mark.parametrize("length", [2**63, 2**64 - 1, 2**40, 2**33])
-def test_an_absurd_length_is_damage_wherever_it_stands(recording, length):
-    path, whole, _ = recording
-    for place in range(0, len(whole) - 8, 11):
-        changed = bytearray(whole)
-        changed[place : place + 8] = struct.pack("<Q", length)
-        path.write_bytes(changed)
-        contents = read_log(path)
-        assert contents.damage, place
-        assert not contents.complete, place
-
-
 def test_a_file_that_lacks_its_end_is_damaged_unless_its_name_says_so(recording):
     path, whole, _ = recording
     for cut in (0, 5, len(whole) // 2, len(whole) - 1):
@@ -146,19 +133,6 @@ def test_a_message_of_a_wrong_length_is_damage_where_no_checksum_tells(tmp_path,
     assert "the chunk at byte" in contents.damage[0]
     assert not contents.complete
     assert not contents.payloads
-
-
-def test_chunks_are_read_as_the_library_reads_them(recording):
-    path, _, _ = recording
-    with path.open("rb") as file:
-        theirs = list(StreamReader(file).records)
-    with path.open("rb") as file:
-        ours = list(CheckedRecords(file, path.stat().st_size))
-    known = (Message, Schema, Channel, Attachment)
-    assert [each for each in ours if isinstance(each, known)] == [
-        each for each in theirs if isinstance(each, known)
-    ]
-    assert sum(isinstance(each, Message) for each in ours) == COUNT
 
 
 def test_a_sparse_file_is_no_recording_and_is_not_read_to_its_end(tmp_path):

@@ -8,16 +8,13 @@ from bus_schema.runtime.clock import MonotonicClock, TickGrid, VirtualClock
 
 RATES_HZ = [1.0, 3.0, 7.0, 60.0, 333.0, 1000.0, 1024.0, 9999.0]
 SUBSTEPS = [1, 3, 4, 7, 100]
+HOUR_NS = 3_600_000_000_000
 
 
 @pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_period_is_the_nearest_nanosecond(rate_hz):
-    assert abs(TickGrid(rate_hz, 1).period_ns - 1e9 / rate_hz) <= 0.5
-
-
-@pytest.mark.parametrize("rate_hz", RATES_HZ)
-def test_grid_does_not_drift_in_a_million_ticks(rate_hz):
+def test_period_is_the_nearest_nanosecond_and_does_not_drift_in_a_million_ticks(rate_hz):
     grid = TickGrid(rate_hz, 4)
+    assert abs(grid.period_ns - 1e9 / rate_hz) <= 0.5
     assert grid.tick_ns(10**6) == 10**6 * grid.period_ns
     assert grid.tick_at_or_before(grid.tick_ns(10**6)) == 10**6
     assert grid.tick_at_or_before(grid.tick_ns(10**6) - 1) == 10**6 - 1
@@ -44,12 +41,6 @@ def test_stages_hold_each_substep_once_and_in_order(substeps):
     assert len(stages[-1]) == 1  # only the last one is left to the end of the tick
 
 
-def test_physics_time_of_a_tick_is_its_period():
-    grid = TickGrid(3.0, 7)
-    assert grid.period_ns == 333_333_333
-    assert 7 * grid.substep_s == pytest.approx(0.333_333_333, rel=1e-15)
-
-
 @given(st.floats(1.0, 10_000.0), st.integers(0, 10**15))
 def test_tick_at_or_before_is_the_last_tick_that_has_begun(rate_hz, instant_ns):
     grid = TickGrid(rate_hz, 1)
@@ -70,35 +61,14 @@ def test_what_is_near_is_waited_for_awake_and_what_is_not_asleep(monkeypatch):
     assert sum(slept_s) > 0.0
 
 
-def test_virtual_clock_moves_only_when_waited_for_and_never_back():
-    clock = VirtualClock()
-    assert clock.now_ns() == 0
-    assert clock.wait_until(5) == 0
-    assert clock.now_ns() == 5
-    assert clock.wait_until(3) == 0
-    assert clock.now_ns() == 5
-
-
 @given(st.lists(st.integers(0, 10**12)))
-def test_virtual_clock_is_at_the_latest_instant_waited_for(instants):
+def test_virtual_clock_is_at_the_latest_instant_waited_for_and_starts_at_zero(instants):
     clock = VirtualClock()
-    assert all(clock.wait_until(instant) == 0 for instant in instants)
-    assert clock.now_ns() == max(instants, default=0)
-
-
-def test_start_sets_virtual_time_to_zero():
-    clock = VirtualClock()
-    clock.wait_until(5)
+    for number, instant in enumerate(instants, start=1):
+        assert clock.wait_until(instant) == 0
+        assert clock.now_ns() == max(instants[:number])
     clock.start()
     assert clock.now_ns() == 0
-
-
-def test_monotonic_time_counts_from_the_start_of_the_run():
-    clock = MonotonicClock()
-    clock.wait_until(1_000_000)
-    before_ns = time.monotonic_ns()
-    clock.start()
-    assert 0 <= clock.now_ns() <= time.monotonic_ns() - before_ns
 
 
 def test_monotonic_clock_never_returns_early_and_tells_its_lateness():
@@ -113,12 +83,12 @@ def test_monotonic_clock_never_returns_early_and_tells_its_lateness():
 def test_start_goes_back_to_the_anchor_and_time_goes_on_until_then():
     clock = MonotonicClock()
     clock.wait_until(1_000_000)
-    clock.anchor(400)
+    clock.anchor(HOUR_NS)
     assert clock.now_ns() >= 1_000_000
     anchored_ns = time.monotonic_ns()
     clock.start()
     started_ns = time.monotonic_ns()
-    assert clock.now_ns() >= started_ns - anchored_ns + 400
+    assert clock.now_ns() >= started_ns - anchored_ns + HOUR_NS
     virtual = VirtualClock()
     virtual.wait_until(5)
     virtual.anchor(3)

@@ -42,9 +42,3 @@ def test_each_process_gets_a_cpu_of_its_own_and_the_third_none() -> None:
         first.wait()
         with claimant() as (_, got_fourth):
             assert got_fourth == "70001"
-
-
-def test_whoever_gets_none_is_told_why() -> None:
-    setting = own_cpu.none_is_free([1, 0])
-    assert not setting.granted
-    assert "CPUs 0, 1 has a real-time loop of another run" in setting.detail

@@ -87,18 +87,6 @@ def test_grants_tell_what_is_in_force() -> None:
     assert result["frozen"] > 0
 
 
-def test_a_thread_started_later_runs_under_the_same_scheduler() -> None:
-    result = in_child("""
-        grants = realtime.go_realtime()
-        seen = []
-        thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
-        thread.start()
-        thread.join()
-        report(grants, thread=seen[0])
-    """)
-    assert result["thread"] == result["scheduler"]
-
-
 def test_who_forgoes_preemption_does_so_in_all_threads_to_come() -> None:
     result = in_child("""
         realtime.use_batch_scheduling()
@@ -174,32 +162,6 @@ def test_cpus_sleep_lightly_while_the_grant_lasts_and_no_longer() -> None:
     assert detail == "left within 0 µs" if granted else "cpu_dma_latency" in detail
 
 
-def test_light_sleep_is_refused_with_what_would_allow_it() -> None:
-    script = """
-        realtime._IDLE_LATENCY_DEVICE = Path({!r})
-        become_nobody(1 << 30)
-        report(realtime.go_realtime())
-    """
-    absent = in_child(script.format("/dev/no_such_device"))
-    granted, detail = absent["grants"][realtime.IDLE_STATES]
-    assert not granted
-    assert "is not there" in detail
-    if os.getuid() == 0:
-        refused = in_child(script.format("/dev/cpu_dma_latency"))
-        granted, detail = refused["grants"][realtime.IDLE_STATES]
-        assert not granted
-        assert "cpu_dma_latency" in detail
-
-
-def test_stolen_time_is_the_kernels_own_figure() -> None:
-    def of_kernel_ms() -> float:
-        ticks = int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8])
-        return 1e3 * ticks / os.sysconf("SC_CLK_TCK")
-
-    before_ms = of_kernel_ms()
-    assert before_ms <= realtime.stolen_ms() <= of_kernel_ms()
-
-
 def test_memory_is_not_locked_where_locking_would_exhaust_it() -> None:
     result = in_child("""
         realtime._kib = lambda _, key: 0 if key in ("MemAvailable", "VmRSS") else 1
@@ -247,11 +209,3 @@ def test_probe_foretells_what_go_realtime_is_granted() -> None:
     """)
     granted = {name: value for name, (value, _) in result["grants"].items()}
     assert result["foretold"] == granted
-
-
-def test_probe_reports_that_it_could_not_try(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "executable", "/nonexistent/python")
-    grants = realtime.probe()
-    assert grants
-    assert not any(grant.granted for grant in grants)
-    assert all("/nonexistent/python" in grant.detail for grant in grants)

@@ -13,8 +13,7 @@ from bus_schema.robot_description import RobotDescription, load_robot
 from controller.manipulator_model import ManipulatorModel
 from tests.arms import PYBULLET_DATA, needs_pybullet_data
 
-TAKEN = ("ant", "pusher", "reacher", "striker", "thrower",
-         "swimmer", "inverted_pendulum", "inverted_double_pendulum")  # fmt: skip
+TAKEN = ("ant", "pusher", "striker", "inverted_double_pendulum")
 
 ARM = """
 <mujoco model="arm">
@@ -178,31 +177,20 @@ def test_meshes_that_do_not_weigh_are_dropped(tmp_path: Path, text: str, inertia
     [
         (BODY.format('<joint name="j" type="ball"/>'), "joint j must be hinge or slide"),
         (BODY.format("<freejoint/>"), "body b has a free joint"),
-        ('<compiler coordinate="global"/><worldbody/>', "MuJoCo: global coordinates no longer"),
         ("<equality><weld name='w'/></equality>", "<weld name='w'>: must be left out"),
-        ("<tendon><fixed name='t'/></tendon>", "<fixed name='t'>: must be left out"),
-        ("<extension><plugin plugin='p'/></extension>", "<plugin plugin='p'>: must be left out"),
         ('<include file="x"/><worldbody/>', "<include file='x'> is not understood"),
-        (BODY.format('<surface file="x"/>'), "<surface file='x'> is not understood"),
         ("", "has no revolute or continuous joint"),
-        (BODY.format('<joint name="j" axis="0 0 0"/>'),
-         "MuJoCo: axis too small in joint: <joint name='j' axis='0 0 0'>"),
-        (BODY.format('<joint class="x"/>'), "unknown default class name 'x': <joint class='x'>"),
         (BODY.format('<joint pos="0 nan 0"/>'), "pos of <joint pos='0 nan 0'> is no finite number"),
         (BODY.format(HINGE + '<geom mass="-NaN(7)"/>'), "mass of <geom mass='-NaN(7)'> is no"),
         (BODY.format('<joint name="j" range="1"/>'),
          "MuJoCo: attribute 'range' does not have enough data: <joint name='j' range='1'>"),
-        (BODY.format("<jiont/>"), "unrecognized element: <jiont>"),
         ('<worldbody><body name="b"><joint/><geom size="1e200"/></body></worldbody>',
          "mass='inf' of link b is no finite number"),
         (BODY.format(HINGE + MESH), "body b has the inertia of a mesh: give it an <inertial>"),
         (FROM_GEOMS + BODY.format(HINGE + OWN + MESH), "body b has the inertia of a mesh"),
-        (BODY.format(HINGE + '<geom type="box" mesh="m"/>'), "body b has the inertia of a mesh"),
         ("<worldbody>" + "<body>" * 90000 + "</body>" * 90000 + "</worldbody>",
          "must not be nested deeper than 200 elements"),
         ("<worldbody>" + "<body/>" * 90000 + "</worldbody>", "90002 elements: at most 5000"),
-        (BODY.format(HINGE) + "<actuator><motor joint='k'/></actuator>",
-         "unknown transmission target 'k' for actuator id = 0: <motor joint='k'>"),
         (BODY.format(HINGE) + "<actuator><adhesion name='a' body='b' ctrlrange='0 1'/></actuator>",
          "actuator 'a' must drive a joint"),
         (BODY.format(HINGE + '<joint name="k" type="slide"/>'),

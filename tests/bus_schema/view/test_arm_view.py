@@ -88,34 +88,6 @@ def test_links_are_where_pinocchio_has_them(path: str | Path) -> None:
             np.testing.assert_allclose(pose, data.oMf[frame].homogeneous, atol=1e-12)
 
 
-def test_links_are_where_pybullet_has_them(tmp_path: Path) -> None:
-    pybullet = pytest.importorskip("pybullet")
-    robot = arm("deploy/robots/panda.urdf")
-    file = tmp_path / "arm.urdf"
-    file.write_text(robot.resolved_urdf(shapes="none"))
-    client = pybullet.connect(pybullet.DIRECT)
-    body = pybullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client)
-    infos = [
-        pybullet.getJointInfo(body, joint, physicsClientId=client)
-        for joint in range(pybullet.getNumJoints(body, physicsClientId=client))
-    ]
-    position = np.linspace(-1.0, 1.0, robot.joints)
-    for joint, info in enumerate(infos):
-        if info[1].decode() in robot.joint_names:
-            value = position[robot.joint_names.index(info[1].decode())]
-            pybullet.resetJointState(body, joint, value, physicsClientId=client)
-    found = chained(robot, position)
-    for joint, info in enumerate(infos):
-        state = pybullet.getLinkState(
-            body, joint, computeForwardKinematics=True, physicsClientId=client
-        )
-        pose = found[info[12].decode()]
-        np.testing.assert_allclose(pose[:3, 3], state[4], atol=1e-6)
-        turn = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
-        np.testing.assert_allclose(pose[:3, :3], turn, atol=1e-6)
-    pybullet.disconnect(client)
-
-
 def test_types_and_qos_are_those_of_ros() -> None:
     for topic in VIEW_TOPICS:
         assert type_hash(topic.type_name) == ROS.hash_rihs01(topic.type_name)

@@ -11,17 +11,27 @@ from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import Role, Topic
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
 from bus_schema.zenoh.node import ZenohNode
-from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, state, status
+from tests.bus_schema.zenoh.zenoh_pair import (
+    HANG_S,
+    await_true,
+    controller_on,
+    fresh_link,
+    plant_on,
+    state,
+    status,
+)
 
-CAPACITY = 10_000
+MOST_BYTES = 1 << 24
+ENDED = {role: RunEvent(0, role, EventKind.ENDED, "").encode() for role in Role}
 
 
 class Ear:
     """A recorder's: numbers and payloads of what it took, by topic."""
 
     def __init__(self, link: LinkConfiguration) -> None:
+        self.link = link
         self.node = ZenohNode(link, Role.RECORDER, lossless=True)
-        self.mailbox = self.node.listen_to_all(CAPACITY, lossless=True)
+        self.mailbox = self.node.listen_to_all(MOST_BYTES, lossless=True)
         self.node.announce()
         self.heard: dict[str, list[tuple[int, bytes]]] = {topic.name: [] for topic in topics.TOPICS}
 
@@ -53,6 +63,19 @@ def ear_on(link: LinkConfiguration, *loops: ZenohNode) -> Iterator[Ear]:
         ear.node.close()
 
 
+@contextmanager
+def recorded_pair() -> Iterator[tuple[ZenohPlantLink, ZenohControllerLink, Ear]]:
+    """Both loops of a link, the controller in command, and a recorder that they know of."""
+    link = fresh_link()
+    with (
+        plant_on(link) as plant,
+        controller_on(link) as controller,
+        ear_on(link, plant, controller) as ear,
+    ):
+        controller.activate()
+        yield plant, controller, ear
+
+
 def exchange(
     plant: ZenohPlantLink, controller: ZenohControllerLink, ticks: range
 ) -> dict[str, list[tuple[int, bytes]]]:
@@ -66,7 +89,7 @@ def exchange(
         plant.publish(topics.PLANT_TRUTH, b"truth %d" % tick)
         controller.publish(topics.CONTROL_STATUS, b"control %d" % tick)
     for link, role in ((plant, Role.PLANT), (controller, Role.CONTROLLER)):
-        link.publish(topics.RUN_EVENTS, RunEvent(0, role, EventKind.ENDED, "").encode())
+        link.publish(topics.RUN_EVENTS, ENDED[role])
     numbered = [(tick + 1, tick) for tick in ticks]
     return {
         "joint_states": [(number, state(tick)) for number, tick in numbered],

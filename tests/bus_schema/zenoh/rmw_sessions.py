@@ -1,16 +1,14 @@
 """Sessions as rmw_zenoh opens them by default: its router, and its nodes, which are peers.
 
 The settings are those of its ``DEFAULT_RMW_ZENOH_{ROUTER,SESSION}_CONFIG.json5`` that differ from
-Zenoh's own. Another file can be tried: ``RMW_ZENOH_CONFIG`` names a folder that has both.
+Zenoh's own.
 """
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -52,7 +50,7 @@ _NODE = {
 @contextmanager
 def rmw_router(endpoint: str) -> Iterator[zenoh.Session]:
     """What ``ros2 run rmw_zenoh_cpp rmw_zenohd`` starts, at an endpoint of its own."""
-    with zenoh.open(_configuration("ROUTER", _ROUTER, {"listen/endpoints": [endpoint]})) as session:
+    with zenoh.open(_configuration({**_ROUTER, "listen/endpoints": [endpoint]})) as session:
         yield session
 
 
@@ -60,22 +58,12 @@ def rmw_router(endpoint: str) -> Iterator[zenoh.Session]:
 def rmw_node(router_endpoint: str) -> Iterator[zenoh.Session]:
     """A ROS 2 node's session."""
     endpoints = {"connect/endpoints": [router_endpoint], "listen/endpoints": ["tcp/localhost:0"]}
-    with zenoh.open(_configuration("SESSION", _NODE, endpoints)) as session:
+    with zenoh.open(_configuration({**_NODE, **endpoints})) as session:
         yield session
 
 
-def _configuration(
-    kind: str, settings: dict[str, Any], endpoints: dict[str, list[str]]
-) -> zenoh.Config:
-    folder = os.environ.get("RMW_ZENOH_CONFIG")
-    if folder is not None:
-        configuration = zenoh.Config.from_file(
-            str(Path(folder) / f"DEFAULT_RMW_ZENOH_{kind}_CONFIG.json5")
-        )
-    else:
-        configuration = zenoh.Config()
-        for path, value in settings.items():
-            configuration.insert_json5(path, json.dumps(value))
-    for path, value in endpoints.items():
+def _configuration(settings: dict[str, Any]) -> zenoh.Config:
+    configuration = zenoh.Config()
+    for path, value in settings.items():
         configuration.insert_json5(path, json.dumps(value))
     return configuration

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from bus_schema.link.configuration import LinkConfiguration, SecurityConfiguration
-from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
-from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh import diagnosis as silence
 from bus_schema.zenoh.diagnosis import SilenceWatch, explain_silence
-from bus_schema.zenoh.link import ZenohPlantLink
-from deploy.processes.network.free_ports import free_ports
-from deploy.processes.network.keys import create_authority, issue
+from deploy.run.network.links import free_ports
+from tests.bus_schema.zenoh.zenoh_pair import plant_on
+from tests.security import issued_keys
 
 PATIENT_S = 60.0
 
@@ -33,102 +29,63 @@ def make_link(port: int, folder: Path | None = None) -> LinkConfiguration:
     return LinkConfiguration(security=security, plant_endpoint=f"tcp/127.0.0.1:{port}")
 
 
-@contextmanager
-def plant_at(link: LinkConfiguration) -> Iterator[None]:
-    plant = ZenohPlantLink(link, MonotonicClock(), lockstep=True)
-    try:
-        yield
-    finally:
-        plant.close()
-
-
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     """Keys; keys of another authority; keys for another host."""
-    paths = tuple(
-        tmp_path_factory.mktemp("keys") / name for name in ("ours", "others", "elsewhere")
-    )
-    for path, host in zip(paths, ("127.0.0.1", "127.0.0.1", "192.0.2.1"), strict=True):
-        keys = KeyFolder.at(path)
-        create_authority(keys, 1.0)
-        for role in Role:
-            issue(keys, role, [host], 1.0)
-    return paths[0], paths[1], paths[2]
+    folder = tmp_path_factory.mktemp("keys")
+    ours, others = issued_keys(folder / "ours"), issued_keys(folder / "others")
+    return ours.path, others.path, issued_keys(folder / "elsewhere", host="192.0.2.1").path
 
 
-def test_nobody_there(folders: tuple[Path, Path, Path]) -> None:
-    for folder in (None, folders[0]):
-        said = explain_silence(make_link(free_ports(1)[0], folder), Role.CONTROLLER, Role.PLANT)
-        assert "no plant yet after 2 s" in said
-        assert "nobody can be reached there (Connection refused)" in said
+OURS, OTHER_AUTHORITY, OTHER_HOST, PLAINTEXT = 0, 1, 2, None
 
 
-def test_plaintext_where_tls_is_spoken(folders: tuple[Path, Path, Path]) -> None:
-    port = free_ports(1)[0]
-    with plant_at(make_link(port, folders[0])):
-        said = explain_silence(make_link(port), Role.CONTROLLER, Role.PLANT)
-    assert "link.security (off here)" in said
-
-
-def test_tls_where_plaintext_is_spoken(
-    folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(silence, "_PROBE_S", 0.2)
-    port = free_ports(1)[0]
-    with plant_at(make_link(port)):
-        said = explain_silence(make_link(port, folders[0]), Role.CONTROLLER, Role.PLANT)
-    assert "does not speak TLS" in said
-    assert "is link.security on there too?" in said
+@pytest.mark.parametrize("keys", [PLAINTEXT, OURS], ids=["plaintext", "tls"])
+def test_nobody_there(folders: tuple[Path, Path, Path], keys: int | None) -> None:
+    link = make_link(free_ports(1)[0], None if keys is None else folders[keys])
+    said = explain_silence(link, Role.CONTROLLER, Role.PLANT)
+    assert "no plant yet after 2 s" in said
+    assert "nobody can be reached there (Connection refused)" in said
 
 
 @pytest.mark.parametrize(
-    ("theirs", "ours", "finding"),
+    ("theirs", "ours", "patience_s", "finding"),
     [
-        (0, 1, "unable to get local issuer certificate"),
-        (2, 2, "IP address mismatch"),
+        (OURS, PLAINTEXT, PATIENT_S, "link.security (off here)"),
+        (PLAINTEXT, OURS, 0.2, "does not speak TLS"),
+        (OURS, OTHER_AUTHORITY, PATIENT_S, "unable to get local issuer certificate"),
+        (OTHER_HOST, OTHER_HOST, PATIENT_S, "IP address mismatch"),
+        (OURS, OURS, 1.0, "is it still starting?"),  # so long no refusal comes
     ],
-    ids=["another authority", "another host"],
+    ids=["tls there", "plaintext there", "another authority", "another host", "nothing wrong"],
 )
-def test_certificate_of_the_other_side_is_not_accepted(
-    folders: tuple[Path, Path, Path], theirs: int, ours: int, finding: str
-) -> None:
+def test_what_keeps_the_two_apart_is_named(
+    folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch,
+    theirs: int | None, ours: int | None, patience_s: float, finding: str,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(silence, "_PROBE_S", patience_s)
     port = free_ports(1)[0]
-    with plant_at(make_link(port, folders[theirs])):
-        said = explain_silence(make_link(port, folders[ours]), Role.CONTROLLER, Role.PLANT)
-    assert "certificate is not accepted" in said
-    assert finding in said
+    with plant_on(make_link(port, None if theirs is None else folders[theirs])):
+        link = make_link(port, None if ours is None else folders[ours])
+        assert finding in explain_silence(link, Role.CONTROLLER, Role.PLANT)
 
 
 def test_other_side_does_not_accept_ours(folders: tuple[Path, Path, Path], tmp_path: Path) -> None:
-    keys = KeyFolder.at(tmp_path)
     for name in ("controller.crt", "controller.key"):
-        (tmp_path / name).write_bytes((folders[1] / name).read_bytes())
-    keys.authority.write_bytes((folders[0] / "authority.crt").read_bytes())
+        (tmp_path / name).write_bytes((folders[OTHER_AUTHORITY] / name).read_bytes())
+    (tmp_path / "authority.crt").write_bytes((folders[OURS] / "authority.crt").read_bytes())
     port = free_ports(1)[0]
-    with plant_at(make_link(port, folders[0])):
+    with plant_on(make_link(port, folders[OURS])):
         said = explain_silence(make_link(port, tmp_path), Role.CONTROLLER, Role.PLANT)
     assert "it refuses our certificate for the role controller" in said
 
 
 def test_wrong_role_at_the_endpoint(folders: tuple[Path, Path, Path]) -> None:
-    port = free_ports(1)[0]
-    with plant_at(make_link(port, folders[0])):
-        link = LinkConfiguration(
-            security=SecurityConfiguration(enabled=True, folder=str(folders[0])),
-            controller_endpoint=f"tcp/127.0.0.1:{port}",
-        )
-        said = explain_silence(link, Role.RECORDER, Role.CONTROLLER)
+    link = make_link(free_ports(1)[0], folders[OURS])
+    with plant_on(link):
+        swapped = link.model_copy(update={"controller_endpoint": link.plant_endpoint})
+        said = explain_silence(swapped, Role.RECORDER, Role.CONTROLLER)
     assert "the certificate there is for the role 'plant'" in said
-
-
-def test_nothing_wrong_to_be_found(
-    folders: tuple[Path, Path, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(silence, "_PROBE_S", 3.0)  # so long no refusal comes
-    port = free_ports(1)[0]
-    with plant_at(make_link(port, folders[0])):
-        said = explain_silence(make_link(port, folders[0]), Role.CONTROLLER, Role.PLANT)
-    assert "is it still starting?" in said
 
 
 @pytest.mark.parametrize("secured", [False, True])

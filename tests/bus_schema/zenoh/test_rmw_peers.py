@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
@@ -15,10 +14,8 @@ import zenoh.ext
 from rosbags.typesys import Stores, get_typestore
 
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
 from bus_schema.messages.topics import (
-    JOINT_COMMANDS,
     JOINT_STATES,
     PLANT_TRUTH,
     ROBOT_DESCRIPTION,
@@ -32,7 +29,7 @@ from bus_schema.messages.types import STRING, TF_MESSAGE
 from bus_schema.recording.mcap_log import read_log
 from bus_schema.zenoh.link import ZenohPlantLink
 from bus_schema.zenoh.ros_graph import Attachment
-from deploy.processes.recorder import Recorder
+from deploy.run.processes.recorder import Recorder
 from deploy.scenario.scenario import load_setup
 from tests.bus_schema.zenoh.rmw_sessions import rmw_node, rmw_router
 from tests.bus_schema.zenoh.zenoh_pair import (
@@ -108,36 +105,6 @@ def test_node_sees_the_graph_and_hears_every_topic_without_a_gap(
     assert heard == list(range(heard[0], heard[-1] + 1))
     for declared in (*hears, watch):
         declared.undeclare()
-
-
-def test_node_commands_the_plant(plant: ZenohPlantLink, node: zenoh.Session) -> None:
-    states: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    command = Record(layout(JOINT_COMMANDS, JOINTS))
-    publisher = node.declare_publisher(JOINT_COMMANDS.key_expression(0))
-    subscriber = node.declare_subscriber(
-        JOINT_STATES.key_expression(0), lambda sample: states.put(sample.payload.to_bytes())
-    )
-
-    def reaches() -> bool:
-        publisher.put(command.payload())
-        return plant.await_command(0.01)
-
-    await_true(reaches)
-    plant.take_commands()
-    while not states.empty():
-        states.get()
-
-    for tick in range(1, 51):
-        command.stamp_ns = tick
-        plant.send_state(state(tick), status())
-        assert states.get(timeout=HANG_S) == state(tick)
-        publisher.put(command.payload())
-        has_come = False
-        while not has_come:  # one of before may have been on its way
-            assert plant.await_command(HANG_S)
-            has_come = plant.take_commands()[-1].payload == command.payload()
-    subscriber.undeclare()
-    publisher.undeclare()
 
 
 def test_node_that_comes_late_gets_the_arm_and_sees_it_move(

@@ -17,7 +17,6 @@ from bus_schema.zenoh.ros_graph import (
     beside,
     endpoint_gid,
     endpoint_token,
-    graph_key_expression,
     node_token,
 )
 
@@ -49,11 +48,6 @@ def test_attachment_is_33_bytes_little_endian() -> None:
         "000102030405060708090a0b0c0d0e0f"
     )
     assert len(encoded) == 33
-
-
-def test_attachment_survives_the_way_there_and_back() -> None:
-    attachment = Attachment(2**62, 1_700_000_000_123_456_789, GID)
-    assert Attachment.decode(attachment.encode()) == attachment
 
 
 def test_what_follows_an_attachment_is_no_part_of_it() -> None:
@@ -88,15 +82,6 @@ def test_endpoint_tokens() -> None:
     assert endpoint_token(*node, 4, EntityKind.SUBSCRIBER, JOINT_COMMANDS) == SUBSCRIBER
 
 
-def test_key_of_joint_states() -> None:
-    expected = f"7/joint_states/sensor_msgs::msg::dds_::JointState_/{JOINT_STATE_HASH}"
-    assert JOINT_STATES.key_expression(7) == expected
-
-
-def test_key_expression_of_a_domain_covers_its_tokens() -> None:
-    assert graph_key_expression(7) == "@ros2_lv/7/**"
-
-
 @pytest.mark.parametrize(
     ("token", "entity"),
     [
@@ -116,12 +101,6 @@ def test_tokens_are_read_back(token: str, entity: Entity) -> None:
 )
 def test_other_keys_are_no_tokens(token: str) -> None:
     assert Entity.from_token(token) is None
-
-
-def test_ids_of_endpoints_are_16_bytes_and_differ() -> None:
-    assert len(endpoint_gid(PUBLISHER)) == 16
-    assert endpoint_gid(PUBLISHER) == endpoint_gid(PUBLISHER)
-    assert endpoint_gid(PUBLISHER) != endpoint_gid(SUBSCRIBER)
 
 
 def test_id_of_an_endpoint_is_the_one_that_rmw_zenoh_gives_it() -> None:

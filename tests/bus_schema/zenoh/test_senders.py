@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
-from bus_schema.zenoh.ros_graph import Entity, EntityKind, endpoint_gid, endpoint_token
-from bus_schema.zenoh.senders import Senders
+from bus_schema.zenoh.ros_graph import Entity, EntityKind, Senders, endpoint_gid, endpoint_token
 
 ANY_ID = b"made at random.."
 

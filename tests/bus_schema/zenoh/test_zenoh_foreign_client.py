@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.messages.topics import JOINT_STATES
 from bus_schema.zenoh.link import ZenohPlantLink
 from plant_emulator.command_gate import CommandGate
 from tests.bus_schema.zenoh.zenoh_pair import (
@@ -130,12 +129,6 @@ def foreign(link: LinkConfiguration) -> Iterator[tuple[ZenohPlantLink, Client]]:
             yield plant, client
         finally:
             client.end()
-
-
-def test_foreign_client_computes_the_same_type_hash(
-    foreign: tuple[ZenohPlantLink, Client],
-) -> None:
-    assert JOINT_STATES.key_expression(0).endswith(foreign[1].await_said("hash")["hash"])
 
 
 def test_foreign_client_reads_our_joint_states(foreign: tuple[ZenohPlantLink, Client]) -> None:

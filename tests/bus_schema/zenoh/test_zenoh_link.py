@@ -5,34 +5,37 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import pytest
 
-from bus_schema.errors import PeerSilentError
+from bus_schema.errors import PeerSilentError, ScenarioMismatchError
+from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.messages.layout import Record
-from bus_schema.messages.run_event import COMMANDS_RECEIVED
+from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
 from bus_schema.messages.topics import (
     CONTROL_STATUS,
     JOINT_COMMANDS,
-    JOINT_REFERENCE,
     JOINT_STATES,
+    PLANT_TRUTH,
+    RUN_EVENTS,
     Role,
     layout,
 )
-from bus_schema.runtime.clock import MonotonicClock
-from bus_schema.zenoh import arrivals
+from bus_schema.runtime.clock import MonotonicClock, VirtualClock
+from bus_schema.zenoh import arrivals, outbox
 from bus_schema.zenoh import link as zenoh_link
-from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
-from bus_schema.zenoh.node import ZenohNode
-from bus_schema.zenoh.session import Inbox, ZenohSession
-from plant_emulator.command_gate import CommandGate
+from bus_schema.zenoh.access import scenario_key_expression
+from bus_schema.zenoh.link import ZenohPlantLink
+from bus_schema.zenoh.ros_graph import node_token
+from bus_schema.zenoh.session import Delivery, Inbox, ZenohSession
+from tests.bus_schema.zenoh.recorder_ear import ear_on
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     JOINTS,
     await_true,
+    commanded_pair,
     controller_on,
     fresh_link,
     plant_on,
@@ -42,12 +45,10 @@ from tests.bus_schema.zenoh.zenoh_pair import (
 )
 
 
-@pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
-def test_state_and_reply_cross_the_link_with_their_bytes(lockstep: bool) -> None:
-    link = fresh_link()
+def test_state_and_reply_cross_the_link_with_their_bytes() -> None:
     reply = layout(JOINT_COMMANDS, JOINTS).template
     heard: list[tuple[bytes, bytes | None]] = []
-    with plant_on(link, lockstep=lockstep) as plant, controller_on(link) as controller:
+    with commanded_pair(lockstep=False) as (plant, controller):
 
         def answer(payload: bytes, status: bytes | None) -> None:
             heard.append((payload, status))
@@ -55,8 +56,6 @@ def test_state_and_reply_cross_the_link_with_their_bytes(lockstep: bool) -> None
             controller.publish(CONTROL_STATUS, b"beside the point")
 
         controller.serve(answer)
-        controller.activate()
-        plant.await_controller(HANG_S)
         with spinning(controller):
             for tick in range(50):
                 plant.send_state(state(tick), status())
@@ -66,53 +65,6 @@ def test_state_and_reply_cross_the_link_with_their_bytes(lockstep: bool) -> None
                 assert arrival.sequence == tick + 1  # numbers begin with 1 and have no gaps
                 assert len(arrival.sender) == 16
     assert heard == [(state(tick), status()) for tick in range(50)]
-
-
-def test_controller_that_joins_a_run_under_way_answers_once_it_is_in_command() -> None:
-    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
-    with plant_on(link) as plant, controller_on(link) as controller:
-
-        def answer(_payload: bytes, _status: bytes | None) -> None:
-            controller.publish(JOINT_COMMANDS, reply)
-
-        controller.serve(answer)
-        await_true(lambda: plant.sees(Role.CONTROLLER))
-        for tick in range(3):
-            plant.send_state(state(tick), status())
-        plant.advertise(JOINT_REFERENCE)  # comes behind the states, on the same connection
-        await_true(lambda: controller.has_publisher(JOINT_REFERENCE))
-        controller.activate()
-        plant.await_controller(HANG_S)
-        with spinning(controller):
-            plant.send_state(state(3), status())
-            assert plant.await_command(HANG_S)
-        assert [arrival.sequence for arrival in plant.take_commands()] == [1]
-
-
-def test_state_of_a_foreign_plant_comes_without_a_status() -> None:
-    link = fresh_link()
-    heard: list[bytes | None] = []
-    with plant_on(link) as plant, controller_on(link) as controller:
-        controller.serve(lambda _, status: heard.append(status))
-        controller.activate()
-        plant.await_controller(HANG_S)
-        with spinning(controller):
-            plant.send_state(state(0), status())
-            plant.publish(JOINT_STATES, state(1))
-            plant.send_state(state(2), status())
-            await_true(lambda: len(heard) == 3)
-    assert heard == [status(), None, status()]
-
-
-def test_plant_knows_when_its_controller_has_left() -> None:
-    link = fresh_link()
-    with plant_on(link) as plant:
-        assert not plant.controller_has_left()  # nobody has come yet
-        with controller_on(link) as controller:
-            controller.activate()
-            plant.await_controller(HANG_S)
-            assert not plant.controller_has_left()
-        await_true(plant.controller_has_left)
 
 
 def test_controller_knows_of_a_plant_that_came_and_left_between_two_looks() -> None:
@@ -172,34 +124,6 @@ def test_threads_of_a_link_have_ended_once_it_is_closed(
     assert not [thread for thread in ours if thread.is_alive()]
 
 
-def test_commander_is_followed_only_once_it_has_left() -> None:
-    link = fresh_link()
-
-    def command(controller: ZenohControllerLink, plant: ZenohPlantLink, stamp_ns: int) -> Any:
-        record = Record(layout(JOINT_COMMANDS, JOINTS))
-        record.stamp_ns = stamp_ns
-        record.fields["effort"][:] = 1.0
-        controller.publish(JOINT_COMMANDS, record.payload())
-        assert plant.await_command(HANG_S)
-        (arrival,) = plant.take_commands()
-        return gate.admit(arrival, 100)
-
-    with plant_on(link) as plant:
-        gate = CommandGate(JOINTS, plant.sender_has_left)
-        with controller_on(link) as first:
-            first.activate()
-            plant.await_controller(HANG_S)
-            assert command(first, plant, 1) is not None
-        commander = gate.commander or b""
-        await_true(lambda: plant.sender_has_left(commander))
-        with controller_on(link) as again:  # the same controller, started again: a new session
-            again.activate()
-            plant.await_controller(HANG_S)
-            assert command(again, plant, 2) is not None
-            assert gate.commander not in (None, commander)
-    assert not gate.rejections.counts
-
-
 @pytest.mark.parametrize("lockstep", [True, False], ids=["lockstep", "real time"])
 def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
     lockstep: bool, monkeypatch: pytest.MonkeyPatch
@@ -220,10 +144,8 @@ def test_commands_beyond_the_largest_backlog_are_counted_and_hold_up_nothing(
 
 
 def test_commands_are_stamped_when_they_come_not_when_they_are_taken() -> None:
-    link, reply = fresh_link(), layout(JOINT_COMMANDS, JOINTS).template
-    with plant_on(link, lockstep=False) as plant, controller_on(link) as controller:
-        controller.activate()
-        plant.await_controller(HANG_S)
+    reply = layout(JOINT_COMMANDS, JOINTS).template
+    with commanded_pair(lockstep=False) as (plant, controller):
         between: list[int] = []
         for count in (1, 2):
             controller.publish(JOINT_COMMANDS, reply)
@@ -243,15 +165,11 @@ def test_wait_for_a_controller_that_does_not_come_ends_in_an_error_that_names_it
 
 
 def test_error_of_the_handler_ends_the_service_and_reaches_whoever_spins() -> None:
-    link = fresh_link()
-
     def fail(_payload: bytes, _status: bytes | None) -> None:
         raise ZeroDivisionError
 
-    with plant_on(link) as plant, controller_on(link) as controller:
+    with commanded_pair() as (plant, controller):
         controller.serve(fail)
-        controller.activate()
-        plant.await_controller(HANG_S)
         plant.send_state(state(0), status())
         with pytest.raises(ZeroDivisionError):
             controller.spin()
@@ -268,24 +186,14 @@ def tokenless_client(link: LinkConfiguration) -> Iterator[ZenohSession]:
         client.close()
 
 
-@contextmanager
-def recorder_on(link: LinkConfiguration, plant: ZenohPlantLink) -> Iterator[ZenohNode]:
-    recorder = ZenohNode(link, Role.RECORDER, lossless=True)
-    mailbox = recorder.listen_to_all(100, lossless=True)
-    recorder.announce()
-    try:
-        plant.await_recorder(HANG_S)
-        yield recorder
-    finally:
-        recorder.close()
-        del mailbox
-
-
-def test_client_without_tokens_is_the_controller_though_a_recorder_listens() -> None:
+def test_client_without_tokens_is_the_controller_though_a_recorder_listens(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     link = fresh_link()
-    with plant_on(link) as plant, recorder_on(link, plant):
+    monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 0.5)
+    with plant_on(link) as plant, ear_on(link, plant):
         with pytest.raises(PeerSilentError):
-            plant.await_controller(zenoh_link._GRACE_BESIDE_RECORDER_S + 0.5)  # nobody is there
+            plant.await_controller(1.0)  # nobody is there
         with tokenless_client(link):
             plant.await_controller(HANG_S)
         assert not plant.controller_has_left()  # it cannot be known
@@ -294,7 +202,75 @@ def test_client_without_tokens_is_the_controller_though_a_recorder_listens() -> 
 def test_command_before_the_start_is_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
     link = fresh_link()
     monkeypatch.setattr(zenoh_link, "_GRACE_BESIDE_RECORDER_S", 2 * HANG_S)
-    with plant_on(link) as plant, recorder_on(link, plant), tokenless_client(link) as client:
+    with plant_on(link) as plant, ear_on(link, plant), tokenless_client(link) as client:
         publisher = client.publisher(JOINT_COMMANDS.key_expression(0))
         await_true(lambda: publisher.put(b"hello", b"") or not plant._arrivals.is_empty())
         plant.await_controller(HANG_S)
+
+
+def test_scenario_token_alone_ends_nobody() -> None:
+    """It counts from sessions that announce more, and not where another of that role agrees."""
+    ours, theirs = Agreement({"rate_hz": "1000"}), Agreement({"rate_hz": "500"})
+
+    def token(session: str, agreement: Agreement) -> str:
+        return scenario_key_expression(0, Role.CONTROLLER, session, agreement.encode())
+
+    clock = VirtualClock()
+    with closing(ZenohPlantLink(fresh_link(), clock, lockstep=True, agreement=ours)) as plant:
+        plant._on_scenario(token("stranger", theirs), True)
+        plant.require_same_scenario(Role.CONTROLLER)
+        plant._on_token(node_token(0, "stranger", "controller"), True)
+        with pytest.raises(ScenarioMismatchError, match="rate_hz"):
+            plant.require_same_scenario(Role.CONTROLLER)
+        plant._on_scenario(token("ours", ours), True)
+        plant.require_same_scenario(Role.CONTROLLER)
+
+
+LONGER_THAN_A_BATCH_WAITS_S = 0.03
+EVENT = RunEvent(0, Role.PLANT, EventKind.STARTED, "").encode()
+
+
+@pytest.fixture
+def heard() -> list[Delivery]:
+    """Truth that a viewer has heard."""
+    return []
+
+
+@pytest.fixture
+def plant(heard: list[Delivery]) -> Iterator[ZenohPlantLink]:
+    """A plant with that viewer, to which its messages come, and of which none waits."""
+    link = fresh_link()
+    with plant_on(link) as plant:
+        viewer = ZenohSession([], [link.plant_endpoint], low_latency=False)
+        viewer.subscribe(PLANT_TRUTH.key_expression(0), heard.append)
+
+        def is_heard() -> bool:
+            plant.publish(PLANT_TRUTH, b"a try")
+            plant.publish(RUN_EVENTS, EVENT)
+            return bool(heard)
+
+        await_true(is_heard)
+        plant.publish(PLANT_TRUTH, b"the last try")
+        plant.publish(RUN_EVENTS, EVENT)
+        await_true(lambda: heard[-1].payload == b"the last try")
+        heard.clear()
+        yield plant
+        viewer.close()
+
+
+def test_ticks_far_apart_do_not_wait_for_a_whole_batch(
+    plant: ZenohPlantLink, heard: list[Delivery]
+) -> None:
+    plant.publish(PLANT_TRUTH, b"1")
+    time.sleep(LONGER_THAN_A_BATCH_WAITS_S)
+    plant.publish(PLANT_TRUTH, b"2")
+    await_true(lambda: [message.payload for message in heard] == [b"1", b"2"])
+
+
+def test_an_event_takes_along_what_waits(
+    plant: ZenohPlantLink, heard: list[Delivery], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox, "_LONGEST_WAIT_NS", 1 << 62)
+    plant.publish(PLANT_TRUTH, b"1")
+    plant.publish(RUN_EVENTS, EVENT)
+    await_true(lambda: [message.payload for message in heard] == [b"1"])

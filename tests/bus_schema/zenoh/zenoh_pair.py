@@ -12,7 +12,7 @@ from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import JOINT_STATES, PLANT_STATUS, layout
 from bus_schema.runtime.clock import MonotonicClock
 from bus_schema.zenoh.link import ZenohControllerLink, ZenohPlantLink
-from deploy.processes.network.free_ports import free_ports
+from deploy.run.network.links import free_ports
 
 HANG_S = 60.0
 JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -34,6 +34,18 @@ def controller_on(link: LinkConfiguration) -> Iterator[ZenohControllerLink]:
         yield controller
     finally:
         controller.close()
+
+
+@contextmanager
+def commanded_pair(
+    *, lockstep: bool = True
+) -> Iterator[tuple[ZenohPlantLink, ZenohControllerLink]]:
+    """Both sides of a link, the controller in command."""
+    link = fresh_link()
+    with plant_on(link, lockstep=lockstep) as plant, controller_on(link) as controller:
+        controller.activate()
+        plant.await_controller(HANG_S)
+        yield plant, controller
 
 
 @contextmanager

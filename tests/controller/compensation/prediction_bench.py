@@ -1,11 +1,8 @@
 """A delay compensation at an arm whose true motion is integrated in small steps."""
 
-from pathlib import Path
-
 import numpy as np
 
 from bus_schema.drive_feedback import no_drive_feedback
-from bus_schema.robot_description import load_robot
 from controller.compensation.arm_belief import nominal_arm
 from controller.compensation.command_timeline import CommandFeedback
 from controller.compensation.delay_compensation import DelayCompensation
@@ -14,10 +11,10 @@ from controller.control_law import Tracking
 from controller.funnel import Funnel
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
-from deploy.scenario.referenced_files import find_urdf
+from tests.arms import PAPER_ARM
 
 MS = 1_000_000
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
+ROBOT = PAPER_ARM
 MODEL = ManipulatorModel(ROBOT)
 LOADED = ManipulatorModel(ROBOT, payload_kg=1.0)
 START = np.array([0.2, -0.7, 1.1])
@@ -30,12 +27,16 @@ _STEPS = 10
 
 def compensation_of(
     *, model=False, friction=False, drive=None, limits=LIMITS, bandwidth_rad_s=60.0, least_ns=0,
-    first_ns=0,
+    first_ns=0, rotors=None,
 ):  # fmt: skip
     """A compensation for the paper's arm, which by default learns nothing but a disturbance."""
+    nominal, loaded = MODEL, LOADED
+    if rotors is not None:
+        nominal = ManipulatorModel(ROBOT, rotor_inertia_kg_m2=rotors)
+        loaded = ManipulatorModel(ROBOT, payload_kg=1.0, rotor_inertia_kg_m2=rotors)
     return DelayCompensation(
-        nominal_arm(MODEL, LOADED, limits),
-        identification(INERTIA, model=model, friction=friction),
+        nominal_arm(nominal, loaded, limits),
+        identification(INERTIA, model=model, friction=friction, rotors=rotors is not None),
         drive or no_drive_feedback(3),
         observer_bandwidth_rad_s=bandwidth_rad_s,
         least_horizon_ns=least_ns,

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from prediction_bench import FUNNEL, INERTIA, MS, START, SWING, Bench, compensation_of
+from prediction_bench import FUNNEL, INERTIA, MS, SWING, Bench, compensation_of
 
 from bus_schema.drive_feedback import critically_damped
-from controller.compensation.arm_belief import SMOOTHING_RAD_S
 from controller.compensation.command_timeline import (
     CAPACITY,
     LONGEST_HORIZON_NS,
@@ -17,9 +16,6 @@ from controller.compensation.command_timeline import (
     observe_delay,
 )
 from controller.control_law import Tracking
-from controller.funnel import Funnel
-
-WIDE = Funnel(np.full(3, 9.0), np.full(3, 9.0), np.full(3, 9.0), 1.0)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 8, 48])
@@ -55,58 +51,15 @@ def test_reference_and_funnel_are_those_of_the_instant_the_torque_acts():
     assert seen.step_s == 1e-3  # one step of memory for one state
 
 
-def test_a_held_arm_is_foreseen_at_rest_until_its_first_command_acts():
-    bench = Bench()
-    bench.run(100, 30)
-    for tick in range(31):
-        # the state of tick k is answered at k + 30, of which k ticks were in motion
-        _, position, _ = bench.predicted[tick]
-        at_rest, moving = START, bench.truth[tick + 30][0]
-        np.testing.assert_allclose(position, moving, atol=2e-5)
-        if tick < 2:
-            np.testing.assert_allclose(position, at_rest, atol=1e-4)
-    assert np.abs(bench.truth[60][0] - START).max() > 1e-3
-
-
-def test_horizon_is_known_to_be_no_shorter_than_what_was_waited_for_the_first_command():
-    bench = Bench()
-    bench.run(40, 30)
-    horizons_ms = [bench.predicted[tick][0] for tick in range(0, 40, 10)]
-    assert horizons_ms == pytest.approx([0.0, 10.0, 20.0, 30.0])
-
-
-def test_disturbance_is_learned_at_the_stated_bandwidth():
+@pytest.mark.parametrize("ticks", [18, 102])
+def test_disturbance_is_learned_at_the_stated_bandwidth(ticks):
     push = np.array([6.0, -5.0, 3.0])
     bench = Bench(missing=lambda velocity: push)
-    bench.run(2, 0)
-    bench.run(100, 0)
+    bench.run(ticks, 0)
     learned = bench.compensation.belief.disturbance_nm
     # 1 − e^(−60 t) of a constant push; the first step of motion ends at tick 1
-    np.testing.assert_allclose(learned, push * (1.0 - np.exp(-60.0 * 0.100)), rtol=0.02)
-    bench = Bench(missing=lambda velocity: push)
-    bench.run(18, 0)
-    learned = bench.compensation.belief.disturbance_nm
-    np.testing.assert_allclose(learned, push * (1.0 - np.exp(-60.0 * 0.016)), rtol=0.03)
-
-
-def test_coulomb_friction_is_told_apart_from_a_disturbance():
-    push, coulomb = np.array([6.0, -5.0, 3.0]), np.array([8.0, 6.0, 4.0])
-
-    def missing(velocity):
-        return push - coulomb * np.tanh(velocity / SMOOTHING_RAD_S)
-
-    errors = {}
-    for learn_friction in (False, True):
-        bench = Bench(missing=missing, friction=learn_friction, funnel=WIDE)
-        bench.run(2500, 40)
-        errors[learn_friction] = bench.prediction_error(range(500, 2450))
-        learned = bench.compensation.belief
-        if learn_friction:
-            np.testing.assert_allclose(learned.coulomb_nm, coulomb, rtol=0.25)
-        else:
-            assert learned.coulomb_nm.tolist() == [0.0, 0.0, 0.0]
-    # the swing reverses about every 160 ms, and half of all predictions span a flip
-    assert (errors[True] < 0.2 * errors[False]).all(), errors
+    share = 1.0 - np.exp(-60.0 * 1e-3 * (ticks - 2))
+    np.testing.assert_allclose(learned, push * share, rtol=0.03)
 
 
 def test_varying_delay_is_followed():
@@ -138,38 +91,6 @@ def test_what_the_drives_add_is_foreseen(delay):
     assert delay < 8 or unforeseen > 10.0 * position
 
 
-def test_a_target_extrapolated_to_the_horizon_is_the_state_foreseen():
-    bench = Bench(drive=critically_damped(INERTIA, 100.0))
-    bench.run(60, 20)
-    position, velocity = bench.compensation.target
-    seen = bench.compensation.predicted
-    assert seen.horizon_s == 0.020
-    np.testing.assert_allclose(position + 0.020 * velocity, seen.position, rtol=1e-14)
-    np.testing.assert_array_equal(velocity, seen.velocity)
-
-
-def test_a_drive_keeps_an_unforeseen_push_from_moving_the_arm_as_far():
-    # 30 N m for 40 ms, before any answer to it can act: ½ F/M d² without drives, and no more than
-    # F / (I ω²) with them.
-    push = np.array([0.0, 0.0, 30.0])
-    moved = {}
-    for drive in (None, critically_damped(INERTIA, 100.0)):
-        pushed, free = Bench(drive=drive), Bench(drive=drive)
-        for bench in (pushed, free):
-            bench.run(150, 40)
-        pushed.missing = lambda _: push
-        for bench in (pushed, free):
-            bench.run(40, 40)
-        moved[drive is not None] = np.abs(pushed.measured.position - free.measured.position)[2]
-    assert moved[True] < 0.25 * moved[False]
-
-
-def test_first_prediction_reaches_the_expected_round_trip_ahead():
-    bench = Bench(first_ns=20 * MS)
-    bench.run(1, 30)
-    assert bench.predicted[0][0] == 20.0
-
-
 def test_waiting_longer_than_expected_raises_the_horizon():
     bench = Bench(first_ns=20 * MS)
     bench.run(30, 30)
@@ -183,12 +104,6 @@ def test_the_first_command_in_force_replaces_what_was_expected(expected, true):
     bench.run(true + 3, true)
     assert bench.predicted[true - 1][0] == pytest.approx(max(expected, true - 1))
     assert bench.predicted[true][0] == pytest.approx(true)
-
-
-def test_play_out_is_the_least_that_is_expected():
-    bench = Bench(first_ns=5 * MS, least_ns=20 * MS)
-    bench.run(1, 20)
-    assert bench.predicted[0][0] == 20.0
 
 
 def test_lost_command_leaves_its_predecessor_in_force():
@@ -216,12 +131,6 @@ def test_plant_that_says_nothing_is_taken_to_act_after_the_least_horizon():
     bench.run(120, 20, gives_feedback=False)
     assert bench.predicted[99][0] == 20.0
     assert bench.prediction_error(range(25, 99))[0] < 3e-5
-
-
-def test_play_out_is_the_least_horizon():
-    bench = Bench(least_ns=20 * MS)
-    bench.run(60, 12)
-    assert {horizon_ms for horizon_ms, *_ in bench.predicted.values()} == {20.0}
 
 
 @pytest.mark.parametrize(
@@ -264,19 +173,6 @@ def test_no_prediction_reaches_further_than_half_a_second():
         bench.measured, 2 * hour_ns, CommandFeedback(2, hour_ns), SWING, FUNNEL
     )
     assert bench.compensation.horizon_ns == LONGEST_HORIZON_NS
-
-
-def test_reset_repeats_itself_bit_for_bit():
-    def motion():
-        bench.run(80, 10)
-        return [position.tobytes() for _, position, _ in bench.predicted.values()]
-
-    bench = Bench(friction=True)
-    first, compensation = motion(), bench.compensation
-    compensation.reset()
-    bench = Bench()
-    bench.compensation = compensation
-    assert motion() == first
 
 
 def test_timeline_forgets_only_what_is_no_longer_in_flight():

@@ -1,16 +1,13 @@
 """The neural law's gains, which follow the horizon of the compensation."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from bus_schema.robot_description import load_robot
 from controller.control_law import D_LOWER, D_UPPER, LOWER, UPPER, Tracking
 from controller.laws.fixed_time_neural import FixedTimeNeural, FixedTimeNeuralGains
-from deploy.scenario.referenced_files import find_urdf
+from tests.arms import PAPER_ARM
 
-LIMITS = load_robot(find_urdf("paper_arm", Path())).effort_limits_nm
+LIMITS = PAPER_ARM.effort_limits_nm
 PLAIN = FixedTimeNeuralGains.from_inertia(np.array([9.7, 10.0, 0.76]))._replace(node_width=0.2)
 DELAYED = PLAIN._replace(
     delayed_node_width=1.5, delayed_adaptation=0.03, delayed_k_2=0.25, half_way_s=0.024
@@ -59,23 +56,6 @@ def test_half_way_gains_are_half_way():
         adaptation_rate=np.sqrt(0.03) * PLAIN.adaptation_rate, k_2=0.625 * PLAIN.k_2,
     )  # fmt: skip
     np.testing.assert_allclose(torques(DELAYED, 0.024), torques(half_way, 0.0), rtol=1e-9)
-
-
-def test_far_beyond_half_way_they_are_those_for_delays():
-    far = PLAIN._replace(
-        node_width=1.5, adaptation_rate=0.03 * PLAIN.adaptation_rate, k_2=0.25 * PLAIN.k_2
-    )
-    # A share of 1 − 2e-9 at 150 times half way; torques of 1000 N m are so exact to 1e-5.
-    at_horizon = torques(DELAYED._replace(half_way_s=0.5 / 150), 0.5)
-    np.testing.assert_allclose(at_horizon, torques(far, 0.0), rtol=1e-6, atol=1e-5)
-
-
-@pytest.mark.parametrize("horizon_s", [0.0, 1e-4, 0.012, 0.024, 0.048, 0.3])
-def test_gains_change_smoothly_with_the_horizon(horizon_s):
-    near = torques(DELAYED, horizon_s + 1e-6) - torques(DELAYED, horizon_s)
-    whole = torques(DELAYED, 0.5) - torques(DELAYED, 0.0)
-    # h⁴ / (1 + h⁴) rises by at most 1.03 per h_½: 4e-5 in a microsecond; and a log width as much
-    assert np.abs(near).max() < 3e-4 * np.abs(whole).max()
 
 
 def test_torques_are_numbers_at_any_horizon_and_half_way_point():

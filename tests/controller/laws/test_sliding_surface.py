@@ -63,12 +63,6 @@ def test_slope_is_the_derivative_of_the_pull(share, gains):
     assert surface_pull_slope(epsilon, *gains) == pytest.approx(difference / (2 * step), rel=1e-6)
 
 
-def test_slope_at_zero_is_finite():
-    # (2 − φ₂) η^(φ₂ − 1) α₂, where the power itself has an infinite slope.
-    expected = 5.0 * (2.0 - 0.6) * 0.02 ** (0.6 - 1.0)
-    assert surface_pull_slope(0.0, 5.0, 5.0, 1.4, 0.6, 0.02) == pytest.approx(expected, rel=1e-14)
-
-
 def sliding_time(start, gains):
     """Time in which ε̇ = −ψ(ε) takes `start` to η: ∫ dε / ψ, over ln |ε| by the trapezoid rule."""
     logarithm = np.linspace(math.log(gains[-1]), math.log(abs(start)), 4001)
@@ -86,18 +80,3 @@ def test_sliding_into_eta_takes_less_than_the_fixed_time_from_anywhere(alpha, ph
     times = [sliding_time(sign * start, gains) for start in np.logspace(-3, 6, 10)]
     assert all(a < b for a, b in zip(times, times[1:], strict=False))
     assert times[-1] < bound_s
-
-
-def test_sliding_takes_three_quarters_of_the_bound_for_the_default_gains():
-    # With x = |ε|^0.4 it is ½ ∫ dx / (1 + x²): from 10^2.4 to 10^−1.6 0.771 s of a bound of 1 s.
-    expected = 0.5 * (math.atan(10**2.4) - math.atan(10**-1.6))
-    assert sliding_time(1e6, (5.0, 5.0, 1.4, 0.6, 1e-4)) == pytest.approx(expected, rel=1e-5)
-
-
-@given(start=st.floats(1e-3, 0.999), gains=GAINS)
-def test_pull_inside_eta_is_at_least_that_of_a_line(start, gains):
-    # The patch is concave: above the chord from 0 to η, so ε decays at least exponentially.
-    alpha_1, alpha_2, phi_1, phi_2, eta = gains
-    epsilon = start * eta
-    line = alpha_2 * eta ** (phi_2 - 1.0) * epsilon + alpha_1 * epsilon**phi_1
-    assert surface_pull(epsilon, *gains) >= line * (1.0 - 1e-12)

@@ -12,8 +12,8 @@ import yaml
 
 import funnel_hil
 from controller.control_law import Diagnostics
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
+from deploy.judge.metrics import summarise
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import SHIPPED, load_setup
 
 SHORT = {"duration_s": 0.2}

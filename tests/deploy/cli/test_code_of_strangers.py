@@ -56,7 +56,7 @@ def results(tmp_path_factory, funnel_hil):
     return folder
 
 
-@pytest.fixture(params=PLACES)
+@pytest.fixture(params=["law", "external", "xacro"])
 def planted(request, results, tmp_path, monkeypatch):
     """The same with foreign code in all scenarios that lie there, and where imports look."""
     folder = tmp_path / "planted"

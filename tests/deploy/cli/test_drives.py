@@ -1,18 +1,12 @@
 """`funnel-hil drives`: as a process, on a bus that any other process can join."""
 
-import re
 import signal
 import socket
-import sys
-import time
 
-import can
 import canopen
-import pytest
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.runtime.clock import MonotonicClock
-from deploy.cli import main
 from deploy.cli.drives import BusMonitor
 from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.commissioning import build_bank
@@ -37,15 +31,6 @@ def on_bus(port):
 
 def started(*options):
     return WarmProcess("drives", "paper_arm", *options)
-
-
-def refused(capsys, monkeypatch, *options):
-    """What a command says that ends with exit code 2."""
-    monkeypatch.setattr(sys, "argv", ["funnel-hil", "drives", "paper_arm", *options])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    assert caught.value.code == 2
-    return capsys.readouterr().err
 
 
 def test_a_client_in_another_process_hears_and_drives_them():
@@ -81,27 +66,6 @@ def test_a_client_in_another_process_hears_and_drives_them():
         assert words in said, words
 
 
-def test_it_names_each_identifier_it_hears_once():
-    port = free_port()
-    process = started(*on_bus(port), "--set", "link.can.protocol=cansimple")
-    give_up_s = time.monotonic() + HANG_S
-    with can.Bus(interface="udp_multicast", channel=GROUP, port=port) as bus:
-        while process.said().count("heard ") < 2 or "ESTOP" not in process.said():
-            assert process.poll() is None, process.said()
-            assert time.monotonic() < give_up_s, process.said()
-            for _ in range(2):
-                bus.send(can.Message(arbitration_id=1 << 5 | 0x02, is_extended_id=False))
-                bus.send(can.Message(arbitration_id=0x7FF, data=bytes(8), is_extended_id=False))
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        said, _ = process.communicate()
-    assert process.returncode == 0, said
-    assert len(re.findall(r"heard 022 .*axis 1 Estop", said)) == 1
-    assert len(re.findall(r"heard 7FF .*not for these drives", said)) == 1
-    assert "node 1: IDLE, ESTOP_REQUESTED" in said
-    assert re.search(r"rejected: \{'unknown_identifier': \d+\}", said)
-
-
 def test_it_ends_by_itself_after_a_fault_that_was_asked_for():
     process = started(
         *on_bus(free_port()), "--duration", "0.3", "--set", "link.can.protocol=cansimple",
@@ -111,39 +75,6 @@ def test_it_ends_by_itself_after_a_fault_that_was_asked_for():
     assert process.returncode == 0, said
     assert "over-temperature injected at node 2" in said
     assert "node 2: IDLE, MOTOR_OVER_TEMP" in said
-
-
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [
-        ("drive:9@1s", "one of the nodes 1, 2, 3"),
-        ("drive:2", "kind:node@time"),
-        ("drive:2@1", "kind:node@time"),
-        ("drive:2@-1s", "kind:node@time"),
-        ("fire:2@1s", "drive, silent, encoder-frozen, over-temperature"),
-    ],
-)
-def test_faults_that_cannot_be_are_refused(capsys, monkeypatch, fault, words):
-    said = refused(capsys, monkeypatch, *on_bus(1), "--fault", fault)
-    assert f"--fault = '{fault}'" in said
-    assert words in said
-
-
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ("link.can.interface=carrier_pigeon", "python-can knows"),
-        ("link.can.protocol=canasta", "'cia402', 'cansimple' or 'mit'"),
-        ("link.can.node_ids=[1, 1, 2]", "all different"),
-        ("link.can.node_ids=[1, 2]", "one for each of the 3 joints"),
-        ("link.can.rated_torque_nm=[1, 2]", "one for each of the 3 joints"),
-    ],
-)
-def test_buses_and_drives_that_cannot_be_are_refused(capsys, monkeypatch, setting, words):
-    bus = [] if "interface" in setting else on_bus(free_port())
-    said = refused(capsys, monkeypatch, *bus, "--set", setting)
-    assert setting.split("=")[0] in said
-    assert words in said
 
 
 class Nowhere:

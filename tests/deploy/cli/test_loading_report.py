@@ -3,7 +3,7 @@
 import threading
 
 from deploy.cli import one_run
-from deploy.processes.status import StatusMessage
+from deploy.run.processes.status import StatusMessage
 
 LONG_S = 60.0
 

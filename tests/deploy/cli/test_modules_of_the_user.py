@@ -5,13 +5,11 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from unittest.mock import patch
 
 import pytest
 
 import controller
 from bus_schema.configuration import ConfigurationError
-from controller.laws import user_modules
 from controller.laws.custom import find_law
 
 ROOT = Path(controller.__file__).resolve().parents[1]
@@ -45,32 +43,6 @@ def test_processes_that_get_our_path_find_our_packages_before_those_files(folder
     assert find_law("law_beside_them:Law")
     assert sys.path.index(str(ROOT)) < sys.path.index(str(folder))
     del sys.modules["law_beside_them"]
-
-
-def test_law_in_the_current_folder_comes_before_a_file_of_that_name_in_the_clone(
-    folder, tmp_path_factory, monkeypatch
-):
-    clone = tmp_path_factory.mktemp("clone")
-    for name in ("law_beside_them", "its_helper", "only_in_the_clone", "plant_emulator"):
-        (clone / f"{name}.py").write_text("class Law:\n    whose = 'the clone'\n")
-    (folder / "law_beside_them.py").write_text(
-        "import plant_emulator\nfrom its_helper import Law\n"
-    )
-    (folder / "its_helper.py").write_text("class Law:\n    whose = 'mine'\n")
-    (folder / "wave.py").write_text("class Law:\n    pass\n")
-    monkeypatch.setattr(user_modules, "_OUR_FOLDER", str(clone))
-    monkeypatch.setattr(sys, "path", [path for path in sys.path if Path(path or ".") != ROOT])
-    for finder in (user_modules._finder, type(user_modules._finder)()):  # of a process that gets
-        monkeypatch.setattr(user_modules, "_finder", finder)  # our path, too
-        monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
-        with patch.dict(sys.modules):
-            for name in ("plant_emulator", "wave"):
-                sys.modules.pop(name, None)
-            assert find_law("law_beside_them:Law").whose == "mine"
-            assert find_law("only_in_the_clone:Law").whose == "the clone"
-            assert Path(sys.modules["plant_emulator"].__file__).parent == clone
-            with pytest.raises(ConfigurationError, match="wave has no class Law"):
-                find_law("wave:Law")
 
 
 def test_law_in_a_file_called_like_a_package_of_ours_is_told_to_be_renamed(folder):

@@ -3,17 +3,16 @@ from __future__ import annotations
 import io
 import logging
 import re
-import threading
 
 import pytest
 from rich.console import Console
 
+from deploy.cli.commands import LogLines
 from deploy.cli.study.studies import RunCounter
 from deploy.cli.terminal import progress as progress_module
-from deploy.cli.terminal.log_lines import LogLines
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import status_handler
-from deploy.processes.status import StatusMessage
+from deploy.run.processes.status import StatusMessage
 
 
 @pytest.fixture
@@ -34,57 +33,11 @@ def test_without_a_terminal_the_last_state_is_a_plain_line(console):
     assert line.endswith(", joint [elbow]")
 
 
-def test_plain_lines_come_now_and_then(console, monkeypatch):
-    monkeypatch.setattr(progress_module, "_PLAIN_LINE_S", 0.0)
-    with CommandProgress(console, "arm", 2, "runs") as progress:
-        progress.update(1)
-        progress.update(2)
-    assert [line.split(",")[0] for line in lines(console)] == ["1 of 2 runs", "2 of 2 runs"]
-
-
-def test_while_nothing_more_is_done_there_is_one_plain_line(console, monkeypatch):
-    monkeypatch.setattr(progress_module, "_PLAIN_LINE_S", 0.0)
-    with CommandProgress(console, "arm", 20, "s") as progress:
-        for done in (0.0, 0.0, 0.0, 1.0):
-            progress.update(done)
-    assert [line.split(",")[0] for line in lines(console)] == ["0 of 20 s", "1 of 20 s"]
-
-
-def test_nothing_is_said_of_what_never_began(console):
-    with CommandProgress(console, "arm", 8, "s"):
-        pass
-    assert lines(console) == []
-
-
-def test_what_is_followed_is_asked_until_the_end(console):
-    asked, position = threading.Event(), [0.0]
-
-    def look():
-        asked.set()
-        return position[0]
-
-    with CommandProgress(console, "arm", 8, "s") as progress:
-        progress.follow(look, "arm")
-        assert asked.wait(10.0)
-        position[0] = 8.0
-    assert lines(console)[-1].startswith("8 of 8 s")
-
-
-def test_a_terminal_has_one_live_line_and_no_plain_ones():
-    console = Console(file=io.StringIO(), width=200, force_terminal=True)
-    with CommandProgress(console, "my_arm", 8, "s") as progress:
-        progress.update(2.0)
-    said = console.file.getvalue()
-    assert "my_arm" in said
-    assert "2 of 8 s" in said
-    assert not said.endswith("left\n")
-
-
 def test_runs_of_earlier_commands_are_told_apart_and_have_no_speed(console):
     with CommandProgress(console, "study", 3, "runs") as progress:
         counter = RunCounter(progress)
-        counter.done({"error": None}, 4, before=True)
-        counter.done({"error": "it broke"}, 4, before=True)
+        counter.done({"error": None}, 4, True)
+        counter.done({"error": "it broke"}, 4, True)
     assert lines(console) == ["2 of 4 runs, 2 runs were there from before, 1 failed"]
 
 
@@ -94,7 +47,7 @@ def test_the_speed_of_runs_is_that_of_all_that_this_command_did(console, monkeyp
     with CommandProgress(console, "study", 8, "runs") as progress:
         counter = RunCounter(progress)
         for now_s[0], before in ((10.0, True), (11.0, False), (12.0, True), (14.0, False)):
-            counter.done({"error": None}, 8, before=before)
+            counter.done({"error": None}, 8, before)
     assert lines(console)[-1] == "4 of 8 runs, 0.5 runs/s, 8 s left, 2 runs were there from before"
 
 
@@ -137,18 +90,6 @@ def test_at_80_columns_time_speed_error_and_misses_are_seen(monkeypatch):
     assert line == "15.25 of 20 s, 0.998 s/s, base_yaw -12.345 of 10.0 mrad, deadline misses 3"
     line = last_live_line(monkeypatch, 80, "iiwa", NUMBERED, 0.123, 12345)
     assert line == "15.25 of 20 s, 0.998 s/s, …joint_1 +0.123 of 10.0 mrad, deadline misses 12345"
-
-
-def test_with_more_room_name_time_left_and_bar_are_seen_too(monkeypatch):
-    note = "base_yaw +0.123 of 10.0 mrad, deadline misses 3"
-    far = "15.25 of 20 s, 0.998 s/s"
-    lines = {
-        width: last_live_line(monkeypatch, width, "paper_arm", NAMED, 0.123, 3)
-        for width in (90, 100, 120)
-    }
-    assert lines[90] == f"paper_arm {far}, {note}"
-    assert lines[100] == f"paper_arm {far}, 5 s left, {note}"
-    assert re.fullmatch(rf"paper_arm ━[━╸╺ ]+{re.escape(f'{far}, 5 s left, {note}')}", lines[120])
 
 
 def test_the_time_of_starting_up_says_nothing_of_the_time_left(console, monkeypatch):

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from deploy.cli import app, main
-from deploy.input_error import InputError
-from deploy.reports.figures.arm.pictures import arm_picture
+from deploy.cli.commands import app
+from deploy.scenario.effective import write_scenario
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.written import write_scenario
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.physics.engines import PhysicsEngine
-from tests.arms import INSTALLED, needs_pybullet_data
+from tests.arms import INSTALLED, PAPER_ARM, needs_pybullet_data
 
 XACRO = """<robot name="test" xmlns:xacro="http://www.ros.org/wiki/xacro">
   <xacro:property name="length" value="0.4"/>
@@ -63,15 +60,28 @@ def test_a_xacro_file_is_an_arm_like_any_other(folder):
 
 
 @pytest.mark.parametrize("before", ["", '<?xml version="1.0"?>\n', "\n<!-- an arm: of mine -->\n"])
-@pytest.mark.parametrize("command", ["simulate", "sweep"])
-def test_an_arm_where_yaml_is_expected_is_told_where_it_goes(folder, funnel_hil, command, before):
+def test_an_arm_where_yaml_is_expected_is_told_where_it_goes(folder, funnel_hil, before):
     arm = folder / "arm.urdf"
     arm.write_text(before + XACRO)
-    code, said = funnel_hil(command, arm)
+    code, said = funnel_hil("sweep", arm)
     assert code == 2
     assert f"{arm}: must be a mapping of keys to values in YAML, and is XML: " in said
     assert "goes under robot.urdf of a scenario; " in said
     assert said.endswith(f"funnel-hil robot {arm} shows it\n")
+
+
+def test_an_arm_is_a_scenario_and_can_be_written_as_one(folder, funnel_hil, monkeypatch):
+    monkeypatch.chdir(folder)
+    code, said = funnel_hil("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
+    assert code == 0, said
+    assert "funnel-hil margin mine.yaml" in said
+    of_file, of_arm = (load_setup(str(each)) for each in ("mine.yaml", PAPER_ARM.path))
+    assert of_file.gains.k_1.tolist() == of_arm.gains.k_1.tolist()
+    rotors = of_file.scenario.plant.actuator.rotor_inertia_kg_m2
+    np.testing.assert_allclose(rotors, 0.008 * PAPER_ARM.effort_limits_nm, rtol=1e-3)
+    code, said = funnel_hil("robot", PAPER_ARM.path, "--scenario", "--out", "mine.yaml")
+    assert code == 2
+    assert "mine.yaml: cannot be written: File exists; --out names another" in said
 
 
 def test_what_xacro_refuses_is_told_by_file(folder):
@@ -90,16 +100,9 @@ def test_robot_shows_joints_gains_funnel_and_what_is_held(tmp_path):
     result = CliRunner().invoke(app, arguments, env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     for text in ("7 driven joints", "7 panda_joint7", "12 N m", "panda_finger_joint1", "held",
-                 "finger", "Gains of fixed_time_neural", "k_1", "closes to 0.01"):  # fmt: skip
+                 "finger", "Gains of fixed_time_adaptive", "k_1", "closes to 0.01"):  # fmt: skip
         assert text in result.output
     assert "bullet" not in INSTALLED or picture.read_bytes().startswith(b"\x89PNG")
-
-
-def test_picture_without_bullet_says_what_to_install(monkeypatch):
-    robot = load_setup("paper_arm").robot
-    monkeypatch.setattr(PhysicsEngine, "is_installed", False)
-    with pytest.raises(InputError, match="--picture: Bullet draws it and is not installed: pip"):
-        arm_picture(robot, np.zeros(3))
 
 
 @needs_pybullet_data
@@ -113,17 +116,6 @@ def test_robot_shows_followers_slides_and_warnings():
         assert result.exit_code == 0, result.output
         for text in texts:
             assert text in result.output
-
-
-@pytest.mark.parametrize(
-    "name", ["nowhere.urdf", pytest.param("pybullet_data:cube.urdf", marks=needs_pybullet_data)]
-)
-def test_robot_refuses_with_exit_code_2(name, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["funnel-hil", "robot", name])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 2
-    assert name.split(":")[-1] in capsys.readouterr().err
 
 
 def test_missing_limits_are_said_loudly_unless_the_scenario_has_them(folder):
@@ -140,11 +132,9 @@ def test_missing_limits_are_said_loudly_unless_the_scenario_has_them(folder):
     assert "UNLIMITED" not in quiet.stderr
 
 
-@pytest.mark.parametrize(
-    ("mesh", "content"), [("a.dae", "<COLLADA/>"), ("a.obj", "v 0 0 0\nv 1 0 0\nf 1 2 999999999\n")]
-)
-def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil, mesh, content):
-    (tmp_path / mesh).write_text(content)
+def test_a_mesh_that_crashes_bullet_costs_the_picture_alone(tmp_path, funnel_hil):
+    mesh = "a.dae"
+    (tmp_path / mesh).write_text("<COLLADA/>")
     shape = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
     arm = XACRO.replace("{effort}", "5")
     links = LINKS.partition("<xacro:macro")[2].rpartition("</robot>")[0]

@@ -30,10 +30,7 @@ SWEEP = "{name: two, scenario: arm.yaml, grid: {controller.model_scale: [1.0, 1.
 TOLD = "no effort limit in the URDF for shoulder: torques are UNLIMITED there"
 COMMANDS = {
     "simulate": ["simulate", "arm.yaml"],
-    "compare": ["compare", "arm.yaml", "--laws", "smc,pid"],
     "sweep": ["sweep", "sweep.yaml", "--workers", 1],
-    "margin": ["margin", "arm.yaml", "--laws", "smc,pid", "--limit", 8, "--resolution", 8,
-               "--workers", 1],
 }  # fmt: skip
 
 

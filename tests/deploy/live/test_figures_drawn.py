@@ -5,9 +5,8 @@ import asyncio
 import pytest
 from browser import CHROMIUM, opened
 
-from deploy.reports.figures import style
-from deploy.reports.figures.studies import many_runs
-from deploy.reports.page import Panel, write_page
+from deploy.reports.figures import study_figures, style
+from deploy.reports.page import Page, Panel, write_page
 from deploy.reports.verdict import ReportHead
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
@@ -22,10 +21,12 @@ SPANS = {"narrow": [24.0, 31.0], "decade": [3.0, 45.0], "wide": [1e-4, 100.0]}
 
 def curve(span):
     points = [
-        many_runs.Point(x, {"worst_rms_rad": {"mean": y, "lowest": y, "highest": y}}, "")
+        study_figures.Point(x, {"worst_rms_rad": {"mean": y, "lowest": y, "highest": y}}, "")
         for x, y in enumerate(1e-3 * value for value in span)
     ]
-    return many_runs.curves([many_runs.Curve("smc", 0, 0, points)], "delay", many_runs.WORST_RMS)
+    return study_figures.curves(
+        [study_figures.Curve("smc", 0, 0, points)], "delay", study_figures.WORST_RMS
+    )
 
 
 def rows(span):
@@ -42,10 +43,8 @@ def test_every_logarithmic_axis_has_ticks_enough_to_be_read_and_none_in_another(
     panels = [Panel("drawn", name, name, lambda _, kind=kind, span=span: kind(span), "")
               for name, (kind, span) in draws.items()]  # fmt: skip
     path = tmp_path / "report.html"
-    write_page(
-        path, "diff.html", panels, None, title="ticks", verdict=ReportHead("good", "drawn", []),
-        facts=[], conditions={}, run_tables=[], joint_tables=[], timing_tables=[],
-    )  # fmt: skip
+    verdict = ReportHead("good", "drawn", [])
+    write_page(path, Page("drawing", "ticks", verdict, [], panels, None, {}))
     shown = {}
 
     async def look():

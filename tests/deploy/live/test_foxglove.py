@@ -10,7 +10,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tornado.httpclient import HTTPClientError
 from tornado.websocket import websocket_connect
-from watched import payloads, playback, short_run, snapshots
+from watched import payloads, playback, short_run
 
 from bus_schema.messages import topics
 from deploy.live.foxglove_layout import foxglove_layout
@@ -204,9 +204,3 @@ def test_the_layout_names_what_is_there():
 
 def panels_in(node):
     return [node] if isinstance(node, str) else panels_in(node["first"]) + panels_in(node["second"])
-
-
-def test_a_snapshot_holds_one_message_of_a_topic():
-    for snapshot in snapshots(short_run()):
-        names = [m.topic.name for m in snapshot.messages if m.topic is not topics.RUN_EVENTS]
-        assert len(names) == len(set(names))

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
-from deploy.processes.live.feed import FeedReceiver, LiveFeed
-from deploy.processes.live.snapshot import Message, Sampler, Snapshot
+from deploy.run.live.feed import FeedReceiver, LiveFeed
+from deploy.run.live.snapshot import Message, Sampler, Snapshot
 
 NAMES = ("base_yaw", "shoulder", "elbow")
 STATES, TRUTH, EVENTS = topics.JOINT_STATES, topics.PLANT_TRUTH, topics.RUN_EVENTS
@@ -27,7 +27,7 @@ def truth(stamp_ns, *, met):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr("deploy.processes.live.feed._folder", lambda: tmp_path / "s")
+    monkeypatch.setattr("deploy.run.live.feed._folder", lambda: tmp_path / "s")
     return tmp_path / "s"
 
 
@@ -104,7 +104,7 @@ def test_a_viewer_that_takes_nothing_holds_nobody_up(feed, receiver):
 def test_a_viewer_knows_when_the_recorder_has_left_and_finds_another_one(
     feed, receiver, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("deploy.processes.live.feed._ASK_EVERY_S", 0.0)
+    monkeypatch.setattr("deploy.run.live.feed._ASK_EVERY_S", 0.0)
     receiver.receive(0.01)
     assert (receiver.scenario, receiver.is_over) == (None, False)
     meet(feed, receiver)

@@ -10,8 +10,8 @@ from functools import cache
 from urllib.parse import urlsplit
 
 from deploy.live.playback import Playback
-from deploy.processes.live.snapshot import Snapshot
-from deploy.runs.simulate import Simulation, simulate
+from deploy.run.live.snapshot import Snapshot
+from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
 from tests.warm_process import HANG_S
 

@@ -8,8 +8,7 @@ import plotly.graph_objects as go
 import plotly.io as pio
 import pytest
 
-from deploy.reports.figure_json import figure_json
-from deploy.reports.figures.template import template, without_template
+from deploy.reports.figure_json import figure_json, template, without_template
 
 
 def keys_of(table, before=()):
@@ -71,7 +70,7 @@ def test_a_figure_has_no_template_where_plotly_names_its_default_otherwise(monke
 
     templates = pio.templates
     renamed = SimpleNamespace(templates=Renamed())
-    monkeypatch.setattr("deploy.reports.figures.template.pio", renamed)
+    monkeypatch.setattr("deploy.reports.figure_json.pio", renamed)
     figure = without_template(lambda height: go.Figure(layout={"height": height}), 300)
     assert figure.to_plotly_json() == {"data": [], "layout": {"height": 300}}
     assert templates.default == "plotly"

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
+from deploy.judge.metrics import summarise
 from deploy.reports.figures import learned
-from deploy.reports.run_report import write_report
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
+from deploy.reports.run_reports import write_report
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 ON = "controller.delay_compensation.enabled=true"
-FIGURES = ("inertia", "payload", "lag", "coulomb", "viscous")
+KEYS = {"inertia": "inertia_factor", "payload": "payload_kg", "lag": "lag_ms",
+        "coulomb": "coulomb_nm", "viscous": "viscous_nm_s"}  # fmt: skip
 
 
 def run_of(*overrides):
@@ -25,7 +26,7 @@ def run():
 
 
 def drawn(run, name):
-    return getattr(learned, f"learned_{name}")(run)
+    return learned.learned_over_time(run, KEYS[name])
 
 
 @pytest.mark.parametrize("name", ["inertia", "payload", "lag"])
@@ -63,7 +64,7 @@ def test_page_has_the_section_only_where_something_was_learned(run, tmp_path):
     write_report(run, summarise(run), path)
     page = path.read_text()
     assert "<h2>What was learned</h2>" in page
-    assert all(f'id="learned-{name}"' in page for name in (*FIGURES, "values"))
+    assert all(f'id="learned-{name}"' in page for name in (*KEYS, "values"))
     assert "Coulomb friction (N m), elbow" in page
     without = run_of("duration_s=0.1")
     write_report(without, summarise(without), path)
@@ -72,7 +73,7 @@ def test_page_has_the_section_only_where_something_was_learned(run, tmp_path):
 
 def test_what_was_not_to_be_learned_is_not_drawn():
     run = run_of(ON, "duration_s=0.1", "controller.delay_compensation.identify_model=false")
-    assert [name for name in FIGURES if drawn(run, name) is not None] == ["coulomb"]
+    assert [name for name in KEYS if drawn(run, name) is not None] == ["coulomb"]
     assert len(learned.learned_values(run).rows) == 3
     run = run_of(ON, "duration_s=0.1", "controller.delay_compensation.learn_friction=false")
-    assert [name for name in FIGURES if drawn(run, name) is None] == ["coulomb"]
+    assert [name for name in KEYS if drawn(run, name) is None] == ["coulomb"]

@@ -15,18 +15,18 @@ from plotly.offline import get_plotlyjs
 
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.comparison.comparison import Comparison, LawRun
-from deploy.reports import plotly_library
+from deploy.judge.metrics import summarise
+from deploy.judge.run_data import build_run_data
 from deploy.reports.figure_json import figure_json
-from deploy.reports.figures.arm.end_effector import tip_path
-from deploy.reports.figures.arm.motion import arm_motion
-from deploy.reports.run_report import PANELS, write_report
-from deploy.reports.studies.compare_report import write_comparison_report
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.new_folder import new_folder
-from deploy.runs.run_data import build_run_data
-from deploy.runs.simulate import simulate
+from deploy.reports.figures.space import arm_motion, tip_path
+from deploy.reports.page import LIBRARY_FILE, library_address, share_library
+from deploy.reports.run_panels import RUN_PANELS
+from deploy.reports.run_reports import write_comparison_report, write_report
+from deploy.run.execute import JudgedRun
+from deploy.run.new_folder import new_folder
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
+from deploy.study.comparison.comparison import ComparedRuns
 
 MOST_BYTES = 5_000_000
 
@@ -91,7 +91,7 @@ def test_the_space_stands_still_and_holds_the_arm_wherever_it_goes(run):
 @pytest.mark.parametrize("scenario", ["paper_arm", "panda"])
 def test_the_whole_space_around_arm_and_path_is_in_the_picture(scenario):
     short = simulate(load_setup(scenario, ["duration_s=0.2"])).data()
-    for figure in (arm_motion(short).figure, tip_path(short)):
+    for figure in (arm_motion(short).figure, tip_path(ComparedRuns([JudgedRun("law", short, {})]))):
         scene = figure.layout.scene
         ranges = np.array([scene[f"{name}axis"].range for name in "xyz"])
         points = np.hstack([[trace.x, trace.y, trace.z] for trace in figure.data]).T
@@ -121,7 +121,7 @@ def test_a_run_without_data_has_no_arm_that_moves(run):
 
 def test_figures_over_time_share_an_instant_and_others_do_not(page):
     drawn = re.findall(r'data-plot="([\w-]+)-plot"( data-time="")?>', page)
-    over_time = {panel.id for panel in PANELS if panel.is_over_time}
+    over_time = {panel.id for panel in RUN_PANELS if panel.is_over_time}
     assert {name for name, marked in drawn if marked} == over_time & {name for name, _ in drawn}
     assert {"timeline", "error-in-funnel", "torques", "tip-error"} <= over_time
     assert not {"tip-path", "arm-motion", "timing-percentiles"} & over_time
@@ -144,30 +144,30 @@ def test_a_report_alone_has_the_library_inside_and_is_small(page):
 
 
 def test_a_comparison_shares_the_library_with_the_reports_of_its_laws(run, tmp_path):
-    comparison = Comparison([LawRun("fixed_time_neural", run, summarise(run))], [])
+    comparison = ComparedRuns([JudgedRun("fixed_time_neural", run, summarise(run))], [])
     folder = new_folder("x", tmp_path / "study")
     law = folder / "fixed_time_neural"
     law.mkdir()
     write_comparison_report(comparison, folder / "report.html", {})
     write_report(run, summarise(run), law / "report.html")
-    assert (folder / plotly_library.FILE).read_text(encoding="utf-8") == get_plotlyjs()
+    assert (folder / LIBRARY_FILE).read_text(encoding="utf-8") == get_plotlyjs()
     for file, address in ((folder, "plotly.min.js"), (law, "../plotly.min.js")):
         text = (file / "report.html").read_text(encoding="utf-8")
         assert re.findall(r'<script src="([^"]*)"', text) == [address]
         assert 'id="library"' not in text
         assert len(text.encode()) < MOST_BYTES
-    assert not (law / plotly_library.FILE).exists()
+    assert not (law / LIBRARY_FILE).exists()
     new_folder("x", folder, overwrite=True)
-    assert not (folder / plotly_library.FILE).exists()
+    assert not (folder / LIBRARY_FILE).exists()
 
 
 def test_a_shared_library_of_another_version_is_not_taken_for_ours(tmp_path):
     report = tmp_path / "run" / "report.html"
     report.parent.mkdir()
-    (tmp_path / plotly_library.FILE).write_text("/* older */")
-    assert plotly_library.address(report) == ""
-    plotly_library.share(tmp_path)
-    assert plotly_library.address(report) == "../plotly.min.js"
+    (tmp_path / LIBRARY_FILE).write_text("/* older */")
+    assert library_address(report) == ""
+    share_library(tmp_path)
+    assert library_address(report) == "../plotly.min.js"
 
 
 def test_numbers_of_figures_are_packed_with_what_can_be_seen():

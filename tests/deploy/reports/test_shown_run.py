@@ -10,11 +10,11 @@ from rich.console import Console
 
 from bus_schema.messages import topics
 from deploy.cli.terminal.show_run import show_summary
+from deploy.judge.conditions import conditions_of_recording
+from deploy.judge.metrics import summarise
+from deploy.judge.run_data import RunData
 from deploy.reports.run_tables import health_table
-from deploy.runs.conditions import conditions_of_recording
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.run_data import RunData
-from deploy.runs.simulate import simulate
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 GRANTED = {"granted": True, "detail": "in force"}

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from deploy.cli.study.studies import show_study
-from deploy.reports.studies.study_report import write_study_report
+from deploy.reports.study_report import write_study_report
 
 HOSTILE = "</script><script>alert(1)</script>"
 

@@ -10,7 +10,7 @@ from bus_schema.errors import RobotDescriptionError
 from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.robot_description import load_robot
 from deploy.cli.robot import at_rest
-from deploy.runs.simulate import simulate
+from deploy.run.simulate import simulate
 from deploy.scenario.yaml_files import ScenarioError
 from tests.arms import PYBULLET_DATA, needs_pybullet_data
 

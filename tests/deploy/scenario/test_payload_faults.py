@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.reports.figures.network import unknown_dynamics_nm
-from deploy.runs.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.yaml_files import ScenarioError
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.faults.arm_faults import payload_steps
 from plant_emulator.physics.engines import engine_name
@@ -62,27 +59,3 @@ def test_what_is_carried_over_a_run():
         [f"faults=[{{{DROP}, at_s: 3}}, {{{PICK_UP}, at_s: 1}}, {{{PICK_UP}, at_s: 2}}]"],
     ).scenario.faults
     assert payload_steps(0.5, faults) == [(0.0, 0.5), (1.0, 2.0), (2.0, 3.5), (3.0, 0.0)]
-
-
-def test_true_dynamics_are_those_of_what_is_carried():
-    overrides = ["duration_s=0.2", f"faults=[{{{PICK_UP}, at_s: 0.1}}]"]
-    run = simulate(load_setup("paper_arm", overrides)).data()
-    _, torques_nm = unknown_dynamics_nm(run, 1000)
-    shoulder = torques_nm[:, 1]
-    late = np.abs(np.diff(shoulder))[50:]  # friction leaps when the brakes let go
-    assert np.argmax(late) == 49
-    assert late[49] > 5.0 * np.delete(late, 49).max()
-
-
-@pytest.mark.parametrize(
-    ("faults", "told"),
-    [
-        (f"{{{DROP}, at_s: 1}}, {{{PICK_UP}, at_s: 2}}", "plant.payload_kg must be above 0"),
-        ("{kind: payload_picked_up, at_s: 1}", "payload_picked_up.payload_kg: is missing"),
-        ("{kind: payload_picked_up, payload_kg: 0, at_s: 1}", "payload_kg = 0: must be greater"),
-        (f"{{{PICK_UP}, at_s: 1, for_s: 1}}", "for_s"),
-    ],
-)
-def test_payload_that_makes_no_sense_is_refused(faults, told):
-    with pytest.raises(ScenarioError, match=told):
-        load_setup("paper_arm", [f"faults=[{faults}]"])

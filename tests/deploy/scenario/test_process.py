@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from deploy.cli.common import parse_laws
-from deploy.runs.simulate import attempt
+from deploy.run.execute import InProcess, execute
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
@@ -65,5 +65,5 @@ def test_what_cannot_be_is_refused(overrides: list[str], message: str) -> None:
 
 
 def test_a_simulation_has_no_process() -> None:
-    simulation = attempt(load(PROCESS, "duration_s=0.1"))
-    assert "controller.law = 'process'" in str(simulation.data().faults())
+    run = execute(load(PROCESS, "duration_s=0.1"), InProcess())
+    assert "controller.law = 'process'" in str(run.data.faults())

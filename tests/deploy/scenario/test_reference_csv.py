@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from deploy.cli import app
-from deploy.runs.run_folder import load_run
-from deploy.runs.simulate import simulate
-from deploy.scenario.agreement import agreement_of
-from deploy.scenario.oddities import oddities
+from deploy.cli.commands import app
+from deploy.run.run_folder import load_run
+from deploy.run.simulate import simulate
+from deploy.scenario.effective import agreement_of
 from deploy.scenario.scenario import load_setup
+from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError
-from funnel_hil import Scenario
 
 SHORT = ["duration_s=0.3", "metrics.from_s=0"]
 
@@ -40,22 +37,6 @@ def test_what_was_exported_gives_the_same_run_to_the_bit(name: str, tmp_path: Pa
     own = simulate(load_setup(name, SHORT))
     read = simulate(load_setup(name, [*SHORT, from_file(path)]))
     assert read.data().digest == own.data().digest
-
-
-def test_positions_alone_every_10_ms_give_nearly_the_same_tracking(tmp_path: Path) -> None:
-    with exported(tmp_path).open() as file:
-        rows = list(csv.DictReader(file))[::10]
-    kept = [name for name in rows[0] if name == "time_s" or name.endswith(".position_rad")]
-    path = tmp_path / "coarse.csv"
-    with path.open("w") as out:
-        writer = csv.DictWriter(out, kept, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(rows)
-    own = simulate(load_setup("paper_arm", SHORT)).data()
-    read = simulate(load_setup("paper_arm", [*SHORT, from_file(path)])).data()
-    # The spline errs by less than 1 µrad here; the joints are to be where they were to 10 µrad.
-    errors = own.true_errors_rad, read.true_errors_rad
-    np.testing.assert_allclose(errors[1], errors[0], atol=1e-5)
 
 
 def test_a_run_needs_its_file_no_more(tmp_path: Path) -> None:
@@ -94,13 +75,6 @@ def test_a_path_starts_at_the_scenario_or_at_the_current_folder(
         load_setup("paper_arm", [*SHORT, from_file("mine.csv")])
 
 
-def test_python_takes_it_as_a_section(tmp_path: Path) -> None:
-    path = exported(tmp_path)
-    given = Scenario("paper_arm", {"duration_s": 0.3, "reference": {"kind": "csv", "file": path}})
-    (tmp_path / "copy.yaml").write_text(given.to_yaml())
-    assert Scenario(tmp_path / "copy.yaml").setup.scenario.reference.file == str(path)
-
-
 def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> None:
     path = exported(tmp_path)
     longer = ["duration_s=0.4", "metrics.from_s=0"]
@@ -108,7 +82,7 @@ def test_a_run_beyond_the_file_is_refused_unless_it_is_held(tmp_path: Path) -> N
         load_setup("paper_arm", [*longer, from_file(path)])
     assert "duration_s = 0.4: must be within the 0 to 0.3 s of reference.file" in str(refused.value)
     held = load_setup("paper_arm", [*longer, from_file(path, beyond="hold")])
-    assert any("is held at rest there" in said for said in oddities(held))
+    assert any("is held at rest there" in said for said in scenario_warnings(held))
     late = tmp_path / "late.csv"
     lines = path.read_text().splitlines()
     late.write_text("\n".join([lines[0], *lines[100:]]))
@@ -131,15 +105,14 @@ def test_hosts_agree_on_what_the_file_holds(tmp_path: Path) -> None:
     assert differences(path.read_text().replace("\n0.0,", "\n-0.001,")) == ["reference.file"]
 
 
-@pytest.mark.parametrize("command", ["run", "simulate", "compare", "margin"])
-def test_a_bad_file_ends_a_command_before_anything_starts(command: str, tmp_path: Path) -> None:
+def test_a_bad_file_ends_a_command_before_anything_starts(tmp_path: Path) -> None:
     path = exported(tmp_path)
     lines = path.read_text().splitlines()
     cells = lines[7].split(",")
     cells[4] = "NaN"
     path.write_text("\n".join([*lines[:7], ",".join(cells), *lines[8:]]))
     words = [word for change in (*SHORT, from_file(path)) for word in ("--set", change)]
-    result = CliRunner().invoke(app, [command, "paper_arm", *words, "--out", str(tmp_path / "o")])
+    result = CliRunner().invoke(app, ["run", "paper_arm", *words, "--out", str(tmp_path / "o")])
     assert isinstance(result.exception, ScenarioError)
     said = str(result.exception)
     assert "ref.csv" in said

@@ -9,7 +9,7 @@ import pytest
 
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
-from deploy.runs.simulate import simulate
+from deploy.run.simulate import simulate
 from deploy.scenario import referenced_files, scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError

@@ -6,10 +6,10 @@ import random
 import threading
 from pathlib import Path
 
-from deploy.study.conduct import carry_out
 from deploy.study.folder import StudyFolder
-from deploy.study.margins.margin import Margin
-from deploy.study.study import execute
+from deploy.study.margin import Margin
+from deploy.study.runner import carry_out
+from deploy.study.study import row_of
 from deploy.study.sweep import Sweep
 
 TIED = "link.uplink.delay_ms, link.downlink.delay_ms"
@@ -20,7 +20,7 @@ class Here:
 
     count = 2
 
-    def __init__(self, do=execute, seed=0, at_most=None):
+    def __init__(self, do=row_of, seed=0, at_most=None):
         self._do, self._waiting, self._random = do, [], random.Random(seed)
         self.submitted, self.stop, self._at_most = [], threading.Event(), at_most
 
@@ -33,11 +33,6 @@ class Here:
         if self._at_most is not None and len(self.submitted) - len(self._waiting) >= self._at_most:
             self.stop.set()
         return run, self._do(run)
-
-
-class Silent:
-    def done(self, *_, **__):
-        pass
 
 
 def made_up(run, **values):
@@ -67,7 +62,7 @@ def folder_of(study, path):
 
 def conduct(study, path, workers):
     folder = folder_of(study, path)
-    whole = carry_out(study, workers, folder, Silent(), workers.stop)
+    whole = carry_out(study, workers, folder, workers.stop)
     folder.put_together()
     return whole, folder
 

@@ -17,11 +17,11 @@ from distributed.security import Security
 from pyarrow import parquet
 
 from bus_schema.runtime import compiled
-from deploy.study.conduct import carry_out
 from deploy.study.dask_workers import DaskWorkers
 from deploy.study.folder import StudyFolder
+from deploy.study.runner import carry_out
 from deploy.study.sweep import load_sweep
-from tests.deploy.study.studies import Here, Silent
+from tests.deploy.study.studies import Here
 from tests.warm_process import ROOT, WarmProcess
 
 DEADLY_LAW = """
@@ -169,7 +169,7 @@ def done_here(definition, folder):
     sweep = load_sweep(str(definition))
     folder.mkdir()
     table, workers = StudyFolder(folder, sweep), Here()
-    carry_out(sweep, workers, table, Silent(), workers.stop)
+    carry_out(sweep, workers, table, workers.stop)
     table.put_together()
     return table_of(table.rows_file)
 

@@ -8,19 +8,19 @@ import pytest
 from pyarrow import parquet
 
 import funnel_hil as interface
-from deploy.reports.studies.conclude import conclude_study
-from deploy.runs.conditions import host_of, provenance_of
-from deploy.runs.run_folder import grown_from
-from deploy.runs.run_rows import read_rows
+from deploy.judge.conditions import host_of, provenance_of
+from deploy.judge.run_rows import read_rows
+from deploy.reports.results import write_study_results
+from deploy.run.run_folder import grown_from
+from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
-from deploy.study.conduct import carry_out
 from deploy.study.folder import StudyFolder, create_folder, find_folder
 from deploy.study.robustness import margin_study
+from deploy.study.runner import carry_out
 from tests.deploy.study.studies import (
     NOISE,
     TIED,
     Here,
-    Silent,
     limits,
     made_up,
     make_sweep,
@@ -32,13 +32,11 @@ KEY = "controller.model_scale"
 
 def conclude(study, path, workers):
     """Carry a study out, on, or make it grow, as the commands do; its rows and summary."""
-    folder = StudyFolder(find_folder(study, path) or create_folder(study, path), study)
-    folder.lock()
-    with folder:
+    path = find_folder(study, path) or create_folder(study, path)
+    with StudyFolder(path, study).lock() as folder:
         folder.become()
-        carry_out(study, workers, folder, Silent(), workers.stop)
-        folder.flush()
-        summary = conclude_study(study, folder)
+        carry_out(study, workers, folder, workers.stop)
+        summary = write_study_results(study, folder)
     summary.pop("conditions")
     return read_rows(folder.rows_file), summary
 
@@ -82,30 +80,55 @@ def test_a_sweep_grows_by_points_and_seeds(small, large, tmp_path):
     assert 0 < len(more) < len(at_once)
 
 
+TRIED = {
+    "laws": ["smc", "pid", "tsmc"],
+    "compensation": [False, True],
+    "drive_feedback": [True, False],
+    "running": [False, True],
+    "scenarios": ["paper_arm", "tiny_delay"],
+    "seeds": [3, 2, 1],
+    "offsets": [1.0, -0.5, 0.5],
+    "values": [2.0, 4.0, 8.0],
+}
+"""What studies of cases try one after another."""
+
+
 @pytest.mark.parametrize(
-    ("small", "large"),
-    [
-        ({"laws": ["smc"]}, {"laws": ["pid", "smc"]}),
-        ({"seeds": 1}, {"seeds": [2, 1]}),
-        # The second start loses where the first held: probes of before are wanted no more.
-        ({"offsets": [1.0]}, {"offsets": [-0.5, 1.0]}),
-    ],
-)
-def test_a_search_for_margins_grows_by_laws_seeds_and_starts(small, large, tmp_path):
+    ("plants", "key"),
+    [(plants, key) for plants, not_of_it in ((None, "values"), (2, "offsets"))
+     for key in TRIED if key != not_of_it],
+)  # fmt: skip
+@pytest.mark.parametrize("is_prepended", [False, True], ids=["appended", "prepended"])
+def test_a_study_of_cases_grows_in_every_direction(key, is_prepended, plants, tmp_path):
+    (tmp_path / "tiny_delay.yaml").write_text(
+        "{extends: paper_arm, name: tiny_delay, seed: 5, plant: {payload_kg: 0.5}}"
+    )
+    scenarios = {"paper_arm": "paper_arm", "tiny_delay": str(tmp_path / "tiny_delay.yaml")}
+
+    def study(values):
+        values = [scenarios.get(each, each) for each in values]
+        drawn = {"plant.encoder.resolution_rad": {"distribution": "choice", "values": [0.0, 1e-6]}}
+        of_plants = {"plants": plants, "values": [4.0], "uncertainty": drawn}
+        of_search = {"limit": 8, "offsets": [1.0]}
+        given = {"scenarios": ["paper_arm"], "laws": ["smc"], "seeds": [1], "set": NOISE}
+        given |= of_plants if plants else of_search
+        return margin_study({**given, key: values}, tmp_path / "m.yaml")
+
+    whole = TRIED[key]
+    part = whole[1:] if is_prepended else whole[:1]
     more, at_once = assert_grown_as_at_once(
-        lambda: margin_of(**small), lambda: margin_of(**large), tmp_path, limits
+        lambda: study(part), lambda: study(whole), tmp_path, made_up
     )
     assert 0 < len(more) < len(at_once)
 
 
-def test_a_share_of_plants_grows_by_plants_values_and_laws(tmp_path):
-    def study(**values):
+def test_a_share_of_plants_grows_by_plants(tmp_path):
+    def study(plants):
         given = {
             "scenarios": ["paper_arm"], "laws": ["smc"], "seeds": [1], "values": [4],
-            "plants": 2, "set": NOISE, **values,
+            "plants": plants, "set": NOISE,
             "uncertainty": {
                 "plant.payload_kg": {"distribution": "uniform", "from": 0, "to": 1},
-                "plant.encoder.resolution_rad": {"distribution": "choice", "values": [0.0, 1e-6]},
             },
         }  # fmt: skip
         return margin_study(given, tmp_path / "m.yaml")
@@ -113,10 +136,16 @@ def test_a_share_of_plants_grows_by_plants_values_and_laws(tmp_path):
     def do(run):
         return made_up(run, violation_fraction=run.columns["plant.payload_kg"] / 10)
 
-    more, at_once = assert_grown_as_at_once(
-        study, lambda: study(laws=["pid", "smc"], values=[2, 4], plants=3), tmp_path, do
-    )
+    more, at_once = assert_grown_as_at_once(lambda: study(2), lambda: study(3), tmp_path, do)
     assert len(at_once) - len(more) == 2
+
+
+def test_a_search_grows_where_a_new_start_takes_it_another_way(tmp_path):
+    # The second start loses where the first held: probes of before are wanted no more.
+    more, at_once = assert_grown_as_at_once(
+        lambda: margin_of(offsets=[1.0]), lambda: margin_of(offsets=[-0.5, 1.0]), tmp_path, limits
+    )
+    assert 0 < len(more) < len(at_once)
 
 
 def test_growing_that_is_interrupted_goes_on(tmp_path):
@@ -177,9 +206,17 @@ def test_another_kind_of_study_or_a_changed_scenario_is_refused(tmp_path):
     own = tmp_path / "own.yaml"
     own.write_text("extends: paper_arm\nname: own\n")
     path = create_folder(make_sweep(tmp_path, {TIED: [0]}, scenario=str(own)), tmp_path / "o")
-    own.write_text("extends: paper_arm\nname: own\nduration_s: 3\n")
-    with pytest.raises(ScenarioError, match="scenario own: has changed"):
-        find_folder(make_sweep(tmp_path, {TIED: [0, 1]}, scenario=str(own)), path)
+    for changed in ("name: own\nduration_s: 3", "name: other"):
+        own.write_text(f"extends: paper_arm\n{changed}\n")
+        with pytest.raises(ScenarioError, match="scenario own: has changed"):
+            find_folder(make_sweep(tmp_path, {TIED: [0, 1]}, scenario=str(own)), path)
+
+
+def test_scenarios_of_one_name_are_refused_as_rows_tell_them_by_it(tmp_path):
+    for name in "ab":
+        (tmp_path / f"{name}.yaml").write_text("extends: paper_arm\nname: same\n")
+    with pytest.raises(ScenarioError, match=r"a\.yaml and .*b\.yaml are both called 'same'"):
+        margin_of(scenarios=[str(tmp_path / f"{name}.yaml") for name in "ab"])
 
 
 def test_real_runs_from_the_command_and_from_python(tmp_path, funnel_hil):
@@ -233,3 +270,51 @@ def test_conditions_of_a_grown_study_are_not_the_last_calls_alone(tmp_path):
     conclude(make_sweep(tmp_path, {KEY: [1.0]}, seeds=2), path, Here(made_up))
     summary = json.loads((path / "summary.json").read_text())
     assert summary["conditions"]["version"].startswith("funnel-hil 0.0.9, then funnel-hil ")
+
+
+def test_a_changed_file_that_a_grid_names_is_noticed(tmp_path):
+    own = find_urdf("paper_arm", tmp_path).read_text(encoding="utf-8")
+    for name in "ab":
+        (tmp_path / f"{name}.urdf").write_text(own, encoding="utf-8")
+    files = [str(tmp_path / f"{name}.urdf") for name in "ab"]
+
+    def study(*names):
+        return make_sweep(tmp_path, {"robot.urdf": list(names)})
+
+    path = create_folder(study(files[0]), tmp_path / "s")
+    assert find_folder(study(*files), path) == path
+    (tmp_path / "b.urdf").write_text(own.replace("0.0", "0.00", 1), encoding="utf-8")
+    assert find_folder(study(*files), path) == path  # which it did not have yet
+    path = create_folder(study(*files), tmp_path / "both")
+    assert find_folder(study(*files), path) == path
+    (tmp_path / "b.urdf").write_text(own.replace("0.0", "0.000", 1), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"file .*b\.urdf: has changed"):
+        find_folder(study(*files), path)
+
+
+def test_an_axis_does_not_grow_by_values_of_another_type(tmp_path):
+    axis = "robot.initial_offset_rad"
+    path = create_folder(make_sweep(tmp_path, {axis: [0, 0.1]}), tmp_path / "s")
+    assert find_folder(make_sweep(tmp_path, {axis: [0, 0.1, 0.2]}), path) == path
+    with pytest.raises(ScenarioError, match=rf"grid\.{axis} = .*: must all be numbers"):
+        find_folder(make_sweep(tmp_path, {axis: [0, 0.1, [0.1, 0.1, 0.1]]}), path)
+
+
+def test_a_report_of_a_study_whose_scenario_has_changed_says_what_was_run(tmp_path, funnel_hil):
+    scenario, out = tmp_path / "own.yaml", tmp_path / "s"
+    scenario.write_text("{extends: paper_arm, name: own, duration_s: 0.1, metrics: {from_s: 0}}")
+    (tmp_path / "s.yaml").write_text("{name: s, scenario: own.yaml, grid: {controller.law: [pid]}}")
+    assert funnel_hil("sweep", tmp_path / "s.yaml", "--workers", "1", "--out", out)[0] == 0
+    before = [(out / name).read_bytes() for name in ("summary.json", "sweep.parquet")]
+    (out / "report.html").unlink()
+    scenario.write_text("{extends: iiwa, name: other, duration_s: 3}")
+    code, said = funnel_hil("report", out)
+    assert code == 0, said
+    assert "scenario own: has changed" in said
+    assert [(out / name).read_bytes() for name in ("summary.json", "sweep.parquet")] == before
+    assert "other" not in said
+    assert "0.1 s" in (out / "report.html").read_text(encoding="utf-8")
+    (out / "summary.json").unlink()
+    code, said = funnel_hil("report", out)
+    assert code == 2
+    assert "scenario own: has changed" in said

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.study.margins.margin_search import MarginSearch
+from deploy.study.margin import MarginSearch
 
 
 def found(holds, first=2, limit=256):

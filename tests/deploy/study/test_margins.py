@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 
 from controller.laws import LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
-from deploy.reports.studies.study_report import write_study_report
-from deploy.reports.studies.study_tables import margins_by_law
+from deploy.reports.study_report import write_study_report
+from deploy.reports.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
-from deploy.study.conduct import retrace
 from deploy.study.folder import create_folder
-from deploy.study.margins.margin import MarginDefinition
+from deploy.study.margin import MarginDefinition
+from deploy.study.runner import retrace
 from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
 
@@ -90,6 +91,59 @@ def test_a_run_that_fails_does_not_hold(tmp_path):
     broken = Here(lambda run: made_up(run, error="it broke" if run.columns["value"] > 2 else None))
     _, folder = conduct(margin, tmp_path / "out", broken)
     assert margin.summary(folder.rows)["cases"][0]["margin"] == 2.0
+
+
+LAW = """\
+import numpy as np
+from pathlib import Path
+from controller.control_law import Diagnostics
+
+RUNS = Path({runs!r})
+
+
+class Unlucky:
+    def __init__(self, model):
+        self.diagnostics, self.none, self.has_begun = Diagnostics(3), np.zeros(3), False
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        if not self.has_begun:
+            self.has_begun = True
+            RUNS.write_text(RUNS.read_text() + "x")
+            if len(RUNS.read_text()) == {fails}:
+                raise MemoryError
+        return self.none
+"""
+
+
+@pytest.mark.parametrize("fails", [1, 3])
+def test_a_run_that_fails_by_accident_leaves_the_margin_open(
+    funnel_hil, tmp_path, monkeypatch, fails
+):
+    (runs := tmp_path / "runs.txt").write_text("")
+    (tmp_path / "unlucky.py").write_text(LAW.format(runs=str(runs), fails=fails))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "unlucky", raising=False)
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    words = ["margin", "--laws", "unlucky:Unlucky", "--limit", "2", "--resolution", "1"]
+    words += ["--seeds", "1", "--offsets", "0.1", "--set", "duration_s=0.02"]
+    words += ["--set", "metrics.from_s=0", "--workers", "1", "--out", out]
+    code, output = funnel_hil(*words)
+    assert code == 1
+    assert "goes on from here" in output
+    assert "1 of" in output
+    assert "MemoryError" in output
+    (case,) = json.loads((out / "summary.json").read_text())["cases"]
+    assert (case["completed"], case["first_failure"]) == (False, None)
+    assert case["probes"][-1]["held"] is None
+    code, output = funnel_hil(*words)  # tries it again, and nothing else
+    assert code == 0
+    (case,) = json.loads((out / "summary.json").read_text())["cases"]
+    assert (case["completed"], case["margin"]) == (True, 2.0)
+    assert len(runs.read_text()) == 3 + 1
 
 
 def test_margins_as_a_table_for_documents(tmp_path):

@@ -12,14 +12,14 @@ from bus_schema.link.key_files import KeyFolder
 from bus_schema.messages.topics import Role
 from controller.laws import LAWS
 from deploy.cli.study.margin_options import MarginOptions, definition_with
-from deploy.comparison.comparison import load_setups
-from deploy.processes.network.keys import create_authority, issue
-from deploy.runs.process_run import lockstep_setup
-from deploy.scenario.randomness import is_random
+from deploy.run.execute import lockstep_setup
+from deploy.run.network.keys import create_authority, issue
+from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
-from deploy.scenario.written import effective_scenario
+from deploy.scenario.study_keys import is_random
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.margins.margin import Margin
+from deploy.study.comparison.comparison import load_setups
+from deploy.study.margin import Margin
 from deploy.study.robustness import margin_study
 from deploy.study.sweep import Sweep
 

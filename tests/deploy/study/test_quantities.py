@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy.reports.studies.study_tables import margin_figure, margins_by_law
+from deploy.reports.study_tables import margin_figure, margins_by_law
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
 from deploy.study import cases
 from deploy.study.cases import CasesDefinition
-from deploy.study.margins.margin import Margin
+from deploy.study.margin import Margin
 from tests.deploy.study.studies import Here, conduct, made_up
 
 SETUP = load_setup("paper_arm")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from deploy.reports.studies.robustness_tables import robustness_table
-from deploy.reports.studies.study_report import write_study_report
+from deploy.reports.study_report import write_study_report
+from deploy.reports.study_tables import robustness_table
 from deploy.reports.tables import as_markdown
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
@@ -175,7 +175,6 @@ def test_plants_that_cannot_start_are_counted(tmp_path):
         ({"quantity": PAYLOAD}, [PAYLOAD, "must be given once"]),
         ({"offsets": [1]}, ["offsets", "left out with plants"]),
         ({"limit": 8}, ["limit", "left out with plants"]),
-        ({"drive_feedback": ["maybe"]}, ["drive_feedback", "'maybe'"]),
     ],
 )
 def test_impossible_studies_are_refused_with_the_reason(values, said):
@@ -184,12 +183,6 @@ def test_impossible_studies_are_refused_with_the_reason(values, said):
         margin_study(given, Path("own.yaml"))
     assert str(refusal.value).startswith("own.yaml: ")
     assert [word for word in said if word not in str(refusal.value)] == []
-
-
-def test_values_without_plants_are_refused(funnel_hil, tmp_path):
-    code, output = funnel_hil("margin", "--values", "8,16", "--out", tmp_path / "out")
-    assert code == 2
-    assert "values = [8, 16]: must be left out without plants" in output
 
 
 def test_a_plant_that_the_scenario_refuses_is_named_with_what_was_drawn():

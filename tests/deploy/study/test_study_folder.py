@@ -7,7 +7,7 @@ import json
 import pytest
 import yaml
 
-from deploy.reports.studies.study_report import write_study_report
+from deploy.reports.study_report import write_study_report
 from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.folder import create_folder, find_folder
 from tests.deploy.study.studies import TIED, folder_of, make_sweep, margin_of

@@ -8,10 +8,10 @@ import pytest
 import yaml
 
 from controller.laws import LAWS
-from deploy.reports.studies.study_report import write_study_report
-from deploy.runs.simulate import simulate
+from deploy.reports.study_report import write_study_report
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.study import execute
+from deploy.study.study import row_of
 from deploy.study.sweep import load_sweep
 from tests.deploy.study.studies import TIED, Here, conduct, folder_of, made_up, make_sweep, sweep_of
 
@@ -72,7 +72,7 @@ def test_a_row_of_a_sweep_is_what_simulate_gives(tmp_path):
         "paper_arm",
         ["duration_s=0.2", "seed=3", "link.uplink.delay_ms=1", "link.downlink.delay_ms=1"],
     )
-    assert execute(run)["digest"] == simulate(setup).data().digest
+    assert row_of(run)["digest"] == simulate(setup).data().digest
 
 
 def test_rows_do_not_depend_on_order_nor_on_interruptions(tmp_path):
@@ -120,7 +120,7 @@ def test_every_point_has_its_scenario(tmp_path):
 def test_a_run_that_fails_is_a_row_and_not_the_end(tmp_path):
     sweep = make_sweep(tmp_path, {"duration_s": [0.1, 0.2]})
     first, _ = sweep.first()
-    missing = execute(type(first)(first.point, "gone.yaml", (), 1, first.columns))
+    missing = row_of(type(first)(first.point, "gone.yaml", (), 1, first.columns))
     assert "gone.yaml" in missing["error"]
     workers = Here(lambda run: missing if run.key == first.key else made_up(run))
     whole, folder = conduct(sweep, tmp_path / "out", workers)

@@ -1,23 +1,18 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus_schema.drive_feedback import no_drive_feedback
-from bus_schema.limits import LimitsConfiguration
-from bus_schema.robot_description import load_robot
-from deploy.scenario.referenced_files import find_urdf
-from plant_emulator.arm.joint_hardware import ActuatorLimits, Encoders
-from plant_emulator.arm.joint_torques import TOTAL, JointTorques, joint_torques
+from plant_emulator.arm.joint_hardware import Encoders
+from plant_emulator.arm.joint_torques import TOTAL, joint_torques
 from plant_emulator.configuration import (
     ActuatorConfiguration,
     EncoderConfiguration,
     PlantConfiguration,
 )
+from tests.arms import PAPER_ARM, torques_of
 
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
+ROBOT = PAPER_ARM
 SUBSTEP_S = 2.5e-4
 
 
@@ -31,16 +26,8 @@ def read(encoders):
     return encoders.shown
 
 
-def torques_of(**values):
-    configuration = PlantConfiguration(actuator=ActuatorConfiguration(**values))
-    return JointTorques(
-        configuration,
-        ROBOT,
-        SUBSTEP_S,
-        np.random.default_rng(0),
-        LimitsConfiguration(),
-        no_drive_feedback(ROBOT.joints),
-    )
+def actuators_of(**values):
+    return torques_of(PlantConfiguration(actuator=ActuatorConfiguration(**values)))
 
 
 def acted(torques, commanded, velocity=(0.0, 0.0, 0.0)):
@@ -88,45 +75,15 @@ def test_velocity_noise_is_white_gaussian_and_unbiased():
     assert abs(np.corrcoef(noise[:, 0], noise[:, 2])[0, 1]) < 5.0 / np.sqrt(count)
 
 
-def test_noise_is_the_same_for_the_same_seed():
-    def run(seed):
-        encoders = encoders_of(np.zeros(3), np.zeros(3), seed, velocity_noise_rad_s=0.1)
-        return [read(encoders)[1].tolist() for _ in range(5)]
-
-    assert run(1) == run(1)
-    assert run(1) != run(2)
-
-
-def test_noise_leaves_positions_and_the_truth_alone():
-    motion = np.ones((2, 3))
-    encoders = Encoders(
-        EncoderConfiguration(velocity_noise_rad_s=0.1), motion, np.random.default_rng(0)
-    )
-    seen = read(encoders)
-    assert seen[0].tolist() == [1.0, 1.0, 1.0]
-    assert (seen[1] != 1.0).all()
-    assert (motion == 1.0).all()
-
-
 def test_saturation_defaults_to_the_limits_of_the_urdf():
-    torques = torques_of()
+    torques = actuators_of()
     assert acted(torques, [1e6, -1e6, 299.0]) == ([400.0, -700.0, 299.0], True)
     assert acted(torques, [399.0, -699.0, 299.0]) == ([399.0, -699.0, 299.0], False)
 
 
-def test_saturation_can_be_set():
-    torques = torques_of(saturation_nm=[10.0, 20.0, 30.0])
-    assert acted(torques, [25.0, 25.0, 25.0]) == ([10.0, 20.0, 25.0], True)
-
-
-def test_without_lag_the_torque_is_there_at_once():
-    limits = ActuatorLimits(ActuatorConfiguration(), ROBOT, SUBSTEP_S)
-    assert limits.lag_factor == 0.0
-
-
 @pytest.mark.parametrize("lag_ms", [0.1, 2.0, 50.0])
 def test_lag_is_the_exact_discretisation_of_a_first_order_filter(lag_ms):
-    torques, command = torques_of(lag_ms=lag_ms), np.array([100.0, -200.0, 50.0])
+    torques, command = actuators_of(lag_ms=lag_ms), np.array([100.0, -200.0, 50.0])
     for step in range(1, 200):
         acted(torques, command)
         expected = command * -np.expm1(-step * SUBSTEP_S / (1e-3 * lag_ms))
@@ -135,7 +92,7 @@ def test_lag_is_the_exact_discretisation_of_a_first_order_filter(lag_ms):
 
 
 def test_lag_filters_what_is_left_after_saturation():
-    torques = torques_of(lag_ms=1.0)
+    torques = actuators_of(lag_ms=1.0)
     for _ in range(40):  # ten time constants
         acted(torques, np.full(3, 1e9))
     np.testing.assert_allclose(torques.actuator, ROBOT.effort_limits_nm, rtol=1e-4)
@@ -149,14 +106,7 @@ def test_total_is_actuator_less_friction_less_disturbance():
             "disturbance": {"terms": [{"joint": "elbow", "kind": "constant", "torque_nm": 7.0}]},
         }
     )
-    torques = JointTorques(
-        configuration,
-        ROBOT,
-        SUBSTEP_S,
-        np.random.default_rng(0),
-        LimitsConfiguration(),
-        no_drive_feedback(ROBOT.joints),
-    )
+    torques = torques_of(configuration)
     total, _ = acted(torques, [10.0, 20.0, 30.0], velocity=[1.0, -1.0, 2.0])
     assert torques.actuator.tolist() == [10.0, 20.0, 30.0]
     assert torques.friction.tolist() == [1.0, -2.0, 6.0]

@@ -60,8 +60,3 @@ def test_commands_that_overtook_each_other_are_put_in_order():
     assert buffer.statistics().reordered > 100
     assert {out_ms - stamp_ms for out_ms, stamp_ms in out} == {7.0}
     assert [stamp_ms for _, stamp_ms in out] == sorted(stamp_ms for _, stamp_ms in out)
-
-
-def test_late_command_comes_out_behind_younger_ones():
-    buffer = buffered((5, 6), (0, 20))
-    assert released(buffer) == [(15, 5), (22, 0)]  # the plant refuses the second

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from bus_schema.can.frame import CanFrame
-from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveSettings, JointReading
 
 NODE = 5
@@ -19,7 +19,6 @@ SETTINGS = DriveSettings(
 )
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 6, 7, 15, 0, 2, 128
 CSP, CST = 8, 10
-FORMATS = {1: "<B", 2: "<H", 4: "<I"}
 SIZES = {
     0x1003: 1, 0x1006: 4, 0x1014: 4, 0x1016: 4, 0x1017: 2, 0x1029: 1, 0x2000: 2, 0x6007: 2,
     0x6040: 2, 0x605A: 2, 0x605B: 2, 0x605C: 2, 0x605D: 2, 0x605E: 2, 0x6060: 1, 0x606F: 2,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import struct
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
-import can
 import canopen
 import numpy as np
 import pytest
@@ -30,9 +29,9 @@ ROBOT = load_robot(find_urdf("paper_arm", Path()))
 START = np.array([0.2, -1.0, 0.9])
 GRID = TickGrid(250.0, 8)
 PLANT = PlantConfiguration()
-NODES = (1, 2, 3)
 PATIENCE_S = 60.0
-PUSHES_NM = {1: 80.0, 2: -330.0, 3: 25.0}  # the shoulder has 276 N m of gravity to bear
+NODE_ID, JOINT = 2, 1
+PUSH_NM = -330.0  # the shoulder has 276 N m of gravity to bear
 _CHANNELS = itertools.count()
 
 
@@ -109,52 +108,62 @@ def patient_node(node_id):
     return node
 
 
-def assert_energy_agrees(joint, torque_nm, start_rad, position_rad, velocity_rad_s):
+def assert_energy_agrees(torque_nm, position_rad, velocity_rad_s):
     """Work of motor and gravity has become kinetic energy: ½ M q̇² = ∫ (τ − G) dq.
 
     The other joints are held by their brakes, there is no friction, and no clock is needed.
     """
     model = ManipulatorModel(ROBOT)
-    angles = np.linspace(start_rad, position_rad, 201)
+    angles = np.linspace(START[JOINT], position_rad, 201)
     poses = np.tile(START, (201, 1))
-    poses[:, joint] = angles
-    still = np.zeros(3)
-    gravity = [model.inverse_dynamics(pose, still, still)[joint] for pose in poses]
-    work = float(np.trapezoid(torque_nm - np.array(gravity), angles))
-    kinetic = 0.5 * model.mass_matrix(poses[-1])[joint, joint] * velocity_rad_s**2
+    poses[:, JOINT] = angles
+    gravity = np.array([model.gravity(pose)[JOINT] for pose in poses])
+    work = np.trapezoid(torque_nm - gravity, angles)
+    kinetic = 0.5 * model.mass_matrix(poses[-1])[JOINT, JOINT] * velocity_rad_s**2
     assert kinetic == pytest.approx(work, rel=0.02)
 
 
-@pytest.mark.parametrize("node_id", NODES)
-def test_canopens_own_client_brings_a_drive_up_moves_it_and_resets_a_fault(node_id):
-    joint = node_id - 1
-    with Rig("cia402", slower=4) as rig:
-        network = canopen.Network()
-        network.connect(interface="virtual", channel=rig.channel)
-        try:
-            node = patient_node(node_id)
-            network.add_node(node)
-            node.nmt.wait_for_heartbeat(PATIENCE_S)
-            node.setup_402_state_machine()
-            node.nmt.state = "OPERATIONAL"
-            network.sync.start(0.01)
-            node.op_mode = "CYCLIC SYNCHRONOUS TORQUE"
-            until(lambda: node.op_mode == "CYCLIC SYNCHRONOUS TORQUE")
-            node.state = "READY TO SWITCH ON"
-            node.state = "SWITCHED ON"
-            start = START[joint]
-            check_motion(node, node_id, joint, start)
-            check_fault(node)
-        finally:
-            network.sync.stop()
-            network.disconnect()
-    assert any(f"node {node_id}: OPERATION_ENABLED" in event for event in rig.events)
+@contextmanager
+def canopen_client(rig, node_id, mode, pdo=1):
+    """A node of canopen's in a mode of operation, whose targets come with an RPDO."""
+    network = canopen.Network()
+    network.connect(interface="virtual", channel=rig.channel)
+    try:
+        node = patient_node(node_id)
+        network.add_node(node)
+        node.nmt.wait_for_heartbeat(PATIENCE_S)
+        node.rpdo.read()
+        for number in (1, pdo):
+            node.rpdo[number].enabled = number == pdo
+        node.rpdo.save()
+        node.setup_402_state_machine()
+        node.nmt.state = "OPERATIONAL"
+        network.sync.start(0.01)
+        node.op_mode = mode
+        until(lambda: node.op_mode == mode)
+        yield node
+    finally:
+        network.sync.stop()
+        network.disconnect()
 
 
-def check_motion(node, node_id, joint, start):
+def test_canopens_own_client_brings_a_drive_up_moves_it_and_resets_a_fault():
+    with (
+        Rig("cia402", slower=4) as rig,
+        canopen_client(rig, NODE_ID, "CYCLIC SYNCHRONOUS TORQUE") as node,
+    ):
+        node.state = "READY TO SWITCH ON"
+        node.state = "SWITCHED ON"
+        check_motion(node)
+        check_fault(node)
+    assert any(f"node {NODE_ID}: OPERATION_ENABLED" in event for event in rig.events)
+
+
+def check_motion(node):
+    start = START[JOINT]
     rated_nm = node.sdo[0x6076].raw * 1e-3
-    assert rated_nm == pytest.approx(ROBOT.effort_limits_nm[joint] / PEAK_TO_RATED, rel=1e-4)
-    per_mille = round(PUSHES_NM[node_id] / rated_nm * 1000)
+    assert rated_nm == pytest.approx(ROBOT.effort_limits_nm[JOINT] / PEAK_TO_RATED, rel=1e-4)
+    per_mille = round(PUSH_NM / rated_nm * 1000)
     to_rad = 2 * np.pi / node.sdo[0x608F][1].raw
     node.rpdo[1]["Target torque"].raw = per_mille
     seen = []
@@ -167,7 +176,7 @@ def check_motion(node, node_id, joint, start):
     moved = 0.15
     until(lambda: bool(seen) and abs(seen[-1][0] - start) > moved)
     position_rad, velocity_rad_s = next(row for row in seen if abs(row[0] - start) > moved)
-    assert_energy_agrees(joint, per_mille * 1e-3 * rated_nm, start, position_rad, velocity_rad_s)
+    assert_energy_agrees(per_mille * 1e-3 * rated_nm, position_rad, velocity_rad_s)
     node.state = "SWITCHED ON"
 
 
@@ -187,71 +196,3 @@ def check_fault(node):
     assert node.state == "OPERATION ENABLED"
     assert heard[-1].code == 0
     node.state = "SWITCH ON DISABLED"
-
-
-class OdriveClient:
-    """From ODrive's protocol description and nothing else."""
-
-    def __init__(self, channel, node):
-        self.bus = can.Bus(interface="virtual", channel=channel)
-        self.node = node
-        self.error = self.state = None
-        self.estimates = None
-        self.torque_nm = None
-
-    def send(self, command, form="", *values, remote=False):
-        self.bus.send(
-            can.Message(
-                arbitration_id=self.node << 5 | command,
-                data=None if remote else struct.pack("<" + form, *values),
-                is_remote_frame=remote,
-                is_extended_id=False,
-            )
-        )
-
-    def listen(self):
-        if self.torque_nm is not None:
-            self.send(0x0E, "f", self.torque_nm)  # which feeds the watchdog too
-        message = self.bus.recv(0.05)
-        if message is None or message.arbitration_id >> 5 != self.node:
-            return
-        command = message.arbitration_id & 0x1F
-        if command == 0x01:
-            self.error, self.state = struct.unpack_from("<IB", message.data)
-        elif command == 0x09:
-            self.estimates = struct.unpack("<ff", message.data)
-
-    def until(self, condition):
-        give_up_s = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < give_up_s, "it never came"
-            self.listen()
-
-
-@pytest.mark.parametrize("node_id", NODES)
-def test_a_plain_odrive_client_does_the_same(node_id):
-    joint, torque_nm = node_id - 1, PUSHES_NM[node_id]
-    with Rig("cansimple", command_timeout_ms=1000, slower=4) as rig:
-        client = OdriveClient(rig.channel, node_id)
-        try:
-            client.until(lambda: client.state == 1 and client.error == 0)
-            client.send(0x0B, "II", 1, 1)
-            client.send(0x07, "I", 8)
-            client.torque_nm = torque_nm
-            start = START[joint] / (2 * np.pi)
-            client.until(lambda: client.estimates and abs(client.estimates[0] - start) > 0.024)
-            position, velocity = client.estimates
-            assert_energy_agrees(
-                joint, torque_nm, START[joint], position * 2 * np.pi, velocity * 2 * np.pi
-            )
-            client.torque_nm = None
-            client.until(lambda: client.error == 0x1000000)  # the watchdog
-            assert client.state == 1
-            client.send(0x18, "B", 0)
-            client.send(0x07, "I", 8)
-            client.send(0x01, remote=True)
-            client.until(lambda: client.error == 0 and client.state == 8)
-            client.send(0x07, "I", 1)
-            client.until(lambda: client.state == 1)
-        finally:
-            client.bus.shutdown()

@@ -1,13 +1,17 @@
 """The EDS and the DBC that are shipped say what the drives do."""
 
+import os
+
 import canopen
 import cantools
 import pytest
 from canopen.objectdictionary import NUMBER_TYPES, ODVariable
 from drive_bench import NODE, SETTINGS, AbortedError, Bench
 
-from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
-from plant_emulator.drives.cansimple.cansimple_drive import CanSimpleDrive
+from bus_schema.can.cia402.protocol import Cia402Protocol
+from bus_schema.configuration import ConfigurationError
+from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS, CanConfiguration
+from plant_emulator.drives.cansimple.drive import CanSimpleDrive
 
 DICTIONARY = canopen.import_od(str(CIA402_EDS), NODE)
 HISTORY = 0x1003
@@ -65,16 +69,6 @@ def test_the_drive_says_how_it_is_commissioned():
     assert bench.read(0x1200, 1) == 0x600 + NODE
 
 
-def test_dbc_loads_strictly_and_has_what_an_axis_sends_and_takes():
-    database = cantools.database.load_file(CANSIMPLE_DBC, strict=True)
-    ids = {message.name: message.frame_id for message in database.messages}
-    assert ids["Heartbeat"] == 0x01
-    assert ids["Get_Encoder_Estimates"] == 0x09
-    assert ids["Set_Input_Torque"] == 0x0E
-    assert ids["Clear_Errors"] == 0x18
-    assert all(message.frame_id < 32 for message in database.messages)
-
-
 NOT_THERE = {
     "RxSdo", "TxSdo", "Set_Traj_Vel_Limit", "Set_Traj_Accel_Limits", "Set_Traj_Inertia",
     "Enter_DFU_Mode",
@@ -100,3 +94,17 @@ def test_an_axis_knows_every_other_message_of_the_dbc(message):
         message.decode(data)
     elif message.name != "Reboot":
         assert bench.hear(identifier, *bytes(message.length))
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device", "negative type"])
+def test_a_file_that_is_no_eds_is_refused(tmp_path, kind):
+    path = tmp_path / "drive.eds"
+    match kind:
+        case "fifo":
+            os.mkfifo(path)
+        case "device":
+            path.symlink_to("/dev/zero")
+        case _:
+            path.write_text(CIA402_EDS.read_text().replace("DataType=0x0007", "DataType=-7"))
+    with pytest.raises(ConfigurationError, match=r"is no regular file|has data type -7"):
+        Cia402Protocol().check(CanConfiguration(eds=str(path)))

@@ -3,7 +3,7 @@ import pytest
 
 from bus_schema.configuration import ConfigurationError
 from plant_emulator.drives.bank import DriveBank
-from plant_emulator.drives.cia402.cia402_drive import Cia402Drive
+from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveFault, DriveSettings
 from plant_emulator.drives.fault_plan import PlannedFault, parse_fault, schedule_faults
 

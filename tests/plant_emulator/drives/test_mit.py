@@ -1,23 +1,24 @@
 """The MIT protocol: a drive alone, and a client that packs frames by the public description."""
 
-import time
-
 import can
 import numpy as np
 import pytest
 
 from bus_schema.can.frame import CanFrame
+from bus_schema.can.mit.codec import MitRanges
+from bus_schema.can.mit.protocol import MitSettings
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings, JointReading
-from plant_emulator.drives.mit.mit_drive import MitDrive, MitSettings
-from plant_emulator.drives.mit.wire import MitRanges
+from plant_emulator.drives.mit.drive import MitDrive
 from tests.plant_emulator.drives.test_clients import (
-    NODES,
+    JOINT,
+    NODE_ID,
     PATIENCE_S,
-    PUSHES_NM,
+    PUSH_NM,
     START,
     Rig,
     assert_energy_agrees,
+    until,
 )
 
 MS = 1_000_000
@@ -199,60 +200,30 @@ ARM_OPTIONS = dict(
 )  # fmt: skip
 
 
-class Client:
-    """A driver over python-can, as examples for AK motors are: say something, read the reply."""
-
-    def __init__(self, channel, node_id):
-        self.bus = can.Bus(interface="virtual", channel=channel)
-        self._node_id = node_id
-
-    def say(self, data):
-        self.bus.send(can.Message(arbitration_id=self._node_id, data=data, is_extended_id=False))
-        message = self.bus.recv(PATIENCE_S)
-        assert message is not None, "no reply"
-        node_id, *state = unpacked(message.data, ARM)
-        assert (message.arbitration_id, node_id) == (0, self._node_id)
-        return state
-
-    def say_until(self, data, condition):
-        give_up_s = time.monotonic() + PATIENCE_S
-        while not condition(state := self.say(data)):
-            assert time.monotonic() < give_up_s, f"it never came: {state}"
-        return state
-
-
-@pytest.mark.parametrize("node_id", NODES)
-def test_a_client_that_knows_nothing_of_us_pushes_a_joint(node_id):
-    joint, torque_nm = node_id - 1, PUSHES_NM[node_id]
-    push = command(t=torque_nm, ranges=ARM)
+def test_a_client_that_knows_nothing_of_us_pushes_a_joint():
+    """Over python-can, as examples for AK motors do it: say something, read the reply."""
+    push = command(t=PUSH_NM, ranges=ARM)
     pushed_nm = to_float((push[6] & 0xF) << 8 | push[7], -ARM[4], ARM[4], 12)
-    with Rig("mit", mit=ARM_OPTIONS) as rig:
-        client = Client(rig.channel, node_id)
-        try:
-            assert client.say(ENTER)[0] == pytest.approx(START[joint], abs=2e-4)
-            moved = client.say_until(push, lambda state: abs(state[0] - START[joint]) > 0.3)
-            half = np.array([ARM[0] / 0xFFFF, ARM[1] / 0xFFF])  # replies are cut off
-            position, velocity = moved[:2] + half
-            assert_energy_agrees(joint, pushed_nm, START[joint], position, velocity)
-        finally:
-            client.bus.shutdown()
+    with (
+        Rig("mit", mit=ARM_OPTIONS) as rig,
+        can.Bus(interface="virtual", channel=rig.channel) as bus,
+    ):
 
+        def say(data):
+            bus.send(can.Message(arbitration_id=NODE_ID, data=data, is_extended_id=False))
+            message = bus.recv(PATIENCE_S)
+            node_id, position, velocity, _ = unpacked(message.data, ARM)
+            assert (message.arbitration_id, node_id) == (0, NODE_ID)
+            return position, velocity
 
-def test_a_client_that_knows_nothing_of_us_holds_a_joint():
-    """The loop is the drive's: the client says the same all the time, then nothing any more."""
-    with Rig("mit", mit=ARM_OPTIONS, command_timeout_ms=1000) as rig:
-        client = Client(rig.channel, 1)
-        try:
-            client.say(ENTER)
-            target = START[0] + 0.1
-            hold = command(p=target, kp=1500.0, kd=180.0, ranges=ARM)
-            client.say_until(
-                hold, lambda state: abs(state[0] - target) < 1e-3 and abs(state[1]) < 0.005
-            )
-            give_up_s = time.monotonic() + PATIENCE_S
-            while "node 1: REST MODE, command timeout" not in rig.events:
-                assert time.monotonic() < give_up_s
-                time.sleep(0.01)
-            assert client.say(ENTER)[0] == pytest.approx(target, abs=2e-3)
-        finally:
-            client.bus.shutdown()
+        assert say(ENTER)[0] == pytest.approx(START[JOINT], abs=2e-4)
+        moved = [0.0, 0.0]
+
+        def has_moved():
+            moved[:] = say(push)
+            return abs(moved[0] - START[JOINT]) > 0.3
+
+        until(has_moved)
+        half = np.array([ARM[0] / 0xFFFF, ARM[1] / 0xFFF])  # replies are cut off
+        position, velocity = moved + half
+        assert_energy_agrees(pushed_nm, position, velocity)

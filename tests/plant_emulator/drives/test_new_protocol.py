@@ -1,4 +1,4 @@
-"""A drive protocol from outside: one class and one entry in the table, and a loop closes over it.
+"""A drive protocol from outside: an entry in the table of each side, and a loop closes over it.
 
 A cycle is one frame that samples all drives, the answer of each, and a torque to each.
 """
@@ -11,25 +11,27 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from bus_schema.arrays import Vector
-from bus_schema.can.frame import CanBus, CanFrame
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.frame import CanFrame
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.can.master import CanMaster
+from bus_schema.can.protocol import PROTOCOLS, DriveProtocol
+from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.robot_description import RobotDescription
-from deploy.runs.judging.metrics import summarise
-from deploy.runs.simulate import simulate
+from deploy.judge.metrics import summarise
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.drives.commissioning import DRIVES
 from plant_emulator.drives.drive import (
     AT_REST,
+    Drive,
     DriveFault,
     DriveSettings,
     JointDemand,
-    JointReading,
     Send,
 )
-from plant_emulator.drives.protocol import PROTOCOLS, DriveProtocol
 
 SAMPLE, STATE, TORQUE, REST = 0x010, 0x100, 0x200, 0x300
 OVER_TOY = ["link.can.interface=virtual", "link.can.protocol=toy", "duration_s=0.2"]
@@ -53,7 +55,7 @@ class ToyCodec:
             position[joint], velocity[joint] = struct.unpack("<ff", frame.data)
         return joint
 
-    def torque_frames(self, torque_nm: Vector) -> Sequence[CanFrame]:
+    def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
         return [
             CanFrame(TORQUE + node, struct.pack("<f", torque))
             for node, torque in zip(self._node_ids, torque_nm, strict=True)
@@ -87,28 +89,18 @@ class ToyMaster(CanMaster):
     def leave(self) -> None:
         self._send([CanFrame(REST)])
 
-    def _send_heartbeat(self) -> None:
-        """There are none."""
 
-    def _handle_report(self, frame: CanFrame) -> None:
-        """There are none."""
-
-
-class ToyDrive:
-    fault: str | None = None
+class ToyDrive(Drive):
+    targets = samplings = 0
 
     def __init__(self, settings: DriveSettings, send: Send) -> None:
-        self._node_id, self._send = settings.node_id, send
-        self._reading = JointReading()
+        super().__init__(settings, send)
+        self._node_id = settings.node_id
         self._torque_nm: float | None = None
-        self.targets = self.samplings = 0
 
     @property
     def status(self) -> str:
         return "at rest" if self._torque_nm is None else "following"
-
-    def measure(self, reading: JointReading) -> None:
-        self._reading = reading
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if frame.identifier == SAMPLE:
@@ -131,31 +123,22 @@ class ToyDrive:
 
     def inject(self, fault: DriveFault, now_ns: int) -> None: ...
 
-    def clear(self, fault: DriveFault, now_ns: int) -> None: ...
-
-    def lose_bus(self, now_ns: int) -> None: ...
-
-    def regain_bus(self, now_ns: int) -> None: ...
-
-    def describe(self, frame: CanFrame) -> str | None:
-        return None
-
 
 class ToyProtocol(DriveProtocol):
     title = "Toy"
     largest_node_id = 9
-    drive = ToyDrive
+    master = ToyMaster
 
-    def codec(self, can: CanConfiguration, robot: RobotDescription) -> ToyCodec:
+    def codec(
+        self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains | None = None
+    ) -> ToyCodec:
         return ToyCodec(self.node_ids(can, robot.joints))
-
-    def master(self, bus: CanBus, can: CanConfiguration, robot: RobotDescription) -> ToyMaster:
-        return ToyMaster(bus, can, self.node_ids(can, robot.joints), self.codec(can, robot))
 
 
 @pytest.fixture(autouse=True)
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(PROTOCOLS.places, "toy", f"{__name__}:ToyProtocol")
+    monkeypatch.setitem(DRIVES.places, "toy", f"{__name__}:ToyDrive")
 
 
 def test_loop_closes_over_it() -> None:
@@ -184,9 +167,3 @@ def test_loop_closes_over_it() -> None:
 def test_scenario_that_does_not_fit_it_is_refused(override: str, told: str) -> None:
     with pytest.raises(ScenarioError, match=told):
         load_setup("paper_arm_can", [*OVER_TOY, override])
-
-
-def test_unknown_protocol_is_refused_whatever_the_link() -> None:
-    told = r"semaphore: link\.can\.protocol = 'semaphore': must be"
-    with pytest.raises(ScenarioError, match=told):
-        load_setup("paper_arm", ["link.can.protocol=semaphore"])

@@ -9,14 +9,13 @@ import math
 import time
 
 import can
-import canopen
 import cantools
 from odrive_can.odrive import ODriveCAN
 from odrive_can.utils import get_dbc_path
 
 from bus_schema.link.can_configuration import CANSIMPLE_DBC
 from deploy.scenario.scenario import load_setup
-from tests.plant_emulator.drives.test_clients import PATIENCE_S, START, Rig, patient_node, until
+from tests.plant_emulator.drives.test_clients import PATIENCE_S, START, Rig, canopen_client, until
 
 TUNED = load_setup("paper_arm", []).tuned_drive
 MOVED_RAD = 0.2
@@ -26,26 +25,9 @@ TURN = 2 * math.pi
 
 def test_canopens_own_client_moves_a_joint_in_cyclic_synchronous_position():
     """As its documentation has it; RPDO 3 has target and torque offset in place of RPDO 1."""
-    with Rig("cia402", TUNED) as rig:
-        network = canopen.Network()
-        network.connect(interface="virtual", channel=rig.channel)
-        try:
-            node = patient_node(1)
-            network.add_node(node)
-            node.nmt.wait_for_heartbeat(PATIENCE_S)
-            node.rpdo.read()
-            node.rpdo[1].enabled = False
-            node.rpdo[3].enabled = True
-            node.rpdo.save()
-            node.setup_402_state_machine()
-            node.nmt.state = "OPERATIONAL"
-            network.sync.start(0.01)
-            node.op_mode = "CYCLIC SYNCHRONOUS POSITION"
-            until(lambda: node.op_mode == "CYCLIC SYNCHRONOUS POSITION")
-            follow_targets(node)
-        finally:
-            network.sync.stop()
-            network.disconnect()
+    mode = "CYCLIC SYNCHRONOUS POSITION"
+    with Rig("cia402", TUNED) as rig, canopen_client(rig, 1, mode, pdo=3) as node:
+        follow_targets(node)
 
 
 def follow_targets(node):
@@ -54,16 +36,6 @@ def follow_targets(node):
     node.rpdo[3]["Target position"].raw = start
     for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
         node.state = state
-    node.sdo[0x6065].raw = round(0.05 * per_rad)
-    node.sdo[0x6072].raw = 0  # no torque, so a target that is off stays off
-    node.rpdo[3]["Target position"].raw = end
-    node.rpdo[3].transmit()
-    until(lambda: node.statusword & 1 << 13)
-    node.rpdo[3]["Target position"].raw = start
-    node.rpdo[3].transmit()
-    until(lambda: not node.statusword & 1 << 13)
-    node.sdo[0x6072].raw = 20_000
-    node.sdo[0x6065].raw = 0xFFFF_FFFF
     for step in range(1, 51):
         node.rpdo[3]["Target position"].raw = start + (end - start) * step // 50
         node.rpdo[3].transmit()
@@ -71,35 +43,6 @@ def follow_targets(node):
     until(lambda: abs(node.sdo[0x6064].raw - end) < NEAR_RAD * per_rad)
     assert node.state == "OPERATION ENABLED"
     node.state = "SWITCH ON DISABLED"
-
-
-def test_cantools_with_our_dbc_moves_a_joint():
-    database = cantools.database.load_file(CANSIMPLE_DBC)
-    target = (START[2] + MOVED_RAD) / TURN
-    with Rig("cansimple", TUNED) as rig:
-        bus = can.Bus(interface="virtual", channel=rig.channel)
-
-        def say(name, **signals):
-            message = database.get_message_by_name(name)
-            identifier = 3 << 5 | message.frame_id
-            data = message.encode(signals)
-            bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-
-        def has_arrived():
-            message = bus.recv(0.05)
-            if message is None or message.arbitration_id != 3 << 5 | 0x09:
-                return False
-            estimate = database.decode_message(0x09, message.data)["Pos_Estimate"]
-            return abs(estimate - target) < NEAR_RAD / TURN
-
-        try:
-            say("Set_Controller_Mode", Control_Mode="POSITION_CONTROL", Input_Mode="PASSTHROUGH")
-            say("Set_Limits", Velocity_Limit=5.0, Current_Limit=300.0)
-            say("Set_Axis_State", Axis_Requested_State="CLOSED_LOOP_CONTROL")
-            say("Set_Input_Pos", Input_Pos=target, Vel_FF=0.0, Torque_FF=0.5)
-            until(has_arrived)
-        finally:
-            bus.shutdown()
 
 
 async def until_it_works(action):

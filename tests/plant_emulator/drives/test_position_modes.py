@@ -4,15 +4,12 @@ What is wanted of them is written here once more, from the profile and from ODri
 """
 
 import math
-import struct
 
 import pytest
-from drive_bench import CSP, CST, MS, NODE, SETTINGS, Bench
-from test_cansimple import BAD_CONFIG, CLOSED_LOOP, IDLE, LIMITS, SET_MODE, SET_STATE, Axis
+from drive_bench import CSP, CST, SETTINGS, Bench
+from test_cansimple import CLOSED_LOOP, LIMITS, SET_MODE, SET_STATE, Axis
 
 from bus_schema.errors import InvalidMessageError
-from plant_emulator.drives.cascade import CascadeGains
-from plant_emulator.drives.drive import AT_REST, DriveSettings
 
 COUNTS = SETTINGS.counts_per_turn / (2 * math.pi)
 TARGET, WINDOW, WINDOW_MS, VELOCITY_OFFSET, TORQUE_OFFSET = 0x607A, 0x6065, 0x6066, 0x60B1, 0x60B2
@@ -53,15 +50,6 @@ def test_torque_is_that_of_position_and_velocity_loop_and_of_the_offsets(bench):
     assert given_nm(bench) == pytest.approx(wanted, abs=2e-3)
     closed = bench.drive.loop()  # at every step of the physics
     assert closed.torque_nm(0.55, 0.2) == pytest.approx(wanted - K_V * K_X * 0.05, abs=2e-3)
-
-
-def test_what_a_pdo_carries_is_what_sdo_writes(bench):
-    bench.write(0x1402, 1, 0x400 + NODE)
-    bench.write(0x1403, 1, 0x500 + NODE)
-    bench.hear(0x500 + NODE, *struct.pack("<i", counts(0.3)))
-    bench.hear(0x400 + NODE, *struct.pack("<Hih", 15, counts(0.6), 150))
-    assert given_nm(bench) == pytest.approx(3.0 + K_V * (0.3 + K_X * 0.1), abs=2e-3)
-    assert bench.drive.targets == 1
 
 
 def test_a_drive_without_target_holds_its_joint(bench):
@@ -111,30 +99,6 @@ def test_following_error_after_its_time_outside_the_window(bench, is_fault):
     assert not bench.statusword & FOLLOWING_ERROR
 
 
-def test_no_window_by_default(bench):
-    bench.write(TARGET, 0, counts(3.0))
-    bench.wait(1000)
-    assert not bench.statusword & FOLLOWING_ERROR
-
-
-@pytest.mark.parametrize(("option", "state"), [(0, "OPERATION_ENABLED"), (1, "FAULT")])
-def test_when_targets_stop_coming_it_does_what_it_was_told_to(bench, option, state):
-    """0x6007: nothing, and the last target is held; or a fault, with its reaction."""
-    bench.write(0x6007, 0, option)
-    bench.write(0x1402, 5, 30)
-    bench.write(0x1402, 1, 0x400 + NODE)
-    bench.hear(0x400 + NODE, *struct.pack("<Hih", 15, counts(0.6), 0))
-    bench.wait(30)
-    assert bench.state == "OPERATION_ENABLED"
-    bench.wait(400)
-    assert bench.state == state
-    if option:
-        assert bench.drive.demand() == AT_REST
-        assert bench.read(0x603F) == 0x8250
-    else:
-        assert given_nm(bench) == pytest.approx(K_V * K_X * 0.1, abs=2e-3)
-
-
 def test_halt_and_quick_stop_slow_the_joint_down(bench):
     bench.write(TARGET, 0, counts(0.8))
     bench.move(position_rad=0.5, velocity_rad_s=1.0)
@@ -176,12 +140,6 @@ def test_modes_change_while_it_follows(bench):
     assert given_nm(bench) == pytest.approx(2.0)
     bench.write(0x6060, 0, CSP)
     assert given_nm(bench) == pytest.approx(K_V * K_X * 0.1, abs=2e-3)
-
-
-def test_gains_are_what_the_drive_is_tuned_to_until_they_are_written():
-    gains = CascadeGains(50.0, 0.088, 0.5)
-    drive = Bench(settings=DriveSettings(**(vars(SETTINGS) | {"gains": gains})))
-    assert [drive.read(0x60FB, 1), drive.read(0x60F9, 1), drive.read(0x60F9, 2)] == [50000, 88, 500]
 
 
 # ODrive
@@ -230,24 +188,6 @@ def test_limits_of_an_axis_hold_for_speed_wanted_and_torque(axis):
     assert axis.drive.demand().torque_nm == 1.25
 
 
-def test_in_torque_control_the_feed_forward_is_all_there_is_of_a_position(axis):
-    axis.tell(SET_MODE, "II", 1, 1)
-    axis.tell(INPUT_POS, "fhh", 3.0, 100, 2500)
-    assert axis.drive.loop() is None
-    assert axis.drive.demand().torque_nm == pytest.approx(2.5)
-
-
-@pytest.mark.parametrize("watchdog_ms", [0, 50])
-def test_the_last_input_is_held_unless_the_watchdog_is_on(watchdog_ms):
-    axis = Axis(watchdog_ms=watchdog_ms)
-    axis.tell(VEL_GAINS, "ff", K_V, 0.0)
-    axis.tell(SET_STATE, "I", CLOSED_LOOP)
-    axis.tell(INPUT_POS, "fhh", 0.1, 0, 1000)
-    axis.wait(51)
-    assert axis.drive.demand().is_released == (not watchdog_ms)
-    assert axis.heartbeat[1] == (IDLE if watchdog_ms else CLOSED_LOOP)
-
-
 def test_an_absolute_position_is_that_of_estimates_and_inputs(axis):
     axis.tell(ABSOLUTE, "f", 2.0)
     assert axis.ask(0x09, "ff")[0] == pytest.approx(2.0)
@@ -269,9 +209,3 @@ def test_gains_and_inputs_that_make_no_sense_change_nothing(axis, command, form,
     with pytest.raises(InvalidMessageError):
         axis.tell(command, form, *values)
     assert axis.drive.demand() == before
-
-
-def test_trajectories_are_bad_configuration(axis):
-    axis.tell(SET_MODE, "II", 3, 5)
-    assert axis.heartbeat[:2] == (BAD_CONFIG, IDLE)
-    assert axis.now_ns < MS

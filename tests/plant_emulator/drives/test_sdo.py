@@ -91,13 +91,6 @@ def test_a_mapping_beyond_64_bits_is_refused(bench):
     bench.write(0x1A02, 0, 2)
 
 
-def test_entries_change_only_while_their_count_is_0(bench):
-    bench.write(TPDO_1, 1, NOT_VALID | 0x180 + NODE)
-    assert aborted(bench.write, 0x1A00, 1, 0x60410010) == 0x06010000
-    bench.write(0x1A00, 0, 0)
-    bench.write(0x1A00, 1, 0x60410010)
-
-
 def test_two_watched_heartbeats_of_one_node_are_incompatible(bench):
     bench.write(0x1016, 1, 0x7F << 16 | 100)
     assert aborted(bench.write, 0x1016, 2, 0x7F << 16 | 200) == 0x06040043

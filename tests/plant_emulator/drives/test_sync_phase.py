@@ -6,22 +6,14 @@ Time is the test's: a master that sends on its grid, a plant that reads when the
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import pytest
 
-from bus_schema.can.frame import CanFrame
-from bus_schema.link.in_process import InProcessBus, InProcessNode
-from bus_schema.messages.topics import Role
-from bus_schema.runtime.clock import VirtualClock
-from deploy.link_kinds import can as can_kind
-from deploy.link_kinds.can import CanKind
-from deploy.scenario.scenario import load_setup
 from plant_emulator.drives.sync_phase import SyncPhase
 
 MS = 1_000_000
 PERIOD_NS, LEAD_NS = 2 * MS, 300_000
-SAMPLING = [CanFrame(node << 5 | 0x09, is_remote=True) for node in (1, 2, 3)]
 
 
 def error_after(read_ns: Iterable[int], off_ns: int = 0, drift: float = 0.0) -> int:
@@ -71,55 +63,3 @@ def test_clocks_that_drift_apart_stay_together(drift: float) -> None:
 def test_samplings_at_twice_the_rate_do_not_run_away_with_the_clock() -> None:
     at_most_ns = 25 * PERIOD_NS // 2 + round(5e-4 * 2000 * PERIOD_NS)
     assert abs(error_after([sent_ns // 2 for sent_ns in in_time(2000)])) <= at_most_ns
-
-
-class SetClock(VirtualClock):
-    """Real time for which the test says what it is: the run starts in no time."""
-
-    def start(self) -> None:
-        self.set(LEAD_NS)
-
-    def put_forward(self, by_ns: int) -> None:
-        self.set(self.now_ns() + by_ns)
-
-    def set(self, now_ns: int) -> None:
-        self._now_ns = now_ns
-
-
-class ScriptedBus:
-    """Gives the frames that the test puts into it."""
-
-    def __init__(self) -> None:
-        self.frames: list[CanFrame] = []
-
-    def send_all(self, frames: Sequence[CanFrame]) -> None:
-        pass
-
-    def receive(self, timeout_s: float) -> CanFrame | None:
-        return self.frames.pop(0) if self.frames else None
-
-    def close(self) -> None:
-        pass
-
-
-def test_run_whose_first_sampling_is_read_late_has_the_time_of_the_master(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    setup = load_setup("paper_arm_can", ["clock=realtime", "link.can.protocol=cansimple"])
-    bus, clock = ScriptedBus(), SetClock()
-    telemetry = InProcessNode(InProcessBus(VirtualClock()), Role.PLANT)
-    monkeypatch.setattr(can_kind, "open_can_bus", lambda _: bus)
-    monkeypatch.setattr(can_kind, "open_telemetry", lambda *_, **__: telemetry)
-    arm = setup.arm()
-    link = CanKind().open_plant(setup.link_run(lockstep=False), arm, clock)
-    bus.frames = SAMPLING * 4  # the process was held up for 7 ms, in which the master went on
-    link.await_controller(1.0)
-    clock.start()
-    began_ns = clock.now_ns()
-    link.await_command(0.0)
-    clock.set(clock.now_ns() + 1 * MS)
-    bus.frames = list(SAMPLING)  # the fifth is read as it comes, 8 ms into the run
-    link.await_command(0.0)
-    assert clock.now_ns() - began_ns == 8 * MS
-    link.close()
-    arm.close()

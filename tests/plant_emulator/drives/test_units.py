@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from drive_bench import ENABLE, MS, SETTINGS, Bench
+from drive_bench import ENABLE, SETTINGS, Bench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -90,12 +90,3 @@ def test_position_limits_let_no_torque_push_further():
         bench.control(ENABLE, per_mille)
         assert bench.drive.demand().torque_nm == pytest.approx(torque_nm)
         assert bool(bench.statusword & 1 << 11) == (torque_nm == 0.0)
-
-
-def test_rated_torque_is_a_whole_number_of_mnm_and_everything_counts_in_it():
-    settings = DriveSettings(node_id=5, rated_torque_nm=21.8754321, max_torque_nm=700.0)
-    bench = Bench(settings=settings)
-    bench.enable(1000)
-    assert bench.read(0x6076) == 21_875
-    assert bench.drive.demand().torque_nm == pytest.approx(21.875, abs=1e-12)
-    assert bench.now_ns == 0 * MS

@@ -2,7 +2,6 @@
 
 import ctypes
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +10,10 @@ from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics import mujoco_arm
 from plant_emulator.physics.engines import ENGINES, engine_in_force, engine_name
-from tests.arms import ARMS, INSTALLED, FreeArm
+from tests.arms import ARMS, INSTALLED, FreeArm, shipped_arm
 
 TICKS = 50
 START = [0.3, -0.9, 1.2]
@@ -33,7 +31,7 @@ every_engine = pytest.mark.parametrize("engine", INSTALLED)
 
 
 def arm_of(name="paper_arm"):
-    return load_robot(find_urdf(name, Path()))
+    return shipped_arm(name)
 
 
 def thrown(robot, engine, payload_kg=0.0):
@@ -69,21 +67,6 @@ def test_several_arms_do_not_know_of_each_other(engine):
 
 
 @every_engine
-def test_a_brake_holds_its_joint_while_the_others_fall(engine):
-    robot = arm_of()
-    with closing(FreeArm(robot, engine)) as free:
-        free.place(np.array(START))
-        free.arm.hold([False, True, False])
-        free.push(np.zeros(3), substeps=200)
-        assert free.position[1] == pytest.approx(START[1], abs=1e-9)
-        assert free.velocity[1] == pytest.approx(0.0, abs=1e-9)
-        assert abs(free.position[2] - START[2]) > 0.01
-        free.arm.hold([False] * 3)
-        free.push(np.zeros(3), substeps=200)
-        assert abs(free.position[1] - START[1]) > 0.01
-
-
-@every_engine
 def test_brake_of_a_moving_joint_passes_its_momentum_on(engine):
     """What the free joints gain is M_ff⁻¹ M_fh q̇_h: the brake acts on its own joint alone."""
     robot = arm_of()
@@ -99,20 +82,6 @@ def test_brake_of_a_moving_joint_passes_its_momentum_on(engine):
         free.push(np.zeros(3), substeps=60)  # in which Bullet's brake stops it
         assert free.velocity[1] == pytest.approx(0.0, abs=1e-3)
         np.testing.assert_allclose(free.velocity[[0, 2]], velocity[[0, 2]] + gained, atol=0.15)
-
-
-@every_engine
-def test_brakes_stop_a_moving_arm_and_hold_it(engine):
-    with closing(FreeArm(arm_of(), engine)) as free:
-        free.place(np.array(START))
-        free.push(np.array([100.0, 0.0, 0.0]), substeps=100)
-        assert np.abs(free.velocity).max() > 0.1
-        free.arm.set_brakes(engaged=True)
-        free.arm.advance_braked(50)
-        held = free.position.copy()
-        free.arm.advance_braked(200)
-        np.testing.assert_allclose(free.position, held, atol=1e-4)  # Bullet's creep
-        np.testing.assert_allclose(free.velocity, 0.0, atol=1e-3)
 
 
 @every_engine

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from plant_emulator.physics.bullet.quiet import quiet
+from plant_emulator.physics.bullet.library import quiet
 
 
 @pytest.fixture

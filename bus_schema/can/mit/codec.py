@@ -1,0 +1,241 @@
+"""Frames of the MIT protocol, as mini-cheetah's public firmware and CubeMars' AK manual have them.
+
+A number is an unsigned integer of 16 or 12 bits over a range that both sides must agree on. It is
+cut off, not rounded, as the firmware does: what arrives is up to one step lower than what was sent,
+and zero itself is no step of a range around it.
+
+A drive replies with its state to every frame. A cycle is, for each drive, the frame that enters
+motor mode, which the AK manual has as the way to ask for the state; the reply; the command; and the
+reply to that, which nobody uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame_timing import CycleFrames
+from bus_schema.drive_feedback import DriveGains
+
+_LONG, _SHORT = 16, 12
+_SPECIAL = b"\xff" * 7
+COMMAND_BYTES = 8
+REPLY_BYTES = (6, 8)
+"""Without and with temperature and error."""
+
+_COLDEST_C = -40
+_BYTE = 0xFF
+
+
+class Special(IntEnum):
+    """Last byte of the frames that are no commands."""
+
+    ENTER = 0xFC
+    EXIT = 0xFD
+    ZERO = 0xFE
+
+
+class MitError(IntEnum):
+    """The error byte of a reply, as far as an emulated drive sends it."""
+
+    NONE = 0
+    OVER_TEMPERATURE = 1
+    OVER_CURRENT = 2
+
+
+class MitRanges(NamedTuple):
+    """The ranges of one drive's numbers; the first three reach from minus to plus."""
+
+    position_rad: float = 12.5
+    velocity_rad_s: float = 50.0
+    torque_nm: float = 18.0
+    stiffness_nm_rad: float = 500.0
+    damping_nm_s: float = 5.0
+
+
+class MitCommand(NamedTuple):
+    """What a drive is to do: torque + stiffness (position - q) + damping (velocity - q')."""
+
+    position_rad: float = 0.0
+    velocity_rad_s: float = 0.0
+    stiffness_nm_rad: float = 0.0
+    damping_nm_s: float = 0.0
+    torque_nm: float = 0.0
+
+
+class MitReply(NamedTuple):
+    """What a drive answers to every frame; the last two are those of newer firmware."""
+
+    node_id: int
+    position_rad: float
+    velocity_rad_s: float
+    torque_nm: float
+    temperature_c: int = 0
+    error: int = MitError.NONE
+
+
+def special(kind: Special) -> bytes:
+    """Data of a frame that enters or leaves motor mode, or makes the position zero."""
+    return _SPECIAL + bytes([kind])
+
+
+def special_of(data: bytes) -> Special | None:
+    """Which frame it is, None for a command."""
+    if data[:-1] != _SPECIAL or data[-1] not in Special._value2member_map_:
+        return None
+    return Special(data[-1])
+
+
+def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:
+    """The eight bytes of a command; what is beyond its range is at its end."""
+    position, velocity, stiffness, damping, torque = command
+    return (
+        _signed(position, ranges.position_rad, _LONG) << 48
+        | _signed(velocity, ranges.velocity_rad_s, _SHORT) << 36
+        | _steps(stiffness, ranges.stiffness_nm_rad, _SHORT) << 24
+        | _steps(damping, ranges.damping_nm_s, _SHORT) << 12
+        | _signed(torque, ranges.torque_nm, _SHORT)
+    ).to_bytes(COMMAND_BYTES, "big")
+
+
+def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
+    """What eight bytes that are not `special_of` command."""
+    bits = int.from_bytes(data, "big")
+    return MitCommand(
+        _number(bits >> 48, ranges.position_rad, _LONG),
+        _number(bits >> 36, ranges.velocity_rad_s, _SHORT),
+        _share(bits >> 24, _SHORT) * ranges.stiffness_nm_rad,
+        _share(bits >> 12, _SHORT) * ranges.damping_nm_s,
+        _number(bits, ranges.torque_nm, _SHORT),
+    )
+
+
+def packed_reply(reply: MitReply, ranges: MitRanges, reply_bytes: int) -> bytes:
+    """The bytes of a reply, as many as the firmware sends."""
+    state = (
+        (reply.node_id & _BYTE) << 40
+        | _signed(reply.position_rad, ranges.position_rad, _LONG) << 24
+        | _signed(reply.velocity_rad_s, ranges.velocity_rad_s, _SHORT) << 12
+        | _signed(reply.torque_nm, ranges.torque_nm, _SHORT)
+    ).to_bytes(REPLY_BYTES[0], "big")
+    return (state + bytes([reply.temperature_c - _COLDEST_C, reply.error]))[:reply_bytes]
+
+
+def reply_of(data: bytes, ranges: MitRanges) -> MitReply:
+    """What six or eight bytes report."""
+    bits = int.from_bytes(data[: REPLY_BYTES[0]], "big")
+    reply = MitReply(
+        data[0],
+        _number(bits >> 24, ranges.position_rad, _LONG),
+        _number(bits >> 12, ranges.velocity_rad_s, _SHORT),
+        _number(bits, ranges.torque_nm, _SHORT),
+    )
+    if len(data) == REPLY_BYTES[0]:
+        return reply
+    return reply._replace(temperature_c=data[6] + _COLDEST_C, error=data[7])
+
+
+def is_command(frame: CanFrame) -> bool:
+    """Whether a frame has the form of a command or a special one."""
+    return is_classical_data(frame, COMMAND_BYTES)
+
+
+def is_reply(frame: CanFrame) -> bool:
+    """Whether a frame has the form of a reply."""
+    return any(is_classical_data(frame, length) for length in REPLY_BYTES)
+
+
+def _signed(value: float, limit: float, bits: int) -> int:
+    return _steps(value + limit, 2.0 * limit, bits)
+
+
+def _steps(value: float, span: float, bits: int) -> int:
+    most = (1 << bits) - 1
+    return int(min(max(value / span, 0.0), 1.0) * most)
+
+
+def _share(bits: int, length: int) -> float:
+    most = (1 << length) - 1
+    return (bits & most) / most
+
+
+def _number(bits: int, limit: float, length: int) -> float:
+    return (2.0 * _share(bits, length) - 1.0) * limit
+
+
+class MitCodec:
+    """Frames of one control cycle, see `CanCodec`.
+
+    Args:
+        node_ids: addresses of the drives, one for each joint.
+        ranges: of the numbers of each drive.
+        reply_identifier: identifier of all replies.
+        reply_bytes: bytes of a reply.
+        gains: of the loops that drives close around targets; None for torques alone.
+    """
+
+    def __init__(
+        self,
+        node_ids: Sequence[int],
+        ranges: Sequence[MitRanges],
+        reply_identifier: int,
+        reply_bytes: int,
+        gains: DriveGains | None = None,
+    ) -> None:
+        self._gains = gains
+        self._node_ids, self._ranges = tuple(node_ids), tuple(ranges)
+        self._joint_of = {node_id: joint for joint, node_id in enumerate(node_ids)}
+        self._reply_identifier = reply_identifier
+        self._sampling = self.special_frames(Special.ENTER)
+        self.cycle = CycleFrames(
+            (), (8, reply_bytes, 8, reply_bytes),
+            f"{{n}} × (request 8 bytes + command 8 bytes + 2 replies of {reply_bytes} bytes)",
+        )  # fmt: skip
+
+    def sampling_frames(self) -> Sequence[CanFrame]:
+        return self._sampling
+
+    def special_frames(self, kind: Special) -> Sequence[CanFrame]:
+        """A special frame to each drive."""
+        return [CanFrame(node_id, special(kind)) for node_id in self._node_ids]
+
+    def is_sampling(self, frame: CanFrame) -> bool:
+        return frame in self._sampling
+
+    def reply(self, frame: CanFrame) -> tuple[int, MitReply] | None:
+        """Joint and content of a reply, None for any other frame."""
+        if frame.identifier != self._reply_identifier or not is_reply(frame):
+            return None
+        joint = self._joint_of.get(frame.data[0])
+        return None if joint is None else (joint, reply_of(frame.data, self._ranges[joint]))
+
+    def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
+        found = self.reply(frame)
+        if found is None:
+            return None
+        joint, reply = found
+        position[joint], velocity[joint] = reply.position_rad, reply.velocity_rad_s
+        return joint
+
+    def command_frames(self, torque_nm: Vector, target: Matrix | None = None) -> Sequence[CanFrame]:
+        torques = torque_nm.tolist()
+        if target is None or self._gains is None:
+            commands = [MitCommand(torque_nm=torque) for torque in torques]
+        else:
+            _, stiffnesses, dampings = self._gains
+            columns = (*target.tolist(), stiffnesses.tolist(), dampings.tolist(), torques)
+            commands = [MitCommand(*row) for row in zip(*columns, strict=True)]
+        rows = zip(self._node_ids, commands, self._ranges, strict=True)
+        return [
+            CanFrame(node_id, packed_command(command, ranges)) for node_id, command, ranges in rows
+        ]
+
+    def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
+        joint = self._joint_of.get(frame.identifier)
+        if joint is None or not is_command(frame) or special_of(frame.data) is not None:
+            return None
+        torque_nm[joint] = command_of(frame.data, self._ranges[joint]).torque_nm
+        return joint

@@ -1,0 +1,102 @@
+"""The MIT mini-cheetah's protocol, as one of the protocols of motor drives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from bus_schema.arrays import Vector
+from bus_schema.can.mit.codec import MitCodec, MitRanges
+from bus_schema.can.mit.master import MitMaster
+from bus_schema.can.protocol import DriveProtocol
+from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.drive_feedback import DriveGains
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.robot_description import RobotDescription
+
+
+def ranges_of(can: CanConfiguration, joints: int) -> tuple[MitRanges, ...]:
+    """The ranges of each joint's drive.
+
+    Raises:
+        ConfigurationError: there are not as many as joints.
+    """
+    columns = [
+        expand(getattr(can.mit, name), joints, f"link.can.mit.{name}").tolist()
+        for name in MitRanges._fields
+    ]
+    return tuple(MitRanges(*row) for row in zip(*columns, strict=True))
+
+
+class MitSettings(NamedTuple):
+    """What both sides must agree on of one drive.
+
+    Attributes:
+        ranges: of the numbers in its frames.
+        reply_identifier: identifier of its replies.
+        reply_bytes: 8 with temperature and error, 6 without.
+    """
+
+    ranges: MitRanges = MitRanges()
+    reply_identifier: int = 0
+    reply_bytes: int = 8
+
+
+class MitProtocol(DriveProtocol):
+    """Position, velocity, stiffness, damping and torque in one frame."""
+
+    title = "MIT"
+    takes_targets = True
+    answers_torques = True
+    master = MitMaster
+
+    def codec(
+        self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains | None = None
+    ) -> MitCodec:
+        node_ids, ranges = self.node_ids(can, robot.joints), ranges_of(can, robot.joints)
+        if gains is not None:
+            _check_gains(gains, ranges)
+        return MitCodec(node_ids, ranges, can.mit.reply_identifier, can.mit.reply_bytes, gains)
+
+    def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
+        node_ids = super().node_ids(can, joints)
+        if can.mit.reply_identifier in node_ids:
+            raise ConfigurationError(
+                "link.can.mit.reply_identifier", can.mit.reply_identifier,
+                "must be none of the drives' addresses, to which commands go",
+            )  # fmt: skip
+        return node_ids
+
+    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[MitSettings, ...]:
+        mit = can.mit
+        return tuple(
+            MitSettings(ranges, mit.reply_identifier, mit.reply_bytes)
+            for ranges in ranges_of(can, joints)
+        )
+
+    def oddities(
+        self, can: CanConfiguration, robot: RobotDescription, most_nm: Vector
+    ) -> list[str]:
+        rows = zip(robot.joint_names, ranges_of(can, robot.joints), most_nm.tolist(), strict=True)
+        cut_off = [
+            f"{name} ({most:g} N m, cut off at {ranges.torque_nm:g})"
+            for name, ranges, most in rows
+            if most > ranges.torque_nm
+        ]
+        if not cut_off:
+            return []
+        return [
+            f"frames of {self.title} drives cannot say all torques of {', '.join(cut_off)}: set"
+            " link.can.mit.torque_nm to the range that the drives are set to, or limits.torque_nm"
+            " to what there is"
+        ]
+
+
+def _check_gains(gains: DriveGains, ranges: tuple[MitRanges, ...]) -> None:
+    for name in ("stiffness_nm_rad", "damping_nm_s"):
+        wanted = getattr(gains, name)
+        most = [getattr(each, name) for each in ranges]
+        if (wanted > most).any():
+            raise ConfigurationError(
+                f"plant.drive_feedback.{name}", wanted.tolist(),
+                f"must be within what a frame can say, link.can.mit.{name} = {most}",
+            )  # fmt: skip

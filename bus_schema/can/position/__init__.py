@@ -1,1 +1,0 @@
-"""Cycles in which drives get targets beside torques, and close loops of their own around them."""

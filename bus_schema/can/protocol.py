@@ -1,0 +1,104 @@
+"""Protocols of motor drives as the bus sees them, and the table of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from bus_schema.arrays import Vector
+from bus_schema.can.codec import CanCodec
+from bus_schema.can.master import CanMaster
+from bus_schema.configuration import ConfigurationError
+from bus_schema.drive_feedback import DriveGains
+from bus_schema.link.can_configuration import CanConfiguration
+from bus_schema.registry import Registry
+from bus_schema.robot_description import RobotDescription
+
+
+class DriveProtocol(ABC):
+    """A protocol of motor drives; section ``link.can`` of a scenario says how it is used.
+
+    Attributes:
+        title: its name in sentences.
+        largest_node_id: largest address that a drive can have.
+        has_fd_process_data: its cyclic frames can be those of CAN FD.
+        takes_targets: its drives close loops around targets that come with the torques.
+        answers_torques: its drives send their states in answer to torques, too.
+        master: master of drives that speak it; the arguments are those of `CanMaster`.
+    """
+
+    title: str
+    largest_node_id = 127
+    has_fd_process_data = False
+    takes_targets = False
+    answers_torques = False
+    master: type[CanMaster]
+
+    @abstractmethod
+    def codec(
+        self, can: CanConfiguration, robot: RobotDescription, gains: DriveGains | None = None
+    ) -> CanCodec:
+        """The frames of a control cycle, in the mode that the master of these drives uses.
+
+        Args:
+            can: section ``link.can`` of the scenario.
+            robot: the robot.
+            gains: of the loops that the drives close, where `takes_targets`; None for torques.
+
+        Raises:
+            ConfigurationError: a value does not fit the robot, or drives cannot have such gains.
+        """
+
+    def check(self, can: CanConfiguration) -> None:  # noqa: B027 (a protocol may have none)
+        """Check values that concern this protocol alone.
+
+        Raises:
+            ConfigurationError: one cannot be used.
+        """
+
+    def oddities(
+        self,
+        can: CanConfiguration,  # noqa: ARG002 (most protocols have none)
+        robot: RobotDescription,  # noqa: ARG002
+        most_nm: Vector,  # noqa: ARG002
+    ) -> list[str]:
+        """Warnings for accepted but suspicious settings.
+
+        Args:
+            can: section ``link.can`` of the scenario.
+            robot: the robot.
+            most_nm: the largest torques that drives may be commanded, N m, shape (joints,).
+        """
+        return []
+
+    def own_settings(self, can: CanConfiguration, joints: int) -> tuple[object, ...]:  # noqa: ARG002
+        """What both sides must agree on with this protocol alone, one for the drive of each joint.
+
+        Raises:
+            ConfigurationError: there are not as many values as joints.
+        """
+        return (None,) * joints
+
+    def node_ids(self, can: CanConfiguration, joints: int) -> tuple[int, ...]:
+        """One address per joint.
+
+        Raises:
+            ConfigurationError: there are not as many as joints, or too large ones.
+        """
+        node_ids = can.node_ids_of(joints)
+        if max(node_ids) > self.largest_node_id:
+            raise ConfigurationError(
+                "link.can.node_ids", list(node_ids),
+                f"must be at most {self.largest_node_id} with {self.title}",
+            )  # fmt: skip
+        return node_ids
+
+
+PROTOCOLS: Registry[DriveProtocol] = Registry(
+    "link.can.protocol",
+    {
+        "cia402": "bus_schema.can.cia402.protocol:Cia402Protocol",
+        "cansimple": "bus_schema.can.cansimple.protocol:CanSimpleProtocol",
+        "mit": "bus_schema.can.mit.protocol:MitProtocol",
+    },
+)
+"""A new protocol is one line here, and one in `plant_emulator.drives.commissioning.DRIVES`."""

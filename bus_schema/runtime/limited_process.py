@@ -1,0 +1,59 @@
+"""Work on a stranger's files in another process: a crash or a hang there is an error here."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+
+from bus_schema.runtime.signal_names import signal_name
+
+_WAIT_S, _MEMORY_BYTES = 9.0, 1 << 30
+
+
+class LimitedProcessError(Exception):
+    """The process has no answer; the message says how it ended."""
+
+
+class LimitedProcess:
+    """A Python process that reads an order from standard input and answers on standard output.
+
+    Args:
+        module: its program, which calls `limit_this_process` first.
+        order: what it reads.
+    """
+
+    def __init__(self, module: str, order: bytes) -> None:
+        self._order = order
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", module],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+
+    def answer(self) -> bytes:
+        """Wait for the answer.
+
+        Raises:
+            LimitedProcessError: the process crashed, or took more time or memory than it may.
+        """
+        answer = b""
+        with self._process as process:
+            try:
+                answer, _ = process.communicate(self._order, _WAIT_S)
+            except subprocess.TimeoutExpired:
+                pass
+            finally:
+                process.kill()
+        if code := process.returncode:
+            how = f"killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
+            raise LimitedProcessError(how)
+        return answer
+
+
+def limit_this_process(cpu_s: int) -> None:
+    """Limit the CPU time and the memory that this process may take."""
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s))
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

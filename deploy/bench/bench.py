@@ -1,0 +1,109 @@
+"""`bench`: what a loop, a simulation and a sweep cost on this machine, as a table and as JSON.
+
+There is no absolute claim in it: times depend on the machine and on what else it does, and all
+candidates of a section are measured by turns so that they suffer alike.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from bus_schema.recording.atomic_files import write_json
+from deploy.bench.control_step import measure_control_steps
+from deploy.bench.loop import measure_loop_costs, measure_real_time
+from deploy.bench.measure import Costs, Section
+from deploy.bench.sweep import measure_sweep
+from deploy.reports.tables import number
+from deploy.run.run_folder import provenance
+from deploy.scenario.yaml_files import ScenarioError
+
+FAILED = "could not be measured:"
+_SCENARIO = "paper_arm"
+
+
+def run_bench(console: Console, json_file: Path | None, *, quick: bool) -> list[Section]:
+    """Measure everything, show it, and write it to a file.
+
+    Args:
+        console: where to show it.
+        json_file: what to write; None for nothing.
+        quick: fewer and shorter repetitions.
+
+    Raises:
+        ScenarioError: the file cannot be written.
+    """
+    if json_file is not None:
+        _require_writable(json_file)
+    sections = []
+    for title, measure in _plan(quick=quick).items():
+        with console.status(f"measuring: {title}"):
+            sections.append(_measured(title, measure))
+        show_section(console, sections[-1])
+    if json_file is not None:
+        write_json(json_file, as_dict(sections, quick=quick))
+        console.print(f"numbers: {json_file}", soft_wrap=True)
+    return sections
+
+
+def as_dict(sections: list[Section], *, quick: bool) -> dict[str, object]:
+    """All numbers, for JSON."""
+    return {
+        "host": provenance()["host"],
+        "quick": quick,
+        "sections": {section.title: section.as_dict() for section in sections},
+    }
+
+
+def show_section(console: Console, section: Section) -> None:
+    """One section as a table, a row per ratio."""
+    table = Table(title=section.title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("ratio")
+    for heading in ("median", "lowest", "highest", "µs", "over µs"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for ratio in section.ratios:
+        value = ratio.value
+        table.add_row(
+            ratio.name, *(f"{one:.2f}" for one in (value.median, value.lowest, value.highest)),
+            _sum(section.costs_us, ratio.over), _sum(section.costs_us, ratio.under),
+        )  # fmt: skip
+    console.print(table if section.ratios else section.title)
+    for note in section.notes:
+        console.print(note, markup=False, highlight=False)
+    console.print()
+
+
+def _measured(title: str, measure: Callable[[], Section]) -> Section:
+    """A section, or a section without numbers that says why it has none."""
+    try:
+        return measure()
+    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+        return Section(title.capitalize(), {}, [], [f"{FAILED} {error}"])
+
+
+def _plan(*, quick: bool) -> dict[str, Callable[[], Section]]:
+    repetitions, seconds = (2, 0.5) if quick else (4, 1.5)
+    return {
+        "control step": lambda: measure_control_steps(round(2000 * seconds), repetitions),
+        "ticks": lambda: measure_loop_costs(_SCENARIO, seconds, repetitions),
+        "real time": lambda: measure_real_time(_SCENARIO, seconds, repetitions),
+        "sweep": lambda: measure_sweep(_SCENARIO, *(2.0, 20, 1) if quick else (6.0, 30, 1)),
+    }
+
+
+def _require_writable(file: Path) -> None:
+    """Find out before minutes of measuring, not after."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    except OSError as error:
+        raise ScenarioError(f"--json {file}: cannot be written: {error.strerror}") from error
+
+
+def _sum(costs: Costs, names: tuple[str, ...]) -> str:
+    return number(sum(costs[name].median for name in names))

@@ -1,1 +1,0 @@
-"""What a cycle over CAN costs, beside a compiled one."""

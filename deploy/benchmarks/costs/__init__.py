@@ -1,1 +1,0 @@
-"""What `bench` measures: the cost of each thing beside that of a bare one."""

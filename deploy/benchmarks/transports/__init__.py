@@ -1,1 +1,0 @@
-"""What can carry bytes between two processes, each in a module with `Near` and `answer`."""

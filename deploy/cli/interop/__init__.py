@@ -1,1 +1,0 @@
-"""Commands that write files for programs of others: controllers, notebooks, ROS 2."""

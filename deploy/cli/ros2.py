@@ -1,0 +1,157 @@
+"""What ROS 2 needs of us: `ros-package` for message types, `ros2-control` for an arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+
+from bus_schema.errors import InputError
+from bus_schema.messages.types import PACKAGE
+from bus_schema.recording.atomic_files import write_whole
+from bus_schema.view.arm_view import description
+from deploy.cli.options import Overrides, ScenarioArgument
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+
+CONTROLLER = "joint_trajectory_controller"
+_DEPENDENCIES = ("builtin_interfaces", "std_msgs")
+_PACKAGE_XML = """\
+<?xml version="1.0"?>
+<package format="3">
+  <name>{package}</name>
+  <version>{version}</version>
+  <description>Messages of funnel-hil.</description>
+  <maintainer email="noreply@example.org">funnel-hil</maintainer>
+  <license>{license}</license>
+  <buildtool_depend>ament_cmake</buildtool_depend>
+  <buildtool_depend>rosidl_default_generators</buildtool_depend>
+{depends}
+  <exec_depend>rosidl_default_runtime</exec_depend>
+  <member_of_group>rosidl_interface_packages</member_of_group>
+  <export><build_type>ament_cmake</build_type></export>
+</package>
+"""
+_CMAKE = """\
+cmake_minimum_required(VERSION 3.8)
+project({package})
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+{found}
+rosidl_generate_interfaces(${{PROJECT_NAME}}
+{messages}
+  DEPENDENCIES {dependencies}
+)
+ament_export_dependencies(rosidl_default_runtime)
+ament_package()
+"""
+
+
+def ros2_control(
+    scenario: ScenarioArgument = "paper_arm",
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder; by default <scenario>_ros2_control.")
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace files there that differ.")
+    ] = False,
+) -> None:
+    """Write the arm's URDF with its ros2_control element, and a controllers.yaml for it."""
+    setup = load_setup(scenario, overrides or [])
+    folder = out or Path(f"{setup.scenario.name}_ros2_control")
+    texts = {
+        folder / "robot.urdf": description(setup.robot),
+        folder / "controllers.yaml": yaml.safe_dump(controllers_of(setup), sort_keys=False),
+    }
+    try:
+        if not overwrite:
+            _require_nothing_else(texts)
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in texts.items():
+            write_whole(file, text)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written: {error.strerror}") from error
+    print(folder)
+
+
+def _require_nothing_else(texts: Mapping[Path, str]) -> None:
+    """Check that no file is there with another text, which may be somebody's work."""
+    for file, text in texts.items():
+        if file.exists() and file.read_bytes() != text.encode():
+            raise InputError(
+                f"{file}: is there already and differs from what would be written: must be moved"
+                " away, or give --overwrite or another --out"
+            )
+
+
+def controllers_of(setup: Setup) -> dict[str, Any]:
+    """Parameters for ``ros2_control_node``: a trajectory controller that commands torques.
+
+    Its gains are those of a loop that is critically damped at ``controller.drive_feedback``'s
+    bandwidth, around the inertia that each joint feels.
+    """
+    names, gains = setup.robot.joint_names, setup.tuned_drive
+    tuned = zip(names, gains.stiffness_nm_rad, gains.damping_nm_s, strict=True)
+    return {
+        "controller_manager": {
+            "ros__parameters": {
+                "use_sim_time": True,
+                "update_rate": round(setup.scenario.rate_hz),
+                CONTROLLER: {"type": f"{CONTROLLER}/JointTrajectoryController"},
+            }
+        },
+        CONTROLLER: {
+            "ros__parameters": {
+                "joints": list(names),
+                "command_interfaces": ["effort"],
+                "state_interfaces": ["position", "velocity"],
+                "gains": {
+                    name: {"p": float(f"{stiffness:.6g}"), "i": 0.0, "d": float(f"{damping:.6g}")}
+                    for name, stiffness, damping in tuned
+                },
+            }
+        },
+    }
+
+
+def ros_package(
+    folder: Annotated[Path, typer.Argument(help="Where to put it, such as ~/ros2_ws/src.")],
+) -> None:
+    """Write our message types as a ROS 2 package, for colcon to build."""
+    package = folder / PACKAGE
+    messages = [
+        file
+        for file in resources.files("bus_schema.messages").joinpath("msg").iterdir()
+        if file.name.endswith(".msg")
+    ]
+    try:
+        (package / "msg").mkdir(parents=True, exist_ok=True)
+        for file in messages:
+            write_whole(package / "msg" / file.name, file.read_text(encoding="utf-8"))
+        names = sorted(file.name for file in messages)
+        write_whole(package / "package.xml", _package_xml())
+        write_whole(package / "CMakeLists.txt", _cmake(names))
+    except OSError as error:
+        raise InputError(f"{package}: cannot be written: {error.strerror}") from error
+    typer.echo(package)
+
+
+def _package_xml() -> str:
+    return _PACKAGE_XML.format(
+        package=PACKAGE, version=version("funnel-hil"), license="Apache-2.0",
+        depends="\n".join(f"  <depend>{name}</depend>" for name in _DEPENDENCIES),
+    )  # fmt: skip
+
+
+def _cmake(names: list[str]) -> str:
+    return _CMAKE.format(
+        package=PACKAGE, dependencies=" ".join(_DEPENDENCIES),
+        found="\n".join(f"find_package({name} REQUIRED)" for name in _DEPENDENCIES),
+        messages="\n".join(f'  "msg/{name}"' for name in names),
+    )  # fmt: skip

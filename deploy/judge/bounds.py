@@ -1,0 +1,74 @@
+"""The true error of a run against the scenario's funnel, at every tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Matrix
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from deploy.judge.recorded_ticks import KnownTicks, tick_numbers
+from deploy.judge.run_data import RunData
+
+_COUNTED = ("ticks", "outside", "margin_min")
+
+
+def bound_usage(run: RunData) -> Matrix:
+    """|e| over the bound on the error's own side, at every tick, shape (ticks, joints)."""
+    errors = run.true_errors_rad
+    upper, lower = run.setup.funnel.bounds(run.times_s(topics.PLANT_TRUTH))
+    return np.where(errors >= 0.0, errors / upper, errors / lower)
+
+
+def judge_bounds(run: RunData) -> dict[str, Any]:
+    """How the true error kept inside the funnel, at the ticks that are known.
+
+    An error that is not a number is outside: nothing says where the arm was. Where the plant came
+    to no tick there is nothing to judge. `deploy.judge.verdict` decides what follows.
+    """
+    usage = bound_usage(run)
+    if len(usage) < 2:  # the first is where the arm stood before any tick
+        return dict.fromkeys(("violation_fraction", "first_violation_s", "margin_min"))
+    outside = ~(usage < 1.0).all(axis=1)
+    largest = float(usage.max())
+    first = float(run.times_s(topics.PLANT_TRUTH)[np.argmax(outside)]) if outside.any() else None
+    return {
+        "violation_fraction": float(outside.mean()),
+        "first_violation_s": first,
+        "margin_min": 1.0 - largest if np.isfinite(largest) else None,
+    }
+
+
+def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> list[str]:
+    """What the plant counted otherwise than its recording shows, where no tick is missing.
+
+    Args:
+        run: the run.
+        bounds: what `judge_bounds` says of it.
+        known: which of its ticks are recorded.
+    """
+    counted = plant_count(run)
+    is_all = not known.missing and 0 in tick_numbers(run)
+    if len(counted) < len(_COUNTED) or not is_all or bounds["violation_fraction"] is None:
+        return []
+    rows = len(run.tables[topics.PLANT_TRUTH.name])
+    found = (rows, round(bounds["violation_fraction"] * rows), bounds["margin_min"])
+    told = tuple(counted[name] for name in _COUNTED)
+    margins = (math.inf if each[-1] is None else each[-1] for each in (found, told))
+    # Another machine's functions may have other last bits.
+    is_same = found[:-1] == told[:-1] and math.isclose(*margins, rel_tol=1e-6, abs_tol=1e-6)
+    ours, theirs = (
+        f"{outside} of {ticks} ticks outside, smallest margin {margin}"
+        for ticks, outside, margin in (found, told)
+    )
+    return [] if is_same else [f"it shows {ours}, but the plant counted {theirs}"]
+
+
+def plant_count(run: RunData) -> dict[str, Any]:
+    """What the plant counted against the funnel itself; {} of older versions and other plants."""
+    return dict(run.last_values(Role.PLANT, EventKind.ENDED).get("bounds", {}))

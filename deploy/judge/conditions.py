@@ -1,0 +1,142 @@
+"""Under what conditions results came about: what a number must be quoted with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.realtime import AFFINITY, SCHEDULER
+from deploy.judge.run_data import RunData
+from deploy.scenario.setup import Setup
+from plant_emulator.physics.engines import DEFAULT_ENGINE, ENGINES, default_note, physics_in_force
+
+Conditions = dict[str, str]
+"""Sentences or numbers with their unit, by what they tell of."""
+
+_UNKNOWN = "not known"
+_GRANTED_IN_SILENCE = f"{_UNKNOWN}: the manifest does not say, as where loops were started by hand"
+_SHOWN_GRANTS = (SCHEDULER, AFFINITY)
+
+
+def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> Conditions:
+    """The conditions of a run, or of runs that differ in their law alone.
+
+    Args:
+        setups: the scenario, under each law.
+        manifest: ``manifest.json`` of the folder; empty where there is none.
+    """
+    scenario, laws = setups[0].scenario, [setup.scenario.controller.name for setup in setups]
+    start = ", ".join(f"{offset:g}" for offset in scenario.robot.initial_offset_rad)
+    return {
+        **provenance_of(manifest),
+        "scenario": scenario.name,
+        "law": ", ".join(laws),
+        "physics": physics_of(setups),
+        "duration": f"{scenario.duration_s:g} s",
+        "starts": f"joints off by {start} rad",
+        "seeds": str(scenario.seed),
+        "set": set_text(manifest.get("set")),
+        **host_of(manifest),
+        **warnings_of(manifest),
+    }
+
+
+def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Conditions:
+    """The conditions of a run that was recorded.
+
+    Args:
+        run: its data.
+        manifest: ``manifest.json`` of the folder; empty where there is none.
+    """
+    conditions = {**conditions_of_runs([run.setup], manifest), "law": run.controller}
+    if physics := run.last_values(Role.PLANT, EventKind.ENDED).get("physics"):
+        has_rotors = run.setup.scenario.plant.actuator.has_rotors  # which only one engine knows
+        note = "" if has_rotors else _note_of_default(physics, manifest)
+        conditions["physics"] = physics + note
+    if run.clock == "realtime" and not manifest.get("realtime"):
+        conditions["granted"] = _GRANTED_IN_SILENCE
+    return conditions
+
+
+def physics_of(setups: Sequence[Setup]) -> str:
+    """Engine and integrator of the plants."""
+    plants = [setup.scenario.plant for setup in setups]
+    return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
+
+
+def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
+    """That nobody chose the engine of a recorded run, where it is not the default one."""
+    section: Any = manifest
+    for key in ("scenario", "plant", "physics"):  # older manifests lack the last one
+        section = section.get(key) if isinstance(section, dict) else None
+    title = ENGINES[DEFAULT_ENGINE].title
+    was_chosen = not isinstance(section, dict) or section.get("engine") is not None
+    return "" if was_chosen or physics.startswith(title) else f" ({title} was not installed)"
+
+
+def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
+    """Which versions it was, and when; several of results that have grown."""
+    return {
+        "version": _each(manifest, _version_text),
+        "date": _each(manifest, lambda made: str(made.get("started", _UNKNOWN))),
+    }
+
+
+def warnings_of(manifest: Mapping[str, Any]) -> Conditions:
+    """What the arm's file leaves open or has odd, where it does."""
+    told = manifest.get("warnings")
+    return {"warnings": "; ".join(map(str, told))} if told and isinstance(told, list) else {}
+
+
+def host_of(manifest: Mapping[str, Any]) -> Conditions:
+    """On what machine it was, and what that granted."""
+    grants = manifest.get("realtime") or {}
+    granted = [f"{role} {_grants_text(settings)}" for role, settings in grants.items()]
+    return {
+        "host": _each(manifest, _host_text),
+        "granted": "; ".join(granted) or "nothing asked for, as no loop ran in real time",
+    }
+
+
+def granted_and_not(conditions: Mapping[str, str]) -> tuple[bool, list[str]]:
+    """Whether it is known what the machine granted the loops, and what of it one of them lacked."""
+    granted = conditions.get("granted", _UNKNOWN)
+    lacked = [name for name in _SHOWN_GRANTS if f"no {name}" in granted]
+    return not granted.startswith(_UNKNOWN), lacked
+
+
+def set_text(overrides: Sequence[str] | None) -> str:
+    """What was set beside the scenario."""
+    return _UNKNOWN if overrides is None else ", ".join(overrides) or "nothing"
+
+
+def conditions_line(conditions: Mapping[str, str]) -> str:
+    """All conditions on one line, to stand below a table."""
+    return "Conditions: " + "; ".join(f"{name}: {text}" for name, text in conditions.items()) + "."
+
+
+def _each(manifest: Mapping[str, Any], tell: Callable[[Mapping[str, Any]], str]) -> str:
+    """What is to be told of the first results and of all that was added to them, each once."""
+    made = [*manifest.get("grown_from", ()), manifest]
+    return ", then ".join(dict.fromkeys(tell(each) for each in made))
+
+
+def _version_text(manifest: Mapping[str, Any]) -> str:
+    return f"funnel-hil {manifest.get('versions', {}).get('funnel-hil') or _UNKNOWN}"
+
+
+def _host_text(manifest: Mapping[str, Any]) -> str:
+    host = manifest.get("host")
+    if not host:
+        return _UNKNOWN
+    usable = host.get("usable_cpus", host["cpus"])
+    return f"{host['machine']}, kernel {host['kernel']}, {usable} of {host['cpus']} CPUs usable"
+
+
+def _grants_text(settings: Sequence[Mapping[str, Any]]) -> str:
+    """What a process was granted of what matters most for its deadlines."""
+    by_name = {setting["name"]: setting for setting in settings}
+    asked = [by_name[name] for name in _SHOWN_GRANTS if name in by_name] or settings
+    return ", ".join(one["detail"] if one["granted"] else f"no {one['name']}" for one in asked)

@@ -1,0 +1,220 @@
+"""From the data of a run to the numbers of ``summary.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Role
+from bus_schema.percentiles import PERCENTILES, percentiles
+from deploy.judge.bounds import disagreement, judge_bounds, plant_count
+from deploy.judge.chattering import chatter_shares
+from deploy.judge.identified import identified
+from deploy.judge.recorded_ticks import (
+    KnownTicks,
+    Rows,
+    known_ticks,
+    longest_run,
+    rows_after_gaps,
+)
+from deploy.judge.run_data import RunData, stamps_s
+from deploy.judge.settling_bound import settling_bound_s
+from deploy.judge.stalls import longest_stall_ms
+from deploy.judge.verdict import decide, with_verdict
+
+UNAUTHENTICATED = (
+    "without link.security, one commander protects against mistakes, not against somebody who"
+    " copies the commander's id"
+)
+_SHORTEST_S = 1e-6
+_MOST_GAPS = 20
+_CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
+
+
+def summarise(run: RunData) -> dict[str, Any]:
+    """The summary of a run, ready for JSON."""
+    setup = run.setup
+    outcome = run.last_values(Role.PLANT, EventKind.ENDED)
+    known, tracking = known_ticks(run), _tracking(run)
+    duration_s = known.ticks * setup.grid.period_ns * 1e-9
+    wall_s = float(outcome.get("wall_s", 0.0))
+    faults, bounds = run.faults(), judge_bounds(run)
+    is_ended = bool(outcome.get("completed", False)) and known.ticks >= setup.ticks
+    damage = [*run.damage, *disagreement(run, bounds, known)]
+    verdict = decide(
+        faults,
+        is_judged=bounds["violation_fraction"] is not None,
+        was_outside=bool(bounds["violation_fraction"] or plant_count(run).get("outside")),
+        is_known=run.complete and not damage and not known.missing,
+        is_ended=is_ended,
+    )
+    summary = {
+        "scenario": setup.scenario.name,
+        "law": run.controller,
+        "clock": run.clock,
+        "link": run.link,
+        "duration_s": duration_s,
+        "ticks": known.ticks,
+        "completed": is_ended and run.complete,
+        "faults": faults,
+        "real_time_factor": duration_s / wall_s if wall_s > _SHORTEST_S else None,
+        "bounds": bounds,
+        "tracking": tracking,
+        "torque": _torque(run),
+        "timing": _timing(run, known, outcome.get("stolen_ms")),
+        "transport": _transport(run),
+        "limits": _limits(run),
+        "identified": identified(run),
+        "recorder": {
+            "messages": run.messages,
+            "lost": None if run.lost is None else sum(run.lost.values()),
+            "lost_by_topic": None if run.lost is None else dict(run.lost),
+            "complete": run.complete,
+        },
+        "recording": _recording(run, known, damage, tracking["settling_time_s"]),
+        "commander": _commander(run),
+        "digest": run.digest,
+    }
+    return with_verdict(summary, verdict)
+
+
+def _tracking(run: RunData) -> dict[str, Any]:
+    errors, times_s = run.true_errors_rad, run.times_s(topics.PLANT_TRUTH)
+    judged = errors[times_s >= run.setup.scenario.metrics.from_s]
+    return {
+        "joint_names": list(run.setup.robot.joint_names),
+        "rms_rad": np.sqrt((judged**2).mean(axis=0)).tolist() if len(judged) else None,
+        "max_abs_rad": np.abs(judged).max(axis=0).tolist() if len(judged) else None,
+        "settling_time_s": settling_times_s(errors, times_s, run.setup.funnel.final_rad),
+        "settling_bound_s": settling_bound_s(run.setup),
+    }
+
+
+def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[float | None]:
+    """When each joint's error last entered ±band to stay; null if it never did."""
+    settled: list[float | None] = []
+    for error, band in zip(errors.T, band_rad, strict=True):
+        outside = np.flatnonzero(np.abs(error) > band)
+        entered = outside[-1] + 1 if outside.size else 0
+        settled.append(float(times_s[entered]) if entered < len(times_s) else None)
+    return settled
+
+
+def _torque(run: RunData) -> dict[str, Any]:
+    commands = run.tables[topics.JOINT_COMMANDS.name]
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    effort = commands["effort"]
+    times_s, after_gaps = _command_times(run)
+    follows = ~np.isin(np.arange(1, len(times_s)), after_gaps)
+    left_out_s = np.abs(np.diff(times_s))[~follows].sum()
+    duration_s = np.ptp(times_s) - left_out_s if follows.any() else 0.0  # answers may be unordered
+    if not duration_s > 0.0:
+        return dict.fromkeys(
+            ("total_variation_nm_per_s", "share_above_50_hz", "rms_nm", "peak_nm",
+             "saturated_fraction")
+        )  # fmt: skip
+    variation = np.abs(np.diff(effort, axis=0))[follows].sum(axis=0) / duration_s
+    return {
+        "total_variation_nm_per_s": variation.tolist(),
+        "share_above_50_hz": chatter_shares(effort, run.setup.scenario.rate_hz, after_gaps),
+        "rms_nm": np.sqrt((effort**2).mean(axis=0)).tolist(),
+        "peak_nm": np.abs(effort).max(axis=0).tolist(),
+        "saturated_fraction": float(truth["saturated"].mean()) if len(truth) else None,
+    }
+
+
+def _command_times(run: RunData) -> tuple[Vector, Rows]:
+    """When the states were measured that commands answer, s, and which stand behind a gap."""
+    times_s = run.times_s(topics.JOINT_COMMANDS)
+    return times_s, rows_after_gaps(run, times_s)
+
+
+def _recording(
+    run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
+) -> dict[str, Any]:
+    """How whole the recording is."""
+    skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
+    return {
+        "damage": damage,
+        "rejected": dict(run.rejected),
+        "notes": run.notes,
+        "ticks_known": known.known,
+        "ticks_skipped": int(skipped.max(initial=0)),
+        "gaps_s": known.gaps_s[:_MOST_GAPS],
+        **_over_gaps(run, settled_s),
+    }
+
+
+def _over_gaps(run: RunData, settled_s: Sequence[float | None]) -> dict[str, Any]:
+    """What missing ticks cost: time without torques, and whether settling times are the latest."""
+    command_times_s, after_gaps = _command_times(run)
+    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
+    return {
+        "torque_left_out_s": float(steps_s[after_gaps].sum()),
+        "settling_is_latest": [time_s in behind_gaps_s for time_s in settled_s],
+    }
+
+
+def _timing(run: RunData, known: KnownTicks, stolen_ms: float | None) -> dict[str, Any]:
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    missed = truth["deadline_met"] == 0
+    misses = int(missed.sum())
+    return {
+        **{name: percentiles(values_us) for name, values_us in times_us(run).items()},
+        "deadline_misses": misses,
+        "deadline_miss_longest_run": longest_run(missed, rows_after_gaps(run, stamps_s(truth))),
+        "success_rate": 1.0 - misses / known.known if known.known else None,
+        "stolen_ms": stolen_ms if run.clock == "realtime" else None,  # costs nothing elsewhere
+        "longest_stall_ms": longest_stall_ms(run),
+    }
+
+
+def times_us(run: RunData) -> dict[str, Vector]:
+    """All values of every time that was ever measured, µs, by its name in the summary."""
+    truth = run.tables[topics.PLANT_TRUTH.name]
+    in_nanoseconds = {
+        "round_trip_us": truth["round_trip_ns"],
+        "command_age_us": truth["command_age_ns"],
+        "state_age_us": truth["state_age_ns"],
+        "control_step_us": run.tables[topics.CONTROL_STATUS.name]["timing.step_ns"],
+        "wakeup_lateness_us": truth["timing.lateness_ns"],
+    }
+    # below 0: there is none
+    return {name: values[values >= 0] * 1e-3 for name, values in in_nanoseconds.items()}
+
+
+def _limits(run: RunData) -> dict[str, Any]:
+    """How often each side met each limit: the controller by torques, the plant by ticks."""
+    return {
+        "controller": run.last_values(Role.CONTROLLER, EventKind.ENDED).get("limits"),
+        "plant": run.last_values(Role.PLANT, EventKind.COUNTS).get("limits"),
+    }
+
+
+def _transport(run: RunData) -> dict[str, Any]:
+    counts = run.last_values(Role.PLANT, EventKind.COUNTS)
+    always: dict[str, Any] = {**dict.fromkeys(_CHANNEL), "rejected": {}}
+    unknown = {
+        "delay_ms": dict.fromkeys(("mean", *PERCENTILES)),
+        "loss_burst": dict.fromkeys(("mean", "longest")),
+    }
+    channels = {name: always | (counts.get(name) or unknown) for name in ("uplink", "downlink")}
+    return channels | ({"can": counts["can"]} if "can" in counts else {})
+
+
+def _commander(run: RunData) -> dict[str, Any]:
+    """What "one commander" was worth: whether whoever commanded had to prove who it is."""
+    if run.link != "zenoh":
+        return {"authenticated": None, "note": None}
+    is_authenticated = run.setup.scenario.link.security.enabled
+    return {
+        "authenticated": is_authenticated,
+        "note": None if is_authenticated else UNAUTHENTICATED,
+    }

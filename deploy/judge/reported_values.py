@@ -1,0 +1,83 @@
+"""What processes tell of their run at its end, as far as it can be what they would say.
+
+Anybody may say it, and recordings may come from anywhere: what is of another kind is left out and
+noted, so that it spoils nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.percentiles import PERCENTILES
+
+_MOST_NOTES = 20
+_COUNT = TypeAdapter(Annotated[int, Field(strict=True, ge=0, lt=1 << 53)])
+_AMOUNT = TypeAdapter(Annotated[float, Field(strict=True, ge=0, lt=1e15, allow_inf_nan=False)])
+_MAYBE = TypeAdapter(
+    Annotated[float, Field(strict=True, ge=0, lt=1e15, allow_inf_nan=False)] | None
+)
+_MARGIN = TypeAdapter(Annotated[float, Field(strict=True, le=1.0, allow_inf_nan=False)] | None)
+_TRUTH = TypeAdapter(Annotated[bool, Field(strict=True)])
+_COUNTS = TypeAdapter(dict[str, Annotated[int, Field(strict=True, ge=0, lt=1 << 53)]])
+_TEXT = TypeAdapter(Annotated[str, Field(max_length=100)])
+_ANY = TypeAdapter(dict[str, Any])
+
+_CHANNEL = {
+    **dict.fromkeys(("sent", "delivered", "lost", "duplicated", "reordered"), _COUNT),
+    "rejected": _COUNTS,
+    "delay_ms": dict.fromkeys(("mean", *PERCENTILES), _MAYBE),
+    "loss_burst": {"mean": _MAYBE, "longest": _COUNT},
+}
+_EXPECTED: Mapping[str, Mapping[str, Any]] = {
+    EventKind.ENDED: {
+        "ticks": _COUNT, "completed": _TRUTH, "wall_s": _AMOUNT, "stolen_ms": _AMOUNT,
+        "limits": _COUNTS, "physics": _TEXT,
+        "bounds": {"ticks": _COUNT, "outside": _COUNT, "margin_min": _MARGIN},
+    },
+    EventKind.COUNTS: {
+        "uplink": _CHANNEL, "downlink": _CHANNEL, "limits": _COUNTS, "can": _ANY,
+    },
+}  # fmt: skip
+"""What is used of these events: a type, or a mapping of more of them."""
+
+ReportedValues = dict[tuple[str, str], dict[str, Any]]
+
+
+def reported_values(events: Iterable[RunEvent]) -> tuple[ReportedValues, list[str]]:
+    """The last usable value of everything that is used, by source and kind; notes on the others."""
+    told: ReportedValues = {}
+    notes: dict[str, None] = {}
+    for event in events:
+        expected = _EXPECTED.get(event.kind)
+        if expected is not None:
+            where = f"{event.kind} of {event.source[:40]}"
+            values = told.setdefault((event.source, event.kind), {})
+            _take(values, event.values(), expected, where, notes)
+    return told, list(notes)[:_MOST_NOTES]
+
+
+def _take(
+    values: dict[str, Any],
+    given: Mapping[str, Any],
+    expected: Mapping[str, Any],
+    where: str,
+    notes: dict[str, None],
+) -> None:
+    """Take over into `values` what is of the kind expected; what is not is noted."""
+    for name, kind in expected.items():
+        if name not in given:
+            continue
+        value, place = given[name], f"{where}: {name}"
+        try:
+            if not isinstance(kind, Mapping):
+                values[name] = kind.validate_python(value)
+            elif isinstance(value, Mapping):
+                _take(values.setdefault(name, {}), value, kind, place, notes)
+            else:
+                raise TypeError("no mapping")
+        except (TypeError, ValidationError):
+            notes[f"{place} cannot be {repr(value)[:40]} and was left out"] = None

@@ -1,0 +1,180 @@
+"""The data of one run, from a recording or straight from memory, as tables."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import takewhile
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.errors import InvalidMessageError
+from bus_schema.messages import topics
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import Role, Topic
+from controller.reference import sample_positions
+from deploy.judge.reported_values import ReportedValues, reported_values
+from deploy.scenario.setup import Setup
+
+FOREIGN = "a foreign controller"
+"""What is given for the law where the controller is nobody's we know."""
+
+Table = NDArray[np.void]
+"""Messages of one topic, one row each; fields by dotted name (``header.stamp.sec``)."""
+
+
+@dataclass(frozen=True)
+class RunData:
+    """One run.
+
+    Attributes:
+        setup: the scenario it was a run of.
+        clock: ``realtime``, ``lockstep`` or ``virtual`` (in one process).
+        link: kind of link.
+        tables: messages by topic name; every fixed-size topic has one, perhaps without rows.
+        events: run events, by their time; those of one instant as they came.
+        digest: SHA-256 over the delivered joint states and the commands, in order.
+        messages: number of recorded messages.
+        lost: messages that the recorder knows it missed, by topic; None if nobody counted them to
+            the end.
+        complete: the recording was finished properly, and is undamaged.
+        damage: what is damaged of it, a sentence each.
+        failures: what ended processes of the run, causes before consequences, a sentence each.
+        lacks_checksums: no checksum covers all of its data, as in those of older versions.
+        rejected: what the recorder did not believe, by reason.
+    """
+
+    setup: Setup
+    clock: str
+    link: str
+    tables: Mapping[str, Table]
+    events: Sequence[RunEvent]
+    digest: str
+    messages: int
+    lost: Mapping[str, int] | None
+    complete: bool
+    damage: Sequence[str] = ()
+    failures: Sequence[str] = ()
+    lacks_checksums: bool = False
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def controller(self) -> str:
+        """Whose controller it was: a law's name, or a process's; ours tells of all it does."""
+        controller = self.setup.scenario.controller
+        has_told = len(self.tables[topics.CONTROL_STATUS.name]) or any(
+            event.source == Role.CONTROLLER for event in self.events
+        )
+        has_commanded = len(self.tables[topics.JOINT_COMMANDS.name]) > 0
+        is_ours = bool(has_told) or not has_commanded or self.link != "zenoh"
+        return controller.name if is_ours or controller.process is not None else FOREIGN
+
+    def times_s(self, topic: Topic) -> Vector:
+        """Stamps of a topic's messages, shape (messages,)."""
+        return stamps_s(self.tables[topic.name])
+
+    @cached_property
+    def true_errors_rad(self) -> Matrix:
+        """True joint errors at every tick, shape (ticks, joints)."""
+        truth = self.tables[topics.PLANT_TRUTH.name]
+        joints = self.setup.robot.joints
+        wanted = sample_positions(self.setup.reference, stamps_s(truth), joints)
+        return np.asarray(truth["position"] - wanted)
+
+    @cached_property
+    def _reported(self) -> tuple[ReportedValues, list[str]]:
+        return reported_values(self.events)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was left out of what processes told at their end, a sentence each."""
+        return self._reported[1]
+
+    def last_values(self, role: Role, kind: EventKind) -> dict[str, Any]:
+        """What the last events of a kind say that are of one of the processes, as far as it can be.
+
+        {} without one; see `reported_values`.
+        """
+        return self._reported[0].get((role, kind), {})
+
+    def faults(self) -> list[str]:
+        """All faults, a sentence each, causes before what followed from them."""
+        return [*self.failures] + [
+            f"{event.source} at {event.stamp_ns * 1e-9:.3f} s: {event.detail}"
+            for event in self.events
+            if event.kind == EventKind.FAULT
+        ]
+
+
+def stamps_s(table: Table) -> Vector:
+    """Header stamps in seconds."""
+    return table["header.stamp.sec"] + 1e-9 * table["header.stamp.nanosec"]
+
+
+def digest(states: Sequence[bytes], commands: Sequence[bytes]) -> str:
+    """SHA-256 over delivered joint states, then commands, each in order, as wire bytes.
+
+    The first state may have been sent again until somebody answered, who may have answered each:
+    how often says nothing of the run, and does not count.
+    """
+    hasher = hashlib.sha256()
+    for payloads in (states, commands):
+        repetitions = sum(1 for _ in takewhile(payloads[0].__eq__, payloads[1:])) if payloads else 0
+        hasher.update(b"".join(payloads[repetitions:]))
+    return hasher.hexdigest()
+
+
+def build_run_data(
+    setup: Setup,
+    payloads: Mapping[str, Sequence[bytes]],
+    *,
+    clock: str,
+    link: str,
+    lost: Mapping[str, int] | None = MappingProxyType({}),
+    complete: bool = True,
+    damage: Sequence[str] = (),
+    failures: Sequence[str] = (),
+    lacks_checksums: bool = False,
+    rejected: Mapping[str, int] = MappingProxyType({}),
+) -> RunData:
+    """The data of a run from its messages by topic name; unusable messages are left out."""
+    names = setup.robot.joint_names
+    states, commands = (
+        payloads.get(topic.name, ()) for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS)
+    )
+    return RunData(
+        setup=setup,
+        clock=clock,
+        link=link,
+        tables={
+            topic.name: topics.layout(topic, names, has_targets=setup.drive.is_active).tabulate(
+                payloads.get(topic.name, ())
+            )
+            for topic in topics.TOPICS
+            if topic is not topics.RUN_EVENTS
+        },
+        events=sorted(
+            _events(payloads.get(topics.RUN_EVENTS.name, ())), key=lambda event: event.stamp_ns
+        ),
+        digest=digest(states, commands),
+        messages=sum(len(messages) for messages in payloads.values()),
+        lost=lost,
+        complete=complete,
+        damage=damage,
+        failures=failures,
+        lacks_checksums=lacks_checksums,
+        rejected=rejected,
+    )
+
+
+def _events(payloads: Sequence[bytes]) -> Iterator[RunEvent]:
+    for payload in payloads:
+        with contextlib.suppress(InvalidMessageError):
+            yield RunEvent.decode(payload)

@@ -1,0 +1,161 @@
+"""Runs as rows of a table: what experiments over several runs leave as a Parquet file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bus_schema.percentiles import PERCENTILES
+from bus_schema.recording.atomic_files import complete, naming_file, new_partial
+from deploy.judge.verdict import Verdict, decide, verdict_of
+from deploy.scenario.yaml_files import ScenarioError
+
+_DIRECTIONS = ("uplink", "downlink")
+_COUNTS = {"sent": "int64", "delivered": "int64", "lost": "int64"}
+_DELAYS = {f"delay_{name}_ms": "double" for name in ("mean", *PERCENTILES)}
+_COLUMNS = {
+    "scenario": "string",
+    "law": "string",
+    "seed": "int64",
+    "duration_s": "double",
+    "ticks": "int64",
+    "completed": "bool",
+    "error": "string",
+    "verdict": "string",
+    "bounds_kept": "bool",
+    "violation_fraction": "double",
+    "first_violation_s": "double",
+    "margin_min": "double",
+    "joint_names": "list<string>",
+    "rms_rad": "list<double>",
+    "max_abs_rad": "list<double>",
+    "settling_time_s": "list<double>",
+    "settling_bound_s": "list<double>",
+    "total_variation_nm_per_s": "list<double>",
+    "share_above_50_hz": "list<double>",
+    "rms_nm": "list<double>",
+    "peak_nm": "list<double>",
+    "saturated_fraction": "double",
+    "deadline_misses": "int64",
+    "success_rate": "double",
+    **{
+        f"{direction}_{name}": kind
+        for direction in _DIRECTIONS
+        for name, kind in {**_COUNTS, **_DELAYS}.items()
+    },
+    "digest": "string",
+}
+"""Names and types, units as in ``summary.json``; lists have one entry for each joint."""
+
+Row = dict[str, Any]
+_DIGEST = b"funnel_hil.sha256"
+"""In the schema's metadata: of names, rows and conditions. A table without it is an older
+one, or not ours."""
+
+
+def row(summary: dict[str, Any], seed: int) -> Row:
+    """A run as a row; `error` holds its faults, null for none.
+
+    Args:
+        summary: the run's ``summary.json``.
+        seed: the scenario's seed.
+    """
+    values: Row = {}
+    for section in ("bounds", "tracking", "torque", "timing"):
+        values |= summary[section]
+    error = "; ".join(summary["faults"]) or None
+    values |= summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
+    for direction in _DIRECTIONS:
+        values |= _link_statistics(direction, summary["transport"][direction])
+    bound = values["settling_bound_s"]
+    if bound is not None and not isinstance(bound, list):
+        values["settling_bound_s"] = [bound] * len(values["joint_names"])
+    return {name: values[name] for name in _COLUMNS}
+
+
+def held(row: Row) -> bool:
+    """Whether a run kept its bounds."""
+    return bool(row["verdict"] == Verdict.KEPT)
+
+
+def left_nothing(row: Row) -> bool:
+    """Whether a run came to nothing that could be judged: it says nothing of its law."""
+    return row["error"] is not None and row["violation_fraction"] is None
+
+
+def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
+    """Counts and delays of one direction, by their columns."""
+    delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
+    counts = {name: channel[name] for name in _COUNTS}
+    return {f"{direction}_{name}": value for name, value in {**counts, **delays}.items()}
+
+
+def failed_row(seed: int, error: str) -> Row:
+    """The row of a run that left nothing to judge."""
+    found = {"seed": seed, "completed": False, "error": error, "verdict": decide([error]).value}
+    return dict.fromkeys(_COLUMNS) | found
+
+
+def write_rows(
+    rows: Sequence[Row],
+    path: Path,
+    more_columns: Mapping[str, str] | None = None,
+    conditions: Mapping[str, str] | None = None,
+) -> None:
+    """Write rows to a Parquet file; an existing one is replaced as a whole or not at all.
+
+    Args:
+        rows: what to write.
+        path: the file.
+        more_columns: names and types of columns in front of those that every run has.
+        conditions: under which they came about, for the metadata of the schema.
+    """
+    import pyarrow as pa  # heavy, and needed by few commands
+    from pyarrow import parquet
+
+    def arrow_type(kind: str) -> Any:
+        item = kind.removeprefix("list<").removesuffix(">")
+        return pa.type_for_alias(item) if item == kind else pa.list_(pa.type_for_alias(item))
+
+    columns = {**(more_columns or {}), **_COLUMNS}
+    schema = pa.schema(
+        [(name, arrow_type(kind)) for name, kind in columns.items()], metadata=conditions
+    )
+    table = pa.Table.from_pylist(list(rows), schema=schema)
+    metadata = {**(table.schema.metadata or {}), _DIGEST: _digest(table)}
+    with naming_file(path):
+        parquet.write_table(
+            table.replace_schema_metadata(metadata), new_partial(path), write_page_checksum=True
+        )
+    complete(path)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Rows of a Parquet file; those of older versions get their verdict.
+
+    Raises:
+        ScenarioError: it is damaged.
+    """
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path, page_checksum_verification=True)
+        table.validate(full=True)
+        digest = (table.schema.metadata or {}).get(_DIGEST)
+        rows: list[Row] = table.to_pylist()
+        is_whole = digest in (None, _digest(table))
+    except Exception as error:  # what damage makes pyarrow raise has no common class
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise ScenarioError(f"{path}: cannot be read: {reason}") from error
+    if not is_whole:
+        raise ScenarioError(f"{path}: is damaged: its rows do not match their checksum")
+    return [{**row, "verdict": verdict_of(row).value} for row in rows]
+
+
+def _digest(table: Any) -> bytes:
+    """Checksum of what a table says, however a file stores it."""
+    metadata = {k: v for k, v in (table.schema.metadata or {}).items() if k != _DIGEST}
+    said = repr((table.column_names, sorted(metadata.items()), table.to_pylist()))
+    return hashlib.sha256(said.encode()).hexdigest().encode()

@@ -1,0 +1,185 @@
+"""The numbers of several runs as tables: of laws, and of recorded runs side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from bus_schema.configuration import shortened
+from deploy.judge.bounds import bound_usage
+from deploy.judge.conditions import conditions_of_runs
+from deploy.reports import quantities
+from deploy.reports.quantities import JointQuantity
+from deploy.reports.run_tables import PERCENTILE_NAMES, WALL_TIME, Row, number_rows
+from deploy.reports.tables import (
+    ABSENT,
+    Cell,
+    Column,
+    Table,
+    Value,
+    number,
+    scaled,
+    short_names,
+)
+from deploy.run.execute import JudgedRun
+from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.recorded import RecordedRuns
+
+_MRAD = 1e3
+_LONGEST_VALUE = 60
+_CLOCKS = {
+    "realtime": "run in real time",
+    "lockstep": "run in lockstep",
+    "virtual": "simulated in virtual time",
+}
+"""What kept time, by the name it has in recordings: what a run was, not what its scenario says."""
+
+
+def verdict_table(comparison: ComparedRuns) -> Table:
+    """A row per law with what decides; each number is that of the law's worst joint."""
+    scenario = comparison.runs[0].data.setup.scenario
+    shown = quantities.OF_LAWS
+    rows = [
+        [Cell(run.law), status_cell(run), *(Cell(of(run.summary)) for _, of, _ in shown)]
+        for run in comparison.runs
+    ]
+    ranked = (place for place, (*_, is_ranked) in enumerate(shown, start=2) if is_ranked)
+    _mark_best(comparison.runs, rows, ranked)
+    names = (Column(heading, is_text=True) for heading in ("Law", "Bounds"))
+    return Table(
+        f"{scenario.name} · {scenario.duration_s:g} s · worst joint of each law",
+        [*names, *(column for column, _, _ in shown)],
+        rows,
+        "The best of all laws that kept their bounds is set off. RMS errors from"
+        f" {scenario.metrics.from_s:g} s on; everything else over the whole run."
+        f" {quantities.SETTLED}",
+    )
+
+
+def law_table(comparison: ComparedRuns, quantity: JointQuantity) -> Table:
+    """One number of every joint, a row per law, the smallest of each joint set off."""
+    runs = comparison.runs
+    names = runs[0].summary["tracking"]["joint_names"]
+    from_s = runs[0].data.setup.scenario.metrics.from_s
+    rows = [[Cell(run.law), *map(Cell, quantity.of_joints(run.summary))] for run in runs]
+    _mark_best(runs, rows, range(1, len(names) + 1))
+    briefs = short_names(names)
+    columns = [Column(name, brief=brief) for name, brief in zip(names, briefs, strict=True)]
+    return Table(
+        f"{quantity.heading}{f' from {from_s:g} s on' if quantity.late else ''} ({quantity.unit})",
+        [Column("Law", is_text=True), *columns],
+        rows,
+    )
+
+
+def status_cell(run: JudgedRun) -> Cell:
+    """The verdict on a run, as a cell."""
+    return Cell(run.verdict.value, "good" if run.kept_bounds else "bad")
+
+
+def recorded_table(compared: RecordedRuns) -> Table:
+    """What each recorded run was, and what became of it."""
+    runs, summaries = compared.runs, [run.summary for run in compared.runs]
+    conditions = [
+        conditions_of_runs([run.data.setup], manifest)
+        for run, manifest in zip(runs, compared.manifests, strict=True)
+    ]
+    rows: list[Row] = [
+        [key.capitalize(), *(summary[key] for summary in summaries)]
+        for key in ("scenario", "law", "link")
+    ]
+    rows += [["Clock", *(_CLOCKS.get(run.data.clock, run.data.clock) for run in runs)]]
+    rows += [[key.capitalize(), *(each[key] for each in conditions)] for key in ("version", "date")]
+    rows += [["Duration (s)", *(summary["duration_s"] for summary in summaries)]]
+    rows += [["Bounds", *map(status_cell, runs)]]
+    rows += number_rows(summaries)
+    digest, *others = (summary["digest"] for summary in summaries)
+    same = (Cell("same", "good") if each == digest else "differs" for each in others)
+    rows.append(["Digest, beside the first", ABSENT, *same])
+    partings = compared.partings[1:]
+    ticks = (Cell("never", "good") if p is None else str(p.tick) for p in partings)
+    times_s = (None if p is None else p.time_s for p in partings)
+    apart = (Cell("0", "good") if p is None else scaled(p.largest_rad, _MRAD) for p in partings)
+    rows.append(["First tick that differs", ABSENT, *ticks])
+    rows.append(["… at (s)", ABSENT, *times_s])
+    rows.append(["Positions apart, most (mrad)", ABSENT, *apart])
+    return Table(
+        "Runs", _columns(compared, "Run"), rows,
+        "Ticks are compared by position, velocity and torque of every joint, bit by bit; digests,"
+        " by every byte of states and commands with their stamps, so those of real time differ.",
+    )  # fmt: skip
+
+
+def difference_table(compared: RecordedRuns) -> Table:
+    """Values of the scenarios that are not the same in all runs."""
+    rows = [
+        [key, *(ABSENT if value is None else shortened(value, _LONGEST_VALUE) for value in values)]
+        for key, values in compared.differing.items()
+    ]
+    columns = [Column(label, is_text=True) for label in ("Key", *compared.labels)]
+    return Table("What differs in the scenarios", columns, rows)
+
+
+def recorded_joint_tables(compared: RecordedRuns) -> list[Table]:
+    """RMS error, worst share of the bound and travel of torque, a row for each joint."""
+    runs, rms, travel = compared.runs, quantities.RMS_ERROR, quantities.TOTAL_VARIATION
+    usage = [_worst_usage(run) for run in runs]
+    each_from = "Each over its own scenario's metrics.from_s on."
+    return [
+        _joints(compared, rms.column, [rms.of_joints(run.summary) for run in runs], each_from),
+        _joints(compared, Column("Worst error in % of its bound"), usage),
+        _joints(compared, travel.column, [travel.of_joints(run.summary) for run in runs]),
+    ]
+
+
+def _joints(
+    compared: RecordedRuns, column: Column, by_run: list[list[float | None]], note: str = ""
+) -> Table:
+    """A number of every joint, shape (runs, joints)."""
+    names = compared.runs[0].data.setup.robot.joint_names
+    rows = [[name, *row, *_ratio(row)] for name, *row in zip(names, *by_run, strict=True)]
+    return Table(column.title, _columns(compared, "Joint", ratio=True), rows, note)
+
+
+def recorded_timing_table(compared: RecordedRuns) -> Table:
+    """Percentiles of every time that was not zero in all runs."""
+    rows: list[Row] = []
+    for key, name in quantities.TIMES.items():
+        for percentile, title in PERCENTILE_NAMES.items():
+            values = [run.summary["timing"][key][percentile] for run in compared.runs]
+            if any(values):
+                rows.append([f"{name}, {title}", *values, *_ratio(values)])
+    return Table("Timing (µs)", _columns(compared, "Time", ratio=True), rows, WALL_TIME)
+
+
+def _columns(compared: RecordedRuns, heading: str, *, ratio: bool = False) -> list[Column]:
+    columns = [Column(heading, is_text=True), *map(Column, compared.labels)]
+    return [*columns, Column("Ratio")] if ratio and len(compared.runs) == 2 else columns
+
+
+def _ratio(values: Sequence[float | None]) -> list[Value]:
+    """The second over the first, where there are two."""
+    if len(values) != 2:
+        return []
+    first, second = values
+    return [None if not first or second is None else f"× {number(second / first)}"]
+
+
+def _worst_usage(run: JudgedRun) -> list[float | None]:
+    usage = bound_usage(run.data)
+    if not len(usage):
+        return [None] * usage.shape[1]
+    return [100.0 * float(worst) for worst in usage.max(axis=0)]
+
+
+def _mark_best(runs: Sequence[JudgedRun], rows: list[list[Cell]], columns: Iterable[int]) -> None:
+    """Set off the smallest number of each column, where several laws kept their bounds.
+
+    What a law does that left its funnel is no standard for others, however smooth it is.
+    """
+    kept = [row for row, run in zip(rows, runs, strict=True) if run.kept_bounds]
+    for column in columns:
+        values = [row[column].value for row in kept]
+        known = [value for value in values if isinstance(value, float)]
+        if len(known) > 1:
+            best = kept[values.index(min(known))]
+            best[column] = Cell(best[column].value, "best")

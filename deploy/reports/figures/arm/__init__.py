@@ -1,1 +1,0 @@
-"""Figures of the arm in space: how it moves, how it stands, where its tip goes."""

@@ -1,0 +1,195 @@
+"""Figures of joints: errors inside their bounds and torques, of one run or of several.
+
+Every function gives None where there is nothing to draw.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.messages import topics
+from deploy.judge.bounds import bound_usage
+from deploy.judge.chattering import CHATTER_HZ, power_spectrum
+from deploy.judge.recorded_ticks import rows_after_gaps
+from deploy.judge.run_data import RunData
+from deploy.reports.figures import style
+from deploy.reports.figures.several_runs import add_envelopes, add_run, colour_of, with_runs
+from deploy.run.execute import JudgedRun
+from deploy.scenario.setup import Setup
+from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.recorded import ticks_in_common
+
+_TRUTH = topics.PLANT_TRUTH
+_ZOOM_S = 1.0
+_BAND_POINTS = 600
+_HEADROOM = 1.6
+_TORQUE_POINTS = 1500
+_ROW_PX = 150
+_SPECTRUM_FLOOR = 1e-12
+_NEAR = 0.8
+
+
+def error_in_funnel(runs: ComparedRuns) -> go.Figure | None:
+    """True error of every joint inside its bounds, scaled to the bounds' steady state."""
+    figure = _errors(runs, np.inf)
+    if figure is not None:
+        run = runs.drawn[0].data
+        limits = _HEADROOM * run.setup.funnel.final_rad
+        late = run.times_s(_TRUTH) >= run.setup.scenario.metrics.from_s
+        if len(runs.runs) == 1 and late.any():
+            limits = np.maximum(limits, 1.1 * np.abs(run.true_errors_rad[late]).max(axis=0))
+        for row, limit in enumerate(style.MRAD * limits, start=1):
+            figure.update_yaxes(range=[-limit, limit], row=row)
+    return figure
+
+
+def error_first_second(runs: ComparedRuns) -> go.Figure | None:
+    """True error of every joint inside its bounds, at the start of the run."""
+    return _errors(runs, _ZOOM_S)
+
+
+def transformed_error(run: RunData) -> go.Figure | None:
+    """Transformed error ε of every joint."""
+    return style.joint_series(run, topics.CONTROL_STATUS, "transformed_error", "ε")
+
+
+def error_envelopes(runs: ComparedRuns) -> go.Figure | None:
+    """Size of the true error of every joint on a logarithmic scale, with its steady bound."""
+    if not runs.drawn:
+        return None
+    setup = runs.drawn[0].data.setup
+    figure = with_runs(style.joint_rows(setup.robot.joint_names, "mrad"))
+    for run in runs.drawn:
+        errors = style.MRAD * run.data.true_errors_rad
+        add_envelopes(figure, runs, run.law, run.data.times_s(_TRUTH), errors)
+    for joint, final in enumerate(style.MRAD * setup.funnel.final_rad):
+        figure.add_hline(float(final), row=joint + 1, line=style.DOTTED)
+    return figure
+
+
+def positions_apart(runs: ComparedRuns) -> go.Figure | None:
+    """How far each run's positions are from those of the first, at the same instant."""
+    first = runs.runs[0].data
+    own = first.tables[_TRUTH.name]["position"]
+    figure = with_runs(style.joint_rows(first.setup.robot.joint_names, "mrad"))
+    for run in runs.drawn:
+        theirs = run.data.tables[_TRUTH.name]["position"]
+        here, there = ticks_in_common(first, run.data)
+        apart = style.MRAD * (theirs[there] - own[here])
+        if run is not runs.runs[0] and len(here) > 1 and apart.any():
+            add_envelopes(figure, runs, run.law, first.times_s(_TRUTH)[here], apart)
+    return figure if figure.data else None
+
+
+def _errors(runs: ComparedRuns, until_s: float) -> go.Figure | None:
+    if not runs.drawn:
+        return None
+    end_s = max(run.data.times_s(_TRUTH)[-1] for run in runs.drawn)
+    figure = _bounds(runs.drawn[0].data.setup, min(until_s, end_s))
+    if len(runs.runs) == 1:
+        _add_error(figure, runs.drawn[0].data, until_s)
+        return figure
+    figure.update_traces(showlegend=False, hoverinfo="skip")
+    with_runs(figure)
+    for run in reversed(runs.drawn):  # the first run lies on top
+        times_s = run.data.times_s(_TRUTH)
+        shown = times_s <= until_s
+        errors = style.MRAD * run.data.true_errors_rad[shown]
+        add_run(figure, runs, run.law, times_s[shown], errors.T)
+    return figure
+
+
+def _add_error(figure: go.Figure, run: RunData, until_s: float) -> None:
+    """The error of a run that stands alone, with marks at the ticks outside the bounds."""
+    times_s = run.times_s(_TRUTH)
+    shown = times_s <= until_s
+    outside = bound_usage(run)[shown] >= 1.0
+    times_s, errors = times_s[shown], style.MRAD * run.true_errors_rad[shown]
+    for joint, (error, out) in enumerate(zip(errors.T, outside.T, strict=True)):
+        traces = [style.line(times_s, error, style.palette(joint), "true error")]
+        if out.any():
+            marks = style.line(times_s[out], error[out], style.ALARM, "outside the bounds")
+            traces.append(marks.update(mode="markers", marker={"size": 3, "color": style.ALARM}))
+        figure.add_traces(traces, rows=joint + 1, cols=1)
+
+
+def _bounds(setup: Setup, until_s: float) -> go.Figure:
+    """A row per joint, with its bounds as a shaded band."""
+    times_s: Vector = np.linspace(0.0, until_s, _BAND_POINTS)
+    figure = style.joint_rows(setup.robot.joint_names, "mrad")
+    upper, lower = (style.MRAD * bound.T for bound in setup.funnel.bounds(times_s))
+    for joint in range(setup.robot.joints):
+        figure.add_traces(style.band(times_s, upper[joint], lower[joint]), rows=joint + 1, cols=1)
+    figure.update_xaxes(range=[0.0, until_s])
+    return figure
+
+
+def torques(run: RunData) -> go.Figure | None:
+    """Commanded torque of every joint, with its limits where it comes near them."""
+    figure = style.joint_series(run, topics.JOINT_COMMANDS, "effort", "N m")
+    if figure is None:
+        return None
+    peaks = np.abs(style.per_joint(run, topics.JOINT_COMMANDS, "effort")).max(axis=0)
+    for joint, limit in enumerate(run.setup.robot.effort_limits_nm):
+        if peaks[joint] > _NEAR * limit:
+            for level in (-limit, limit):
+                figure.add_hline(level, row=joint + 1, line=style.DOTTED)
+    return figure
+
+
+def torques_side_by_side(runs: ComparedRuns) -> go.Figure | None:
+    """Commanded torques: a row per joint, a column per run, one scale along each row."""
+    shown = _with_torques(runs)
+    if not shown:
+        return None
+    names = shown[0].data.setup.robot.joint_names
+    figure = make_subplots(
+        rows=len(names), cols=len(shown), shared_xaxes=True, shared_yaxes="rows",
+        column_titles=[style.plain(run.law) for run in shown],
+        horizontal_spacing=0.012, vertical_spacing=0.06 / max(1, len(names) / 3),
+    )  # fmt: skip
+    for column, run in enumerate(shown, start=1):
+        stroke = {"color": colour_of(runs, run.law), "width": 1}
+        times_s = run.data.times_s(topics.JOINT_COMMANDS)
+        for row, effort in enumerate(_efforts(run).T, start=1):
+            x, y = style.decimate(times_s, effort, _TORQUE_POINTS)
+            figure.add_scatter(x=x, y=y, mode="lines", line=stroke, row=row, col=column)
+    style.apply(figure, len(names) * _ROW_PX + 120)
+    figure.update_layout(margin={"t": 64, "l": 84})
+    figure.update_annotations(font={"size": 13, "color": style.INK})
+    figure.update_xaxes(title_text="time (s)", row=len(names))
+    for row, name in enumerate(names, start=1):
+        title = {"text": f"{style.plain(name)}<br>(N m)", "font": {"size": 11}}
+        figure.update_yaxes(title=title, row=row, col=1)
+    return figure
+
+
+def torque_spectra(runs: ComparedRuns) -> go.Figure | None:
+    """Amplitude of the torques by frequency; from the dotted line on it counts as chatter."""
+    shown = _with_torques(runs)
+    if not shown:
+        return None
+    names = shown[0].data.setup.robot.joint_names
+    figure = with_runs(style.joint_rows(names, "N m"))
+    for run in reversed(shown):
+        after_gaps = rows_after_gaps(run.data, run.data.times_s(topics.JOINT_COMMANDS))
+        rate_hz = run.data.setup.scenario.rate_hz
+        frequencies, power = power_spectrum(_efforts(run), rate_hz, after_gaps)
+        amplitudes = np.sqrt(2.0 * np.maximum(power[1:], _SPECTRUM_FLOOR))
+        add_run(figure, runs, run.law, frequencies[1:], amplitudes.T)
+    figure.update_xaxes(type="log", dtick=1, title_text="")
+    figure.update_xaxes(title_text="frequency (Hz)", row=len(names))
+    style.log_axis(figure)
+    figure.add_vline(CHATTER_HZ, row="all", line=style.DOTTED)
+    return figure
+
+
+def _with_torques(runs: ComparedRuns) -> list[JudgedRun]:
+    return [run for run in runs.drawn if len(_efforts(run)) > 1]
+
+
+def _efforts(run: JudgedRun) -> Matrix:
+    return style.per_joint(run.data, topics.JOINT_COMMANDS, "effort")

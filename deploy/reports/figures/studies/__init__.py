@@ -1,1 +1,0 @@
-"""Figures of studies and comparisons: many runs in one picture."""

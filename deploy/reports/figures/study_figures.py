@@ -1,0 +1,249 @@
+"""Figures of studies: curves with their spread, bars, and heat maps; every point knows its rerun.
+
+The command that runs a point again is its `customdata`, which the page shows on a click.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import plotly.graph_objects as go
+
+from deploy.reports.figures import style
+from deploy.reports.study_tables import margin_figure, setting_text, shown_value
+from deploy.reports.tables import scaled
+
+_DASHES = ("solid", "dot", "dash", "dashdot")
+_LETTER_PX, _NARROW_NAME = 7.5, 10
+_HEAT = [[0.0, "#f3f8fb"], [0.5, "#6aa5cc"], [1.0, "#0b3c5d"]]
+_HEIGHT_PX = 430
+_HEADROOM = 1.1
+_EFFECT_PX, _FRAME_PX = 26, 110
+
+
+class DrawnStudy(NamedTuple):
+    """A sweep or margins: the summary, and what gives the command that runs a point again."""
+
+    summary: dict[str, Any]
+    rerun: Callable[[str], str]
+
+
+@dataclass(frozen=True)
+class StudyQuantity:
+    """What is drawn of several runs.
+
+    Attributes:
+        key: of its spread in what `spread_of_runs` says.
+        title: of its figures.
+        axis: title of its axis, with its unit.
+        factor: from the summary's unit to that one.
+        is_log: whether its axis is logarithmic.
+        more_is_worse: whether large values are bad ones.
+        axis_range: from where to where its axis goes; as its values do if None.
+    """
+
+    key: str
+    title: str
+    axis: str
+    factor: float
+    is_log: bool = False
+    more_is_worse: bool = True
+    axis_range: tuple[float, float] | None = None
+
+
+TICKS_OUTSIDE = StudyQuantity(
+    "violation_fraction", "Ticks outside the bounds", "ticks outside (%)", 100.0
+)
+WORST_RMS = StudyQuantity(
+    "worst_rms_rad", "RMS error of the worst joint", "RMS error (mrad)", 1e3, is_log=True
+)
+PLANTS_KEPT = StudyQuantity(
+    "kept_share",
+    "Plants that kept their bounds",
+    "plants kept (%)",
+    100.0,
+    more_is_worse=False,
+    axis_range=(0.0, 103.0),
+)
+
+
+def share_spread(share: Mapping[str, Any]) -> dict[str, Any]:
+    """The share of plants kept and its interval, as a spread under the key of `PLANTS_KEPT`."""
+    low, high = share["wilson_95"] or (None, None)
+    spread = {"mean": share["fraction"], "lowest": low, "highest": high}
+    return {PLANTS_KEPT.key: spread}
+
+
+class Point(NamedTuple):
+    """Several runs of one point: swept value, what `spread_of_runs` says, command to rerun it."""
+
+    x: Any
+    runs: Mapping[str, Any]
+    rerun: str
+
+    def value(self, quantity: StudyQuantity, which: str) -> float | None:
+        """``mean``, ``lowest`` or ``highest`` of a quantity, in the unit of its axis."""
+        return scaled(self.runs[quantity.key][which], quantity.factor)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line over a swept value: its name, and the numbers of its colour and dash pattern."""
+
+    name: str
+    colour: int
+    dash: int
+    points: Sequence[Point]
+
+
+def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.Figure | None:
+    """Lines over a swept value, each with the band from its lowest to its highest run."""
+    figure = go.Figure()
+    for line in lines:
+        _add_curve(figure, line, quantity)
+    if not any(value is not None for trace in figure.data for value in trace.y):
+        return None
+    style.apply(figure, _HEIGHT_PX)
+    _add_legend(figure, [line.name for line in lines])
+    figure.update_xaxes(title_text=style.plain(x_title))
+    figure.update_yaxes(title_text=quantity.axis)
+    if quantity.is_log:
+        style.log_axis(figure, ticks=4)
+    else:
+        figure.update_yaxes(rangemode="tozero", range=quantity.axis_range)
+    return figure
+
+
+def margin_bars(cases: Sequence[dict[str, Any]], reruns: Sequence[str], y_title: str) -> go.Figure:
+    """Margins as bars by law, side by side by setting, with a dashed line where a ceiling is.
+
+    Args:
+        cases: of one arm.
+        reruns: command of the point that each was decided by.
+        y_title: what they are margins of.
+    """
+    figure = go.Figure()
+    groups = list(dict.fromkeys(map(setting_text, cases)))
+    for index, group in enumerate(groups):
+        members = [place for place, case in enumerate(cases) if setting_text(case) == group]
+        own = [style.palette(number) for number in range(len(members))]
+        figure.add_bar(
+            x=[style.plain(cases[place]["law"]) for place in members],
+            y=[cases[place]["margin"] or 0.0 for place in members],
+            text=[margin_figure(cases[place]) for place in members],  # the axis has the unit
+            name=group or "as the scenario has it",
+            textposition="outside", cliponaxis=False,
+            constraintext="none", textangle=0, textfont={"size": 10},
+            customdata=[reruns[place] for place in members], hovertemplate="%{x}: %{text}",
+            marker={"color": style.palette(index) if len(groups) > 1 else own},
+        )  # fmt: skip
+    style.apply(figure, _HEIGHT_PX)
+    if len(groups) > 1:
+        _add_legend(figure, [bars.name for bars in figure.data])
+    figure.update_layout(barmode="group", bargap=0.3, bargroupgap=0.06)
+    figure.update_yaxes(title_text=style.plain(y_title), rangemode="tozero")
+    ceilings = [ceiling for case in cases if (ceiling := case["held_arm_ceiling_ms"])]
+    if ceilings:
+        figure.add_hline(y=min(ceilings), line={"dash": "dash", "width": 1}, opacity=0.6)
+        highest = max(min(ceilings), *(case["margin"] or 0.0 for case in cases))
+        figure.update_yaxes(range=[0.0, _HEADROOM * highest])  # lines do not count for autorange
+    return figure
+
+
+def heat_map(
+    x: tuple[str, Sequence[Any]],
+    y: tuple[str, Sequence[Any]],
+    rows: Sequence[Sequence[Point | None]],
+    quantity: StudyQuantity,
+) -> go.Figure:
+    """Means over two swept keys.
+
+    Args:
+        x: title and values of the horizontal axis.
+        y: title and values of the vertical axis.
+        rows: a row per value of `y`; None leaves a field white.
+        quantity: what is drawn.
+    """
+    means = [[point.value(quantity, "mean") if point else None for point in row] for row in rows]
+    texts = [["" if mean is None else f"{mean:.3g}" for mean in row] for row in means]
+    crowded = len(x[1]) * len(y[1]) > 150
+    field = go.Heatmap(
+        x=[style.plain(shown_value(value)) for value in x[1]],
+        y=[style.plain(shown_value(value)) for value in y[1]],
+        z=means, zmin=0.0, zmax=max((m for row in means for m in row if m), default=1.0),
+        customdata=[[point.rerun if point else "" for point in row] for row in rows],
+        text=texts, texttemplate=None if crowded else "%{text}",
+        colorscale=_HEAT, xgap=1, ygap=1, hoverongaps=False,
+        colorbar={"title": {"text": quantity.axis, "side": "right"}, "thickness": 12},
+        hovertemplate="%{x} · %{y}: %{text}<extra></extra>",
+    )  # fmt: skip
+    figure = go.Figure(field)
+    style.apply(figure, 140 + max(240, min(34 * len(y[1]), 600)))
+    figure.update_xaxes(title_text=style.plain(x[0]), type="category", showgrid=False)
+    figure.update_yaxes(title_text=style.plain(y[0]), type="category", showgrid=False)
+    return figure
+
+
+def effects(bars: Sequence[tuple[str, float]], chance_level: float) -> go.Figure | None:
+    """One bar for each quantity, the first on top.
+
+    Args:
+        bars: names and effects, from −1 to 1.
+        chance_level: size of what may be chance.
+    """
+    if not bars:
+        return None
+    figure = go.Figure()
+    sizes = [effect for _, effect in bars]
+    beyond = [abs(effect) > chance_level for effect in sizes]
+    figure.add_bar(
+        y=[style.plain(name) for name, _ in bars], x=sizes, orientation="h",
+        marker={"color": [style.palette(0) if known else "#b8c4cc" for known in beyond]},
+        text=[f"{effect:+.2f}" for effect in sizes], textposition="outside", cliponaxis=False,
+        hovertemplate="%{y}: %{x:+.2f}<extra></extra>",
+    )  # fmt: skip
+    figure.add_vrect(
+        x0=-chance_level, x1=chance_level, fillcolor=style.BAND, line_width=0, layer="below"
+    )
+    style.apply(figure, _FRAME_PX + _EFFECT_PX * len(bars))
+    figure.update_xaxes(title_text="effect (rank-biserial correlation)", range=[-1.1, 1.1])
+    figure.update_yaxes(autorange="reversed", automargin=True)
+    return figure
+
+
+def _add_curve(figure: go.Figure, line: Curve, quantity: StudyQuantity) -> None:
+    def drawn(which: str) -> list[float | None]:
+        values = (point.value(quantity, which) for point in line.points)
+        return [None if v is None or (quantity.is_log and v <= 0.0) else v for v in values]
+
+    colour, group = style.palette(line.colour), f"{line.colour}-{line.dash}"
+    x = [point.x for point in line.points]
+    ends = zip(x, drawn("lowest"), drawn("highest"), strict=True)
+    known = [end for end in ends if end[1] is not None]
+    if any(lowest != highest for _, lowest, highest in known):
+        figure.add_scatter(
+            x=[end[0] for end in known] + [end[0] for end in reversed(known)],
+            y=[end[2] for end in known] + [end[1] for end in reversed(known)],
+            fill="toself", fillcolor=_pale(colour), line={"width": 0}, mode="lines",
+            hoverinfo="skip", showlegend=False, legendgroup=group,
+        )  # fmt: skip
+    figure.add_scatter(
+        x=x, y=drawn("mean"), name=style.plain(line.name), legendgroup=group, mode="lines+markers",
+        line={"color": colour, "width": 2, "dash": _DASHES[line.dash % len(_DASHES)]},
+        marker={"size": 7}, customdata=[point.rerun for point in line.points],
+        hovertemplate="%{x}: %{y:.3g}",
+    )  # fmt: skip
+
+
+def _pale(colour: str) -> str:
+    red, green, blue = (int(colour[start : start + 2], 16) for start in (1, 3, 5))
+    return f"rgba({red},{green},{blue},0.14)"
+
+
+def _add_legend(figure: go.Figure, names: Sequence[str]) -> None:
+    """A legend in as many columns as fit, with room for what narrow pages take."""
+    widest = max(map(len, names), default=0)
+    rows = len(names) if widest > _NARROW_NAME else -(-len(names) // 2)
+    style.put_legend_on_top(figure, rows, entrywidthmode="pixels", entrywidth=_LETTER_PX * widest)

@@ -1,0 +1,140 @@
+"""Reports of runs: of one, of several laws, of recorded runs side by side.
+
+Each says which figures, tables and facts stand on its page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from deploy.judge.conditions import Conditions
+from deploy.judge.run_data import RunData
+from deploy.reports import quantities
+from deploy.reports.comparison_tables import (
+    difference_table,
+    law_table,
+    recorded_joint_tables,
+    recorded_table,
+    recorded_timing_table,
+    verdict_table,
+)
+from deploy.reports.page import Cards, Fact, Page, write_page
+from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
+from deploy.reports.run_tables import (
+    confirmation_tables,
+    event_table,
+    health_table,
+    joint_table,
+    timing_table,
+    transport_table,
+)
+from deploy.reports.tables import margin_text, number, percent
+from deploy.reports.verdict import verdict_on_laws, verdict_on_run, verdict_on_runs
+from deploy.run.execute import JudgedRun
+from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.recorded import RecordedRuns
+
+
+def write_report(
+    run: RunData,
+    summary: dict[str, Any],
+    path: Path,
+    conditions: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """Write the report of a run.
+
+    Args:
+        run: the run.
+        summary: what `metrics.summarise` says of it.
+        path: the HTML file to write.
+        conditions: under which it came about.
+    """
+    from_s = run.setup.scenario.metrics.from_s
+    page = Page(
+        "report of a run",
+        f"{summary['scenario']} · {summary['law']}",
+        verdict_on_run(run, summary, conditions),
+        [
+            *(Fact(key.capitalize(), summary[key]) for key in ("scenario", "law", "clock", "link")),
+            Fact("Duration", f"{summary['duration_s']:g} s"),
+            Fact("Smallest margin", margin_text(summary["bounds"]["margin_min"]),
+                 "1 − |e| / bound; negative outside the bounds"),
+            Fact("Success rate", percent(summary["timing"]["success_rate"]),
+                 "share of the ticks that met their deadline"),
+            Fact("Digest", summary["digest"][:12], summary["digest"]),
+        ],
+        RUN_PANELS,
+        ComparedRuns([JudgedRun(summary["law"], run, summary)]),
+        conditions,
+        before=("Key numbers", [
+            Cards([joint_table(summary, from_s)]),
+            Cards([timing_table(summary), health_table(summary), transport_table(summary)],
+                  "three"),
+            Cards([event_table(run)]),
+            Cards(confirmation_tables([summary])),
+        ]),
+        end_s=summary["duration_s"],
+        footer="Digest of the delivered joint states and commands (SHA-256):",
+        footer_code=summary["digest"],
+    )  # fmt: skip
+    write_page(path, page)
+
+
+def write_comparison_report(comparison: ComparedRuns, path: Path, conditions: Conditions) -> None:
+    """Write the report of a comparison with at least one run to an HTML file.
+
+    The library of its figures goes beside it, where reports of single laws find it too.
+    """
+    scenario, summary = comparison.runs[0].data.setup.scenario, comparison.runs[0].summary
+    confirmed = confirmation_tables([run.summary for run in comparison.runs])
+    page = Page(
+        "comparison of control laws",
+        summary["scenario"],
+        verdict_on_laws(comparison),
+        [
+            Fact("Scenario", scenario.name),
+            Fact("Laws", str(len(comparison.runs))),
+            Fact("Duration", f"{scenario.duration_s:g} s"),
+            Fact("Rate", number(scenario.rate_hz, 1.0, " Hz")),
+            Fact("Seed", str(scenario.seed), "the same for all laws, as is everything but the law"),
+            Fact("Nominal model", f"× {scenario.controller.model_scale:g}",
+                 "factor on masses and inertias of the model that model-based laws use"),
+            Fact("Clock", summary["clock"]),
+        ],
+        LAW_PANELS,
+        comparison,
+        conditions,
+        before=("Verdict", [Cards([verdict_table(comparison)]), Cards(confirmed)]),
+        after=("Joint by joint",
+               [Cards([law_table(comparison, each) for each in quantities.BY_LAW], "three")]),
+        end_s=max(run.summary["duration_s"] for run in comparison.runs),
+        footer="Every law has a folder of its own beside this report, with its recording. What"
+        " draws that run alone:",
+        footer_code="funnel-hil report",
+    )  # fmt: skip
+    write_page(path, page, shares_library=True)
+
+
+def write_diff_report(compared: RecordedRuns, path: Path, conditions: Conditions) -> None:
+    """Write the report of recorded runs side by side to an HTML file."""
+    differences = [difference_table(compared)] if compared.differing else []
+    page = Page(
+        "recorded runs side by side",
+        " · ".join(compared.labels),
+        verdict_on_runs(compared),
+        [Fact(label, str(place))
+         for label, place in zip(compared.labels, compared.paths, strict=True)],
+        RECORDED_PANELS,
+        compared.comparison,
+        conditions,
+        before=("Side by side", [
+            Cards([recorded_table(compared), *differences], "stacked"),
+            Cards(recorded_joint_tables(compared), "three"),
+            Cards([recorded_timing_table(compared)], "stacked"),
+        ]),
+        footer="Each run was judged again from its recording, by its own scenario's funnel.",
+    )  # fmt: skip
+    write_page(path, page)

@@ -1,1 +1,0 @@
-"""Reports and tables of studies: comparisons, margins, sweeps, uncertain plants."""

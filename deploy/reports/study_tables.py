@@ -1,0 +1,321 @@
+"""Results of sweeps and margins in words and as tables, and the names of their cases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from bus_schema.recording.atomic_files import write_whole
+from deploy.reports.tables import ABSENT, Column, Table, Value, quotable, scaled
+
+_SHOWN_EFFECTS = 6
+CaseText = Callable[[dict[str, Any]], str | None]
+"""What a case has in a column."""
+
+COMPENSATION = {None: "", False: "without", True: "with"}
+
+
+def setting_text(case: dict[str, Any]) -> str:
+    """With what a law has a margin: compensation, feedback at the drives, a loop that runs."""
+    said = [
+        f"{COMPENSATION[case['compensation']]} compensation",
+        f"{COMPENSATION[case['drive_feedback']]} drive feedback",
+    ]
+    parts = [text for text in said if not text.startswith(" ")]
+    return ", ".join([*parts, *(["running"] if case["running"] else [])])
+
+
+def case_name(case: dict[str, Any]) -> str:
+    """What a margin is of: the law, and with what."""
+    return f"{case['law']} {setting_text(case)}".rstrip()
+
+
+def ceiling_text(case: dict[str, Any]) -> str | None:
+    """The held-arm ceiling of a case, as far as there is one."""
+    ceiling = case["held_arm_ceiling_ms"]
+    return None if ceiling is None else f"{ceiling:.0f} ms"
+
+
+def value_text(value: float, summary: dict[str, Any]) -> str:
+    """A value with its unit."""
+    return f"{value:g} {summary['unit']}".rstrip()
+
+
+def interval_text(share: dict[str, Any]) -> str:
+    """Wilson's interval of a share in per cent."""
+    if share["wilson_95"] is None:
+        return ABSENT
+    low, high = (100 * end for end in share["wilson_95"])
+    return f"{low:.0f}–{high:.0f} %"
+
+
+def share_text(share: dict[str, Any]) -> str:
+    """How many of how many were kept."""
+    return f"{share['kept']} of {share['total']}" if share["total"] else ABSENT
+
+
+_UNREMARKABLE = ("", "starting", None)
+_OPTIONAL: list[tuple[Column, CaseText]] = [
+    (Column("Compensation", brief="Compen-\nsation", is_text=True),
+     lambda case: COMPENSATION[case["compensation"]]),
+    (Column("Drive feedback", brief="Drive\nfeedback", is_text=True),
+     lambda case: COMPENSATION[case["drive_feedback"]]),
+    (Column("Loop", is_text=True), lambda case: "running" if case["running"] else "starting"),
+    (Column("Held-arm ceiling", brief="Held-arm\nceiling"), ceiling_text),
+]  # fmt: skip
+
+
+def optional_columns(summary: dict[str, Any]) -> list[tuple[Column, CaseText]]:
+    """Columns that only some studies have something to say in."""
+    return [
+        (column, text)
+        for column, text in _OPTIONAL
+        if any(text(case) not in _UNREMARKABLE for case in summary["cases"])
+    ]
+
+
+def shown_value(value: Any) -> str:
+    """A swept value; whole numbers without a decimal point."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def margin_figure(case: dict[str, Any]) -> str:
+    """A margin without its unit; that it is beyond the limit, or that there is none."""
+    if not case["completed"]:
+        return "not known yet"
+    if case["margin"] is None:
+        return "none"
+    beyond = "≥ " if case["growth"] > 0 else "≤ "
+    sign = beyond if case["first_failure"] is None else ""
+    return f"{sign}{case['margin']:g}"
+
+
+def margin_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
+    """A margin with its unit."""
+    has_unit = case["completed"] and case["margin"] is not None
+    return f"{margin_figure(case)} {summary['unit'] if has_unit else ''}".rstrip()
+
+
+def probe_at(case: dict[str, Any], value: float | None) -> dict[str, Any] | None:
+    """What became of a value that was tried."""
+    return next((probe for probe in case["probes"] if probe["value"] == value), None)
+
+
+def held_again(summary: dict[str, Any]) -> list[str]:
+    """A sentence for each case that kept its bounds once more beyond its first failure."""
+    return [
+        f"{case['arm']}, {case_name(case)}: held again at"
+        f" {', '.join(f'{value:g}' for value in case['held_again'])}, beyond its first failure."
+        for case in summary["cases"]
+        if case["held_again"]
+    ]
+
+
+def furthest(summary: dict[str, Any]) -> str:
+    """What a margin is of the values that held: the largest, or where values shrink the least."""
+    return "smallest" if any(case["growth"] < 0 for case in summary["cases"]) else "largest"
+
+
+def margin_table(summary: dict[str, Any]) -> Table:
+    """Margins, a row for each law on each arm."""
+    more = optional_columns(summary)
+    return Table(
+        f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
+        [
+            Column("Arm", is_text=True),
+            Column("Law", is_text=True),
+            *(column for column, _ in more),
+            Column("Margin", brief="Held"),
+            *(Column(f"On {physics}", summary["unit"]) for physics in _elsewhere(summary)),
+            Column("First failure", brief="First\nfailure"),
+            Column("Ticks outside at first failure", "%", "Outside\nthere"),
+            Column("RMS error of the worst joint at the margin", "mrad", None),
+            Column("Held again at", brief=None),
+        ],
+        [_margin_row(case, summary, [text for _, text in more]) for case in summary["cases"]],
+        "A value holds if the bounds are kept from every start with every seed; the margin is the"
+        f" {furthest(summary)} value up to which all that were probed held. Held-arm ceiling: until"
+        " the first command acts the brakes hold the arm, and from the worst start its error leaves"
+        " the funnel after this time; no law can start under a longer delay.",
+    )
+
+
+def _elsewhere(summary: dict[str, Any]) -> list[str]:
+    """Other physics on which margins were confirmed."""
+    return list(dict.fromkeys(on for case in summary["cases"] for on in case.get("margin_on", ())))
+
+
+def _margin_row(
+    case: dict[str, Any],
+    summary: dict[str, Any],
+    more: list[CaseText],
+) -> list[Value]:
+    failure = case["first_failure"]
+    failed, last = probe_at(case, failure), probe_at(case, case["margin"])
+    return [
+        case["arm"], case["law"],
+        *(text(case) for text in more),
+        margin_text(case, summary),
+        *(case["margin_on"].get(physics) for physics in _elsewhere(summary)),
+        None if failure is None else value_text(failure, summary),
+        scaled(failed["violation_fraction"]["mean"], 100.0) if failed else None,
+        scaled(last["worst_rms_rad"]["mean"], 1e3) if last else None,
+        ", ".join(f"{value:g}" for value in case["held_again"]) or ABSENT,
+    ]  # fmt: skip
+
+
+def point_table(summary: dict[str, Any]) -> Table:
+    """The points of a sweep, a row each."""
+    axes = [", ".join(axis["keys"]) for axis in summary["axes"]]
+    of_plants = summary["plants"] is not None
+    plants = [Column("Plants kept", brief="Plants\nkept"), Column("Wilson's 95 % interval")]
+    return Table(
+        f"{summary['name']} · {summary['scenario']}",
+        [
+            Column("Point", brief=None, is_text=True),
+            *(Column(keys, brief=keys.replace(", ", "\n").replace(".", ".\n")) for keys in axes),
+            *(plants if of_plants else ()),
+            Column("Runs that kept their bounds", brief="Bounds\nkept"),
+            Column("Ticks outside", "%", "Outside"),
+            Column("Ticks outside in the worst run", "%", None),
+            Column("RMS error of the worst joint", "mrad", "Worst\nRMS"),
+            Column("Failed runs", brief="Failed"),
+        ],
+        [
+            [
+                point["point"], *map(shown_value, point["values"]),
+                *((share_text(point), interval_text(point)) if of_plants else ()),
+                f"{point['runs_kept']} of {point['runs']}",
+                scaled(point["violation_fraction"]["mean"], 100.0),
+                scaled(point["violation_fraction"]["highest"], 100.0),
+                scaled(point["worst_rms_rad"]["mean"], 1e3),
+                point["runs_failed"],
+            ]
+            for point in summary["points"]
+        ],
+        "Means over the seeds and plants of a point; the worst run is the one with the most ticks"
+        " outside.",
+    )  # fmt: skip
+
+
+def margins_by_law(summary: dict[str, Any]) -> Table:
+    """Margins for documents: a row per law, a column per arm and setting; and the ceilings."""
+    columns = {(case["arm"], setting_text(case)): case for case in summary["cases"]}
+    margins = {
+        (case["law"], case["arm"], setting_text(case)): margin_text(case, summary)
+        for case in summary["cases"]
+    }
+    headings = [f"{arm}, {setting}" if setting else arm for arm, setting in columns]
+    laws = dict.fromkeys(case["law"] for case in summary["cases"])
+    rows = [[f"`{law}`", *(margins[law, *column] for column in columns)] for law in laws]
+    ceilings = [ceiling_text(case) for case in columns.values()]
+    if any(ceilings):
+        rows.append(["held-arm ceiling", *(ceiling or ABSENT for ceiling in ceilings)])
+    return Table(
+        f"{summary['name']} · {furthest(summary)} {summary['title']} at which the bounds are kept",
+        list(map(Column, ("law", *headings))),
+        rows,
+    )
+
+
+def kept_text(case: dict[str, Any], summary: dict[str, Any]) -> str:
+    """Up to where enough plants are kept."""
+    if case["kept_up_to"] is None:
+        is_judged = case["values"][0]["total"] == summary["plants"]
+        return "none" if is_judged else "not known yet"
+    return value_text(case["kept_up_to"], summary)
+
+
+def _count(share: dict[str, Any], summary: dict[str, Any]) -> str:
+    """How many were kept; of how many where not all are judged yet."""
+    return str(share["kept"]) if share["total"] == summary["plants"] else share_text(share)
+
+
+def robustness_table(summary: dict[str, Any]) -> Table:
+    """How many plants were kept at each value, a row for each case."""
+    share, more = f"{100 * summary['kept_share']:g} %", optional_columns(summary)
+    by = Column(summary["title"], summary["unit"]).title
+    return Table(
+        f"{summary['name']} · of {summary['plants']} plants, kept their bounds, by {by}",
+        [
+            Column("Arm", is_text=True),
+            Column("Law", is_text=True),
+            *(column for column, _ in more),
+            Column(f"{share} kept up to", brief=f"{share}\nup to"),
+            *(Column(f"{value:g}") for value in summary["values"]),
+        ],
+        [
+            [
+                case["arm"], case["law"],
+                *(text(case) for _, text in more), kept_text(case, summary),
+                *(_count(value, summary) for value in case["values"]),
+            ]
+            for case in summary["cases"]
+        ],
+        f"Plants 1 to {summary['plants']} of plant_seed {summary['plant_seed']}, the same in every"
+        " cell. A plant is kept if it is with every seed. The held-arm ceiling is that of the plant"
+        " that has the least: no law can start it under a longer delay.",
+    )  # fmt: skip
+
+
+def interval_table(summary: dict[str, Any]) -> Table:
+    """The shares with their intervals, a row for each case and value."""
+    return Table(
+        "Shares with their uncertainty",
+        [
+            Column("Case", is_text=True),
+            Column(summary["title"], summary["unit"]),
+            Column("Kept"),
+            Column("Wilson's 95 % interval"),
+            Column("Cannot start: beyond their held-arm ceiling"),
+        ],
+        [
+            [
+                f"{case['arm']}, {case_name(case)}", value["value"], share_text(value),
+                interval_text(value), float(value["beyond_held_arm_ceiling"]),
+            ]
+            for case in summary["cases"]
+            for value in case["values"]
+        ],
+        "The interval says how far the share of all plants that could be drawn may lie from that of"
+        " those that were.",
+    )  # fmt: skip
+
+
+def losses_table(summary: dict[str, Any]) -> Table:
+    """What lost plants have in common, the strongest first."""
+    rows: list[list[Value]] = []
+    for case in summary["cases"]:
+        losses, name = case["losses"], f"{case['arm']}, {case_name(case)}"
+        counts = f"{losses['lost_plants']} / {losses['kept_plants']}"
+        if losses["effects"] is None:
+            rows.append([name, "too few lost or kept to say", None, None, counts])
+            continue
+        for one in losses["effects"][:_SHOWN_EFFECTS]:
+            effect = f"{one['effect']:+.2f}"
+            rows.append([name, one["quantity"], effect, losses["chance_level"], counts])
+            name = counts = ""
+    return Table(
+        "What lost plants have in common",
+        [
+            Column("Case", is_text=True),
+            Column("Drawn quantity", is_text=True),
+            Column("Effect"),
+            Column("Chance level", brief="Chance"),
+            Column("Plants lost / kept", brief="Lost /\nkept"),
+        ],
+        rows,
+        "Effect: rank-biserial correlation, +1 where every lost plant had more of it than every"
+        " kept one, −1 where less, 0 where it makes no difference; all values at which some were"
+        " lost and some kept count together. The strongest of so many effects exceeds the chance"
+        " level in 5 % of shuffles though nothing matters: what lies below it says nothing, what"
+        " lies above it is an association, no proof of a cause.",
+    )
+
+
+def write_study_table(summary: dict[str, Any], path: Path) -> None:
+    """Write margins, or how many plants were kept, as a Markdown table with its conditions."""
+    is_margin = summary["kind"] == "margin"
+    table = margins_by_law(summary) if is_margin else robustness_table(summary)
+    write_whole(path, quotable(table, summary.get("conditions", {})))

@@ -1,0 +1,182 @@
+"""Whether a result holds on other physics: the same run on the other engine, and by Runge-Kutta.
+
+Controller, channel and hardware stay as they are; what differs is the rigid-body dynamics and how
+motion is integrated over a substep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bus_schema.errors import RobotDescriptionError
+from deploy.judge.metrics import summarise
+from deploy.judge.run_data import RunData
+from deploy.judge.run_rows import Row, held
+from deploy.judge.run_rows import row as run_row
+from deploy.run.execute import execute
+from deploy.run.run_folder import RunFolderError, load_run
+from deploy.run.stop_signals import end_if_asked
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.configuration import PhysicsConfiguration
+from plant_emulator.faults.process_faults import process_faults
+from plant_emulator.physics.engines import ENGINES, engine_name, physics_text
+
+CONFIRMATION = "confirmation"
+"""Key of `confirmations` in ``summary.json``."""
+NEAR_ZERO = 0.03
+"""Verdicts that differ are too near to call where either smallest margin is as near to zero as this
+share of the bound: either physics may be right."""
+
+CONFIRMATION_COLUMNS = {
+    "confirmed_on": "list<string>",
+    "confirmed_kept": "list<bool>",
+    "confirmed_margin_min": "list<double>",
+    "confirmed_error_difference_rad": "list<double>",
+}
+"""Names and Parquet types of what a row has of the same run on other physics, an entry each."""
+
+
+def check_confirmable(setup: Setup) -> None:
+    """Check that a scenario can be simulated on other physics.
+
+    Raises:
+        ScenarioError: its controller is a process of its own, or there is no other physics, or
+            another one cannot load the arm.
+    """
+    process = setup.scenario.controller.process
+    if process is not None:
+        raise ScenarioError(
+            f"--confirm: {setup.origin.of('controller.process')}: controller.process ="
+            f" {list(process)!r}: must be left out, as the run is simulated again in one process"
+        )
+    others = other_physics(setup)
+    for name, other in others.items():
+        plant = other.scenario.plant
+        try:
+            ENGINES[engine_name(plant)].arm_type.check(setup.robot, plant.payload_kg, gui=False)
+        except RobotDescriptionError as error:
+            raise ScenarioError(f"--confirm: {name} cannot load this arm: {error}") from error
+    if not others:
+        raise ScenarioError(
+            "--confirm: no other physics is installed: pip install "
+            + " ".join(engine.distribution for engine in ENGINES.values())
+        )
+
+
+def check_repeatable(setup: Setup) -> None:
+    """Check that a run in processes is the same in one process.
+
+    Raises:
+        ScenarioError: it is not in lockstep, or processes are of its own, or are struck.
+    """
+    scenario, source = setup.scenario, setup.origin
+    if scenario.clock != "lockstep":
+        raise ScenarioError(
+            f"--confirm: {source.of('clock')}: clock = {scenario.clock!r}: must be lockstep, as"
+            " only runs in virtual time are the same again"
+        )
+    if scenario.controller.process is not None or process_faults(scenario.faults):
+        raise ScenarioError(
+            f"--confirm: {source.of('faults')}: must be without controller.process and faults of"
+            " processes, as the run is simulated again in one process"
+        )
+
+
+def simulated_otherwise(setup: Setup, path: Path) -> list[str]:
+    """A sentence where a simulation has another digest or verdict than the run in this folder."""
+    try:
+        found = [summarise(load_run(path)[0]), execute(setup).summary]
+    except RunFolderError:
+        return []  # the command says so itself
+    recorded, simulated = (f"{one['verdict']}, digest {one['digest'][:16]}" for one in found)
+    if recorded == simulated:
+        return []
+    return [f"simulated again in one process, the run is another one: {simulated}; not {recorded}"]
+
+
+def other_physics(setup: Setup) -> dict[str, Setup]:
+    """The scenario on every other physics that is installed, by what to call that."""
+    own, found = physics_text(setup.scenario.plant), {}
+    needs_rotors = setup.scenario.plant.actuator.has_rotors
+    for name, engine in ENGINES.items():
+        is_able = engine.is_installed and (engine.has_rotors or not needs_rotors)
+        for integrator in engine.integrators if is_able else ():
+            physics = PhysicsConfiguration.model_validate(
+                {"engine": name, "integrator": integrator}
+            )
+            plant = setup.scenario.plant.model_copy(update={"physics": physics, "gui": False})
+            scenario = setup.scenario.model_copy(update={"plant": plant})
+            found[physics_text(plant)] = replace(setup, scenario=scenario)
+    return {name: other for name, other in found.items() if name != own}
+
+
+def confirmed_row(setup: Setup, data: RunData, summary: Mapping[str, Any]) -> Row:
+    """The row of a run, with what came of the same run on other physics.
+
+    Args:
+        setup: the scenario, which is simulated again.
+        data: the run.
+        summary: what `summarise` says of it.
+    """
+    values = run_row(dict(summary), setup.scenario.seed)
+    values |= {name: [] for name in CONFIRMATION_COLUMNS}
+    for name, other in other_physics(setup).items():
+        end_if_asked()
+        run = execute(other)
+        found = run_row(run.summary, setup.scenario.seed)
+        values["confirmed_on"].append(name)
+        values["confirmed_kept"].append(held(found))
+        values["confirmed_margin_min"].append(found["margin_min"])
+        values["confirmed_error_difference_rad"].append(_error_difference_rad(data, run.data))
+    return values
+
+
+def confirmation_of(data: RunData) -> list[dict[str, Any]]:
+    """`confirmations` of one run."""
+    return confirmations([confirmed_row(data.setup, data, summarise(data))])
+
+
+def confirmations(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """What rows say together, by scenario, law and other physics, ready for JSON.
+
+    Rows without `CONFIRMATION_COLUMNS`, as of failed runs, are left out.
+    """
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    for row in rows:
+        for place, physics in enumerate(row.get("confirmed_on") or ()):
+            kept, margin, difference = (row[name][place] for name in list(CONFIRMATION_COLUMNS)[1:])
+            of = found.setdefault(
+                (row["scenario"], row["law"], physics),
+                {"runs": 0, "agree": 0, "too_near": 0, "differ": 0,
+                 "margin_difference": None, "error_difference_rad": None},
+            )  # fmt: skip
+            of["runs"] += 1
+            of[_agreement(held(row), row["margin_min"], kept, margin)] += 1
+            if margin is not None and row["margin_min"] is not None:
+                apart = abs(margin - row["margin_min"])
+                of["margin_difference"] = max(apart, of["margin_difference"] or 0.0)
+            if difference is not None:
+                of["error_difference_rad"] = max(difference, of["error_difference_rad"] or 0.0)
+    keys = ("scenario", "law", "physics")
+    return [{**dict(zip(keys, key, strict=True)), **values} for key, values in found.items()]
+
+
+def _agreement(kept: bool, margin: float | None, other: bool, its_margin: float | None) -> str:
+    if kept == other:
+        return "agree"
+    known = [abs(each) for each in (margin, its_margin) if each is not None]
+    return "too_near" if min(known, default=1.0) < NEAR_ZERO else "differ"
+
+
+def _error_difference_rad(run: RunData, other: RunData) -> float | None:
+    """Largest difference of the true errors, while both runs lasted, rad."""
+    ticks = min(len(run.true_errors_rad), len(other.true_errors_rad))
+    if not ticks:
+        return None
+    return float(np.abs(run.true_errors_rad[:ticks] - other.true_errors_rad[:ticks]).max())

@@ -1,0 +1,57 @@
+"""What went before a fault: the last joint states and commands, for the search for its cause."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bus_schema.messages import topics
+from bus_schema.messages.header import stamps_ns
+from bus_schema.messages.run_event import EventKind
+from bus_schema.messages.topics import Topic
+from deploy.judge.run_data import RunData
+
+KEPT = 100
+"""States and commands in a record."""
+
+_FIELDS = {
+    topics.JOINT_STATES: ("position", "velocity", "effort"),
+    topics.JOINT_COMMANDS: ("effort",),
+}
+
+
+def fault_record(run: RunData) -> dict[str, Any] | None:
+    """The record of a run's first fault, ready for JSON; None for a run without one.
+
+    Only what the recorder had received can be in it.
+    """
+    faults = [event for event in run.events if event.kind == EventKind.FAULT]
+    if not faults:
+        return None
+    first = min(faults, key=lambda event: event.stamp_ns)
+    return {
+        "source": first.source,
+        "at_s": first.stamp_ns * 1e-9,
+        "detail": first.detail,
+        "modes": [
+            {"source": event.source, "at_s": event.stamp_ns * 1e-9, "mode": event.detail}
+            for event in run.events
+            if event.kind == EventKind.MODE
+        ],
+        "joint_names": list(run.setup.robot.joint_names),
+        "states": _last(run, topics.JOINT_STATES, first.stamp_ns),
+        "commands": _last(run, topics.JOINT_COMMANDS, first.stamp_ns),
+    }
+
+
+def _last(run: RunData, topic: Topic, until_ns: int) -> list[dict[str, Any]]:
+    """The last messages that were stamped until then, in the order in which they were sent."""
+    table = run.tables[topic.name]
+    sent_ns = stamps_ns(table)
+    rows = np.flatnonzero(sent_ns <= until_ns)[-KEPT:]
+    return [
+        {"stamp_s": float(sent_ns[row] * 1e-9)}
+        | {name: table[name][row].tolist() for name in _FIELDS[topic]}
+        for row in rows
+    ]

@@ -1,0 +1,127 @@
+"""A real delay for `run`: what it takes, and where the relay between controller and plant stands.
+
+The plant listens, and of the two only the controller connects: it is given the relay's endpoint in
+place of the plant's. No session finds another by itself (`bus_schema.zenoh.session`), so there is
+no way around the relay; the recorder has its own connections.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from bus_schema.link.configuration import LinkConfiguration
+from deploy.run.network.links import free_ports
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import ScenarioError
+from plant_emulator.channel.channel import Channel
+from plant_emulator.channel.impairment import open_downlink, open_uplink
+
+RELAY = "relay"
+"""What the process is called."""
+LONGEST_MS = 1000.0
+_PROTOCOLS = ("tcp", "tls")
+
+
+class RelayOptions(NamedTuple):
+    """What a relay is given.
+
+    Attributes:
+        listen: HOST:PORT where connections come in.
+        connect: HOST:PORT that they are passed on to.
+        delay_ms: how long bytes are held back, each way.
+    """
+
+    listen: str
+    connect: str
+    delay_ms: float
+
+
+class RealDelay(NamedTuple):
+    """A real delay between controller and plant.
+
+    Attributes:
+        round_trip_ms: how long bytes are held back, there and back together.
+        endpoint: where the controller finds the plant: the relay.
+        plant_endpoint: where the relay does.
+    """
+
+    round_trip_ms: float
+    endpoint: str
+    plant_endpoint: str
+
+    @property
+    def options(self) -> RelayOptions:
+        """What the relay is given."""
+        here, there = (each.partition("/")[2] for each in (self.endpoint, self.plant_endpoint))
+        return RelayOptions(here, there, 0.5 * self.round_trip_ms)
+
+    @property
+    def override(self) -> str:
+        """What makes a controller go by the relay."""
+        return f"link.plant_endpoint={self.endpoint}"
+
+
+def check_real_delay(setup: Setup, round_trip_ms: float) -> None:
+    """Check that a scenario can be run over such a delay.
+
+    Raises:
+        ScenarioError: it cannot.
+    """
+    scenario, link = setup.scenario, setup.scenario.link
+    if not (math.isfinite(round_trip_ms) and 0.0 <= round_trip_ms <= LONGEST_MS):
+        raise ScenarioError(
+            f"--real-delay {round_trip_ms:g}: must be a round trip of 0 to {LONGEST_MS:g} ms"
+        )
+    protocol = link.plant_endpoint.partition("/")[0]
+    needs = (
+        ("link.kind", link.kind, link.kind == "zenoh", "zenoh"),
+        ("clock", scenario.clock, scenario.clock == "realtime",
+         "realtime: virtual time waits for every message, however long it takes"),
+        ("link.plant_endpoint", link.plant_endpoint, protocol in _PROTOCOLS,
+         "tcp/ or tls/, which the relay can pass on"),
+        ("link.router_endpoint", link.router_endpoint, link.router_endpoint is None,
+         "left out, or messages could go round the relay"),
+    )  # fmt: skip
+    for key, value, is_met, allowed in needs:
+        if not is_met:
+            raise ScenarioError(
+                f"{setup.origin.of(key)}: {key} = {value!r}: must be {allowed} (with --real-delay)"
+            )
+
+
+def knowing_real_delay(setup: Setup, round_trip_ms: float) -> Setup:
+    """The scenario with a deadline and a controller that allow for the real delay.
+
+    By default both go by the delays of the link, and those do not have this one. What the scenario
+    says of either stays.
+    """
+    scenario = setup.scenario
+    controller = scenario.controller
+    settings = controller.delay_compensation
+    if settings.expected_round_trip_ms is None:
+        expected_ms = scenario.link.emulated_round_trip_ns * 1e-6 + round_trip_ms
+        settings = settings.model_copy(update={"expected_round_trip_ms": expected_ms})
+        controller = controller.model_copy(update={"delay_compensation": settings})
+    update = {"controller": controller, "link": _knowing_real_delay(setup, round_trip_ms)}
+    return replace(setup, scenario=scenario.model_copy(update=update))
+
+
+def _knowing_real_delay(setup: Setup, round_trip_ms: float) -> LinkConfiguration:
+    scenario, link = setup.scenario, setup.scenario.link
+    if link.deadline_ms is not None:
+        return link
+    uplink: Channel[Any] = open_uplink(link, scenario.seed)
+    downlink = open_downlink(link, scenario.seed)
+    mean_ns = uplink.mean_delay_ns + downlink.mean_delay_ns + round(round_trip_ms * 1e6)
+    deadline_ns = link.deadline_ns(setup.grid.period_ns, max(mean_ns, link.playout_ns))
+    return link.model_copy(update={"deadline_ms": deadline_ns * 1e-6})
+
+
+def real_delay(setup: Setup, round_trip_ms: float) -> RealDelay:
+    """Where the relay stands for a scenario with its final endpoints: at a free port."""
+    plant_endpoint = setup.scenario.link.plant_endpoint
+    (port,) = free_ports(1)
+    endpoint = f"{plant_endpoint.rpartition(':')[0]}:{port}"
+    return RealDelay(round_trip_ms, endpoint, plant_endpoint)

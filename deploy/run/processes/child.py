@@ -1,0 +1,249 @@
+"""One process of a run, as `run` sees it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bus_schema.errors import silent_peer
+from bus_schema.runtime.signal_names import signal_name
+from deploy.run.exit_codes import BAD_INPUT, INTERRUPTED
+from deploy.run.processes.role_process import Options, start_role
+from deploy.run.processes.status import StatusMessage, StatusReporter
+
+SILENT = "it left no message"
+_LAST_BYTES = 65_536
+_LONGEST_LINE = 2000
+_MESSAGES_TIMEOUT_S = 1.0
+VIEWER = "viewer"
+_VIEWER_STARTS_WITHIN_S, _VIEWER_STOPS_WITHIN_S = 20.0, 3.0
+_POLL_S = 0.05
+
+
+class Failure(NamedTuple):
+    """How a process failed.
+
+    Attributes:
+        text: one sentence.
+        is_cause: other failures are its consequences: it was killed or frozen from outside, or says
+            so itself.
+        is_bad_input: it was given what does not go together, a scenario and another one say.
+    """
+
+    text: str
+    is_cause: bool
+    is_bad_input: bool = False
+
+
+@dataclass
+class RunOutcome:
+    """How the processes of a run ended.
+
+    Attributes:
+        failures: one sentence for each process that failed; causes come before consequences.
+        interrupted: the user stopped the run.
+        is_bad_input: a process of ours found that it was given what does not go together.
+        realtime: real-time settings that were asked for, by role.
+        relay: what the relay of a real delay reports; empty without one.
+    """
+
+    failures: list[str] = field(default_factory=list)
+    interrupted: bool = False
+    is_bad_input: bool = False
+    realtime: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    relay: dict[str, Any] = field(default_factory=dict)
+
+
+def in_causal_order(failures: Sequence[str]) -> list[str]:
+    """Sentences about failures; that a process which failed itself was silent comes last."""
+
+    def is_consequence(text: str) -> bool:
+        peer = silent_peer(text)
+        return peer is not None and any(
+            other.startswith(f"the {peer} failed") for other in failures
+        )
+
+    return sorted(failures, key=is_consequence)
+
+
+class ChildProcess(ABC):
+    """One child process. It ends with its parent, and no signal of the terminal reaches it.
+
+    Args:
+        role: what it is called.
+        errors: file that its standard error will be appended to.
+
+    Attributes:
+        has_started: set once it is on the bus, as far as that can be known.
+    """
+
+    _process: BaseProcess
+    """It, once it is started."""
+
+    def __init__(self, role: str, errors: Path) -> None:
+        self.role = role
+        self.has_started = threading.Event()
+        self._errors = errors
+        self._errors_before = errors.stat().st_size if errors.exists() else 0
+        self._was_asked_to_stop = False
+
+    def is_running(self) -> bool:
+        return self._process.is_alive()
+
+    @property
+    def sentinel(self) -> int:
+        """What `multiprocessing.connection.wait` takes to wait for its end."""
+        return self._process.sentinel
+
+    def is_frozen(self) -> bool:
+        """Whether the process is stopped by a signal."""
+        try:
+            stat = Path(f"/proc/{self._process.pid}/stat").read_text()
+        except OSError:
+            return False
+        return stat.rpartition(")")[2].split()[0] in ("T", "t")
+
+    def ask_to_stop(self) -> None:
+        """Ask once; a second signal could meet an interpreter that is already shutting down."""
+        if self.is_running() and not self._was_asked_to_stop:
+            self._was_asked_to_stop = True
+            self.send(signal.SIGTERM)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        if self._process.pid is not None and self.is_running():
+            with contextlib.suppress(ProcessLookupError):  # it has ended just now
+                os.kill(self._process.pid, number)
+
+    def confirm(self) -> None:  # noqa: B027 (a program waits for nothing)
+        """Tell a child that waits for it that what it asked for is done."""
+
+    def kill(self) -> None:
+        """Kill it, and wait until it is gone."""
+        if self.is_running():
+            self._process.kill()
+        self._process.join()
+
+    def _last_line(self) -> str:
+        """The last line on its standard error."""
+        try:
+            with self._errors.open("rb") as file:
+                file.seek(max(self._errors_before, file.seek(0, os.SEEK_END) - _LAST_BYTES))
+                lines = file.read().decode(errors="replace").splitlines()
+        except OSError:
+            lines = []
+        last = deque((line for line in lines if line.strip()), maxlen=1)
+        return last[0].strip()[:_LONGEST_LINE] if last else SILENT
+
+    @abstractmethod
+    def failure(self) -> Failure | None:
+        """What went wrong with the process, which has ended; None if nothing did."""
+
+
+class Child(ChildProcess):
+    """A role of ours, which reports.
+
+    Args:
+        role: what it is called.
+        function: what it does; returns its exit code.
+        options: what the function is called with, beside a reporter.
+        folder: of the run; what the role prints is in a file there, if it prints anything.
+        inbox: takes the messages it sends.
+    """
+
+    def __init__(
+        self,
+        role: str,
+        function: Callable[[Options, StatusReporter], int],
+        options: Options,
+        folder: Path,
+        inbox: queue.SimpleQueue[StatusMessage],
+    ) -> None:
+        super().__init__(role, folder / f"{role}_output.log")
+        self._process, self._channel = start_role(role, function, options, folder, self._errors)
+        self._inbox = inbox
+        self._faults: list[Failure] = []
+        self._reader = threading.Thread(target=self._read_messages, daemon=True)
+        self._reader.start()
+
+    def confirm(self) -> None:
+        with contextlib.suppress(OSError):
+            self._channel.send("done")
+
+    def kill(self) -> None:
+        super().kill()
+        with contextlib.suppress(OSError):
+            if not self._errors.stat().st_size:
+                self._errors.unlink()
+
+    def failure(self) -> Failure | None:
+        code = self._process.exitcode or 0
+        self._reader.join(timeout=_MESSAGES_TIMEOUT_S)
+        if code == -signal.SIGTERM and self._was_asked_to_stop:
+            return None  # it had not got as far as to leave in order, or was past it
+        if code == INTERRUPTED and not self._faults:
+            return None  # it was asked to stop, by whomever, and left in order
+        if code < 0:
+            return Failure(f"the {self.role} was killed by {signal_name(-code)}", is_cause=True)
+        if self._faults:
+            return self._faults[0]._replace(is_bad_input=code == BAD_INPUT)
+        if code:
+            text = f"the {self.role} failed with exit code {code}: {self._last_line()}"
+            return Failure(text, is_cause=False, is_bad_input=code == BAD_INPUT)
+        return None
+
+    def _read_messages(self) -> None:
+        with contextlib.suppress(Exception):  # its end, or bytes of a law that are no message
+            while True:
+                message = StatusMessage(self.role, *self._channel.recv())
+                if message.kind == "note":
+                    self.has_started.set()
+                elif message.kind == "fault":
+                    text = f"the {self.role} failed: {message.values['text']}"
+                    self._faults.append(Failure(text, message.values.get("is_cause", False)))
+                self._inbox.put(message)
+
+
+class LiveViewer(Child):
+    """The viewer of `run --live`, which is up once this is made, if it can be.
+
+    Args:
+        view: what it does, given the folder and a reporter.
+        folder: of the run, with the scenario in force.
+        inbox: takes what it reports; where to look, first of all.
+    """
+
+    def __init__(
+        self,
+        view: Callable[[Path, StatusReporter], int],
+        folder: Path,
+        inbox: queue.SimpleQueue[StatusMessage],
+    ) -> None:
+        super().__init__(VIEWER, view, folder, folder, inbox)
+        give_up_s = time.monotonic() + _VIEWER_STARTS_WITHIN_S
+        while self.is_running() and time.monotonic() < give_up_s:
+            if self.has_started.wait(_POLL_S):
+                return
+
+    def end(self) -> None:
+        """End it; a failure is reported, but is no failure of the run."""
+        self.ask_to_stop()
+        if not self.is_frozen():
+            self._process.join(_VIEWER_STOPS_WITHIN_S)
+        was_running = self.is_running()
+        self.kill()
+        failure = None if was_running else self.failure()
+        if failure is not None:
+            text = f"{failure.text}; the run went on without it"
+            self._inbox.put(StatusMessage(VIEWER, "fault", {"text": text}))

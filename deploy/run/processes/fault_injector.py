@@ -1,0 +1,74 @@
+"""Kills, freezes and restarts processes when the plant asks for it: the faults of processes."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Mapping
+
+from bus_schema.messages.topics import Role
+from deploy.run.processes.child import ChildProcess
+from plant_emulator.faults.process_faults import ProcessAction
+from plant_emulator.faults.scheduler import FaultScheduler, ScheduledAction
+
+_FREEZE_TIMEOUT_S = 2.0
+_POLL_S = 0.002
+
+
+class ProcessFaultInjector:
+    """Does each action once: a plant that was restarted asks for all of its actions again.
+
+    Args:
+        processes: the processes by role, as they are at any time.
+        start: starts a process anew.
+
+    Attributes:
+        removed: processes that were killed and will be started again.
+    """
+
+    def __init__(
+        self, processes: Mapping[Role, ChildProcess], start: Callable[[Role], None]
+    ) -> None:
+        self._processes = processes
+        self._start = start
+        self._requested: set[int] = set()
+        self._later = FaultScheduler([])
+        self.removed: set[Role] = set()
+
+    def request(self, action: ProcessAction) -> None:
+        """Do what is asked for, unless it was asked for before."""
+        if action.number in self._requested:
+            return
+        self._requested.add(action.number)
+        self._perform(action)
+        if action.then is not None:
+            later = action._replace(verb=action.then)
+            due_ns = time.monotonic_ns() + round(action.after_s * 1e9)
+            self._later.add(ScheduledAction(due_ns, later.verb, lambda _: self._perform(later)))
+
+    def run_due(self) -> None:
+        """Do what was asked for to be done later, and is due now."""
+        self._later.run_due(time.monotonic_ns())
+
+    def _perform(self, action: ProcessAction) -> None:
+        process = self._processes[action.target]
+        match action.verb:
+            case "kill":
+                process.kill()
+            case "remove":
+                self.removed.add(action.target)
+                process.kill()
+            case "start":
+                self._start(action.target)
+                self.removed.discard(action.target)
+            case "freeze":
+                _freeze(process)
+            case "resume":
+                process.send(signal.SIGCONT)
+
+
+def _freeze(process: ChildProcess) -> None:
+    process.send(signal.SIGSTOP)
+    give_up_s = time.monotonic() + _FREEZE_TIMEOUT_S
+    while process.is_running() and not process.is_frozen() and time.monotonic() < give_up_s:
+        time.sleep(_POLL_S)

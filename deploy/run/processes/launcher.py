@@ -1,0 +1,284 @@
+"""`run`: recorder, plant and controller as child processes, watched until none is left.
+
+Each child is a role; what it does is in `roles.py` beside this file. The controller may be a
+program of the user's own instead (`program.py`), or be awaited from elsewhere. With a real delay
+there is a `relay` between plant and controller.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable
+from multiprocessing import connection
+from pathlib import Path
+
+from bus_schema.errors import silent_peer
+from bus_schema.messages.topics import Role
+from deploy.run.live.feed import clear_left_behind
+from deploy.run.network.real_delay import RELAY, RealDelay
+from deploy.run.processes import roles
+from deploy.run.processes.child import (
+    Child,
+    ChildProcess,
+    Failure,
+    LiveViewer,
+    RunOutcome,
+    in_causal_order,
+)
+from deploy.run.processes.fault_injector import ProcessFaultInjector
+from deploy.run.processes.program import ControllerProcess
+from deploy.run.processes.recorder import record_failures
+from deploy.run.processes.relay import relay
+from deploy.run.processes.role_process import thaw
+from deploy.run.processes.roles import RoleOptions
+from deploy.run.processes.status import StatusMessage, StatusReporter
+from deploy.scenario.setup import Setup
+
+_POLL_S = 0.05
+_KILL_AFTER_S = 3.0
+_STOP_TIMEOUT_S = 2.0
+_RESTART_TIMEOUT_S = 20.0
+
+
+class Launcher:
+    """Runs the three processes of a scenario.
+
+    Args:
+        setup: the scenario.
+        scenario: file of its effective form, which the processes read.
+        log: file for the recording. A recorder that is started in place of another one writes to
+            a file beside it: run-2.mcap, run-3.mcap and so on.
+        can_log: likewise for the frames of a CAN bus.
+        delay: a real delay between controller and plant; None for none.
+        awaits_controller: start no controller, as one will come from elsewhere.
+        viewer: what a live view does, given the run's folder; None for no live view.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        *,
+        scenario: Path,
+        log: Path,
+        can_log: Path,
+        delay: RealDelay | None = None,
+        awaits_controller: bool = False,
+        viewer: Callable[[Path, StatusReporter], int] | None = None,
+    ) -> None:
+        self._setup, self._delay, self._view = setup, delay, viewer
+        self._roles = [Role.RECORDER, Role.PLANT, *([] if awaits_controller else [Role.CONTROLLER])]
+        self._scenario_file, self._log, self._can_log = scenario, log, can_log
+        self._overrides = [] if delay is None else [delay.override]
+        self._inbox: queue.SimpleQueue[StatusMessage] = queue.SimpleQueue()
+        self._children: dict[Role, ChildProcess] = {}
+        self._relay: Child | None = None
+        self._viewer: LiveViewer | None = None
+        self._starts: Counter[Role] = Counter()
+        self._injector = ProcessFaultInjector(self._children, self._start)
+        self._outcome = RunOutcome()
+        self._stop_requested = False
+        self._has_begun = self._plant_has_failed = self._program_left_first = False
+
+    def request_stop(self) -> None:
+        """End the run cleanly; a second request ends it at once."""
+        thaw()
+        if self._outcome.interrupted:
+            viewers = [] if self._viewer is None else [self._viewer]
+            for child in [*self._all_children(), *viewers]:
+                child.kill()
+        self._stop_requested = True
+
+    def run(self, on_message: Callable[[StatusMessage], None]) -> RunOutcome:
+        """Start, watch and clear up.
+
+        Args:
+            on_message: called with what the children report.
+        """
+        try:
+            if self._view is not None:  # before all others, so that nothing is missed
+                self._viewer = LiveViewer(self._view, self._scenario_file.parent, self._inbox)
+                self._handle_messages(on_message)
+            if self._delay is not None:
+                options, folder = self._delay.options, self._scenario_file.parent
+                self._relay = Child(RELAY, relay, options, folder, self._inbox)
+            for role in self._roles:
+                self._start(role)
+            self._watch(on_message)
+        finally:
+            self._clear_up()
+            if self._viewer is not None:
+                self._viewer.end()
+            clear_left_behind()
+        self._handle_messages(on_message)
+        self._outcome.failures = in_causal_order(self._outcome.failures)
+        self._note_what_program_said()
+        for start in range(1, self._starts[Role.RECORDER] + 1):
+            record_failures(_numbered(self._log, start), self._outcome.failures)
+        return self._outcome
+
+    def _start(self, role: Role) -> None:
+        """Start a process, or another one in place of one that is gone."""
+        gone = self._children.get(role)
+        if gone is not None:
+            self._note_failure(gone.failure())
+        self._starts[role] += 1
+        child = self._child(role)
+        self._children[role] = child
+        if gone is not None and self._setup.scenario.clock == "lockstep":
+            child.has_started.wait(_RESTART_TIMEOUT_S)  # virtual time waits for it
+
+    def _child(self, role: Role) -> ChildProcess:
+        """A process of a role, started."""
+        link, controller = self._setup.scenario.link, self._setup.scenario.controller
+        if role is Role.CONTROLLER and controller.process is not None:
+            place = link.plant_endpoint if self._delay is None else self._delay.endpoint
+            return ControllerProcess(self._setup, self._scenario_file, place)
+        log = {Role.RECORDER: self._log, Role.PLANT: self._can_log}.get(role)
+        options = RoleOptions(
+            str(self._scenario_file),
+            overrides=self._overrides if role is Role.CONTROLLER else [],
+            await_recorder=True,
+            log=None if log is None else _numbered(log, self._starts[role]),
+        )
+        return Child(role, roles.ROLES[role], options, self._scenario_file.parent, self._inbox)
+
+    def _watch(self, on_message: Callable[[StatusMessage], None]) -> None:
+        """Follow the children until the plant is done and the others had time to follow."""
+        leave_by_s: float | None = None
+        while self._injector.removed or self._one_of_ours_is_running():
+            self._handle_messages(on_message)
+            self._injector.run_due()
+            plant = self._children[Role.PLANT]
+            if self._stop_requested and not self._outcome.interrupted:
+                self._outcome.interrupted = True
+                self._ask_to_stop()
+            if self._has_gone(Role.RECORDER) or self._relay_has_gone():
+                plant.ask_to_stop()
+            self._look_after_program()
+            if self._has_gone(Role.PLANT) or self._has_gone(Role.CONTROLLER):
+                leave_by_s = leave_by_s or time.monotonic() + self._time_to_leave_s()
+            if leave_by_s is not None and time.monotonic() > leave_by_s:
+                return
+            running = [child.sentinel for child in self._all_children() if child.is_running()]
+            connection.wait(running, _POLL_S)
+
+    def _ask_to_stop(self) -> None:
+        """The plant's end is the controller's too, where the controller does not lead the plant."""
+        if self._setup.link_kind.controller_leads and Role.CONTROLLER in self._children:
+            self._children[Role.CONTROLLER].ask_to_stop()
+        self._children[Role.PLANT].ask_to_stop()
+
+    def _one_of_ours_is_running(self) -> bool:
+        ours = (
+            child for child in self._children.values() if not isinstance(child, ControllerProcess)
+        )
+        return any(child.is_running() for child in ours)
+
+    def _look_after_program(self) -> None:
+        """A program of the user's own knows neither when a run is over nor whom else it keeps."""
+        program = self._children.get(Role.CONTROLLER)
+        if not isinstance(program, ControllerProcess):
+            return
+        if self._has_gone(Role.CONTROLLER) and self._inbox.empty() and not self._plant_has_failed:
+            self._program_left_first = True
+        if self._has_gone(Role.PLANT):
+            program.ask_to_stop()
+            if not self._has_begun:
+                self._children[Role.RECORDER].ask_to_stop()  # it may not have met the plant
+        elif self._has_gone(Role.CONTROLLER) and not self._has_begun:
+            plant = self._children[Role.PLANT]
+            if plant.has_started.is_set():  # before, a signal would kill it
+                plant.ask_to_stop()  # it would wait for the program in vain
+
+    def _time_to_leave_s(self) -> float:
+        """The plant has its command timeout and its stop to get through, in wall time."""
+        if self._outcome.interrupted:
+            return _STOP_TIMEOUT_S
+        plant = self._setup.scenario.plant
+        stopping_s = 1e-3 * plant.command_timeout_ms + plant.stop_duration_s
+        return _KILL_AFTER_S + self._setup.scenario.link.reply_timeout_s + stopping_s
+
+    def _has_gone(self, role: Role) -> bool:
+        child = self._children.get(role)
+        return child is not None and not child.is_running() and role not in self._injector.removed
+
+    def _relay_has_gone(self) -> bool:
+        return self._relay is not None and not self._relay.is_running()
+
+    def _all_children(self) -> list[ChildProcess]:
+        return [*self._children.values(), *([] if self._relay is None else [self._relay])]
+
+    def _clear_up(self) -> None:
+        """No process is left over, and each one's end is accounted for."""
+        thaw()
+        early = self._relay if self._relay_has_gone() else None  # it is to outlast the others
+        frozen = self._ask_all_to_stop()
+        for child in self._all_children():
+            failure = _end(child, was_frozen=child in frozen, is_early=child is early)
+            self._note_failure(failure)
+
+    def _ask_all_to_stop(self) -> list[ChildProcess]:
+        """Give the children that still run time to stop; which of them are frozen and cannot."""
+        stuck = [child for child in self._all_children() if child.is_running()]
+        frozen = [child for child in stuck if child.is_frozen()]
+        for child in stuck:
+            child.ask_to_stop()
+        give_up_s = time.monotonic() + _KILL_AFTER_S
+        while any(child.is_running() and child not in frozen for child in stuck):
+            if time.monotonic() > give_up_s:
+                break
+            time.sleep(_POLL_S)
+        return frozen
+
+    def _note_what_program_said(self) -> None:
+        """Where a run failed or never began, a program may be the cause all the same."""
+        program = self._children.get(Role.CONTROLLER)
+        if not isinstance(program, ControllerProcess) or program.failure() is not None:
+            return
+        if self._outcome.failures or not (self._has_begun or self._outcome.interrupted):
+            awaited = Role.CONTROLLER in map(silent_peer, self._outcome.failures)
+            gave_up = awaited and not self._program_left_first
+            self._note_failure(program.suspicion(plant_gave_up_first=gave_up))
+
+    def _note_failure(self, failure: Failure | None) -> None:
+        if failure is not None:
+            failures = self._outcome.failures
+            self._outcome.is_bad_input |= failure.is_bad_input
+            failures.insert(0 if failure.is_cause else len(failures), failure.text)
+
+    def _handle_messages(self, on_message: Callable[[StatusMessage], None]) -> None:
+        while not self._inbox.empty():
+            message = self._inbox.get()
+            if message.kind == "progress" or message.values.get("ticks"):
+                self._has_begun = True
+            if message.kind == "fault" and message.role == Role.PLANT:
+                self._plant_has_failed = True
+            if message.kind == "realtime":
+                self._outcome.realtime[message.role] = message.values["settings"]
+            elif message.kind == "result" and message.role == RELAY:
+                self._outcome.relay = message.values
+            elif message.kind == "process_action":
+                self._injector.request(message.values["action"])
+                self._children[Role(message.role)].confirm()
+            on_message(message)
+
+
+def _end(child: ChildProcess, *, was_frozen: bool, is_early: bool) -> Failure | None:
+    """Kill a child if it still runs; what is to be said of its end."""
+    was_running = child.is_running()
+    child.kill()
+    if was_frozen:
+        return Failure(f"the {child.role} was frozen (stopped by a signal)", is_cause=True)
+    if was_running and not isinstance(child, ControllerProcess):
+        return Failure(f"the {child.role} did not end and was killed", is_cause=False)
+    failure = child.failure()
+    if failure is None and is_early:
+        return Failure(f"the {child.role} ended before the run did", is_cause=True)
+    return failure
+
+
+def _numbered(path: Path, number: int) -> Path:
+    """The file of this number in a series, counted from 1: run.mcap, run-2.mcap and so on."""
+    return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")

@@ -1,0 +1,135 @@
+"""``controller.process``: a controller of the user's own on the bus, as a process of a run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import signal
+from pathlib import Path
+
+from bus_schema.configuration import ConfigurationError
+from bus_schema.messages import topics
+from bus_schema.messages.topics import Role
+from bus_schema.runtime.signal_names import signal_name
+from bus_schema.zenoh.ros_graph import EntityKind, endpoint_gid, endpoint_token
+from deploy.run.processes.child import SILENT, ChildProcess, Failure
+from deploy.run.processes.role_process import CANNOT_START, start_program
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import naming
+
+_NODE = "controller_process"
+
+
+def require_program(setup: Setup) -> None:
+    """Check that the program of ``controller.process`` is there, before anything starts.
+
+    Raises:
+        ScenarioError: it is not.
+    """
+    command = setup.scenario.controller.process
+    if command is not None and shutil.which(command[0]) is None:
+        with naming(setup.origin):
+            raise ConfigurationError(
+                "controller.process", list(command),
+                f"must begin with a program that can be run; {command[0]!r} is none, from"
+                f" {Path.cwd()} or on the PATH",
+            )  # fmt: skip
+
+
+def program_variables(setup: Setup, scenario: Path, plant_endpoint: str) -> dict[str, str]:
+    """What the process is told of its run: environment variables, beside those of ours.
+
+    Args:
+        setup: the scenario.
+        scenario: file of its effective form.
+        plant_endpoint: where the process finds the plant.
+    """
+    link, names = setup.scenario.link, setup.robot.joint_names
+    session = secrets.token_hex(16)
+    token = endpoint_token(
+        link.domain, session, _NODE, 1, EntityKind.PUBLISHER, topics.JOINT_COMMANDS
+    )
+    return {
+        "FUNNEL_HIL_PLANT_ENDPOINT": plant_endpoint,
+        "FUNNEL_HIL_CONTROLLER_ENDPOINT": link.controller_endpoint,
+        "FUNNEL_HIL_DOMAIN": str(link.domain),
+        "FUNNEL_HIL_JOINTS": ",".join(names),
+        "FUNNEL_HIL_STATE_KEY": topics.JOINT_STATES.key_expression(link.domain),
+        "FUNNEL_HIL_COMMAND_KEY": topics.JOINT_COMMANDS.key_expression(link.domain),
+        "FUNNEL_HIL_COMMAND_TOKEN": token,
+        "FUNNEL_HIL_COMMAND_GID": endpoint_gid(token).hex(),
+        "FUNNEL_HIL_CLOCK": setup.scenario.clock,
+        "FUNNEL_HIL_RATE_HZ": repr(setup.scenario.rate_hz),
+        "FUNNEL_HIL_DURATION_S": repr(setup.scenario.duration_s),
+        "FUNNEL_HIL_SCENARIO": str(scenario.resolve()),
+        "FUNNEL_HIL_URDF": str(setup.robot.path),
+        "FUNNEL_HIL_SECURITY_FOLDER": str(link.security.folder) if link.security.enabled else "",
+    }
+
+
+class ControllerProcess(ChildProcess):
+    """The process of ``controller.process``, with whatever it starts itself.
+
+    When the run is over it is asked to stop; how it then ends is its own affair.
+
+    Args:
+        setup: the scenario.
+        scenario: file of its effective form; what the process says is written beside it.
+        plant_endpoint: where the process finds the plant.
+    """
+
+    def __init__(self, setup: Setup, scenario: Path, plant_endpoint: str) -> None:
+        assert setup.scenario.controller.process is not None  # else there is none to start
+        variables = program_variables(setup, scenario, plant_endpoint)
+        self._name = setup.scenario.controller.name
+        stdout, stderr = (
+            scenario.with_name(f"controller_std{name}.log") for name in ("out", "err")
+        )
+        command = setup.scenario.controller.process
+        super().__init__(Role.CONTROLLER, stderr)
+        self._process = start_program(command, {**os.environ, **variables}, stdout, stderr)
+        self.has_started.set()  # it tells nobody when it is ready
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to it and all it has started."""
+        if self._process.pid is not None:
+            try:
+                os.killpg(self._process.pid, number)
+            except ProcessLookupError:  # it has no group yet, or is gone
+                super().send(number)
+
+    def kill(self) -> None:
+        """Kill it and all it has started, and wait until it is gone."""
+        if self._process.pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        super().kill()
+
+    def failure(self) -> Failure | None:
+        code = self._process.exitcode or 0
+        if self._was_asked_to_stop or code == 0:
+            return None
+        if code == CANNOT_START:
+            how = "could not be started"
+        elif code < 0:
+            how = f"was killed by {signal_name(-code)}"
+        else:
+            how = f"failed with exit code {code}"
+        return Failure(f"the controller ({self._name}) {how}: {self._last_line()}", is_cause=True)
+
+    def suspicion(self, *, plant_gave_up_first: bool) -> Failure | None:
+        """What it may have to do with a failure, for one that has not failed itself.
+
+        Args:
+            plant_gave_up_first: the plant, whose end is one for the program to end by, waited for
+                it in vain.
+        """
+        who, said = f"the controller ({self._name})", self._last_line()
+        if not self._was_asked_to_stop and not plant_gave_up_first:
+            return Failure(f"{who} ended by itself with exit code 0: {said}", is_cause=True)
+        if said == SILENT:
+            return None
+        how = "had to be stopped" if self._was_asked_to_stop else "ended after the plant"
+        return Failure(f"{who} {how}; its last words: {said}", is_cause=False)

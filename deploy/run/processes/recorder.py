@@ -1,0 +1,298 @@
+"""The recorder: a process of its own that writes every message on the bus to an MCAP file."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+
+from bus_schema.errors import InvalidMessageError, PeerSilentError
+from bus_schema.messages import topics
+from bus_schema.messages.header import stamp_of
+from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
+from bus_schema.messages.topics import Role
+from bus_schema.recording.atomic_files import partial_path
+from bus_schema.recording.mcap_log import McapLog, record_afterwards
+from bus_schema.zenoh.bundle_order import ALTERED_BUNDLE
+from bus_schema.zenoh.bundles import Received
+from bus_schema.zenoh.node import ZenohNode
+from controller import reference_file
+from deploy.run.live.feed import LiveFeed
+from deploy.run.live.snapshot import Message
+from deploy.run.processes.logged_view import LoggedView
+from deploy.run.processes.message_counts import SECOND_PLANT, EventBudget, GapCounter, PlantSenders
+from deploy.scenario.effective import agreement_of, portable_scenario
+from deploy.scenario.referenced_files import DELAY_KEYS, data_files
+from deploy.scenario.setup import Setup
+
+logger = logging.getLogger(__name__)
+
+SCENARIO_ATTACHMENT = "scenario.yaml"
+ROBOT_ATTACHMENT = "robot.urdf"
+DATA_ATTACHMENTS = {
+    **dict(zip(DELAY_KEYS, ("uplink_delays.txt", "downlink_delays.txt"), strict=True)),
+    reference_file.KEY: "reference.csv",
+}
+"""What files that a scenario refers to are called there, by dotted key."""
+RUN_METADATA = "run"
+RECORDER_METADATA = "recorder"
+LOST_METADATA = "lost"
+REJECTED_METADATA = "rejected"
+"""What somebody else sent in the name of a process of the run, by reason."""
+DAMAGING = (SECOND_PLANT, ALTERED_BUNDLE)
+"""Reasons that leave open which messages are the plant's."""
+FAILURES_METADATA = "failures"
+"""What the recorder cannot know: a sentence for each process that failed, causes first."""
+_LARGEST_BACKLOG_BYTES = 1 << 27
+"""A minute and more of what both loops send at 1 kHz."""
+_AT_ONCE = 10_000
+_CLOSE_TIMEOUT_S = 2.0
+"""How long the backlog is still written once the recorder has to leave."""
+_MOST_COMMANDS = 1 << 40
+_PAUSE_S = 0.02
+"""Between two looks into the mailbox: waking up for each message would cost the loops time."""
+
+
+def open_log(setup: Setup, path: Path, *, clock: str, link: str) -> McapLog:
+    """Begin the recording of a run, with all that is needed to judge or repeat it.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    names = setup.robot.joint_names
+    tick_bytes = sum(
+        topics.layout(topic, names).size
+        for topic in topics.TOPICS
+        if topic.rate is topics.Rate.TICK
+    )
+    log = McapLog(path, bytes_per_s=tick_bytes * setup.scenario.rate_hz)
+    scenario = setup.scenario
+    log.attach(SCENARIO_ATTACHMENT, "application/yaml", portable_scenario(setup).encode())
+    log.attach(ROBOT_ATTACHMENT, "application/xml", setup.robot.resolved_urdf().encode())
+    for key, file in data_files(scenario).items():
+        log.attach(DATA_ATTACHMENTS[key], "text/plain", file.read_bytes())
+    log.add_metadata(
+        RUN_METADATA,
+        {"scenario": scenario.name, "law": scenario.controller.name, "clock": clock, "link": link},
+    )
+    if log.failure is not None:
+        raise log.failure
+    return log
+
+
+def close_log(log: McapLog, lost: Counter[str], rejected: Counter[str]) -> None:
+    """Finish a recording with the count of what it holds, and of what it lacks by topic.
+
+    Args:
+        log: the recording.
+        lost: messages that never came to it, by topic.
+        rejected: messages and bundles that somebody else sent in another's name, by reason.
+    """
+    log.finish_messages()
+    missing = lost + log.lost
+    counts = {"messages": log.messages, "lost": missing.total()}
+    log.add_metadata(RECORDER_METADATA, _as_text(counts))
+    log.add_metadata(LOST_METADATA, _as_text(missing))
+    if rejected:
+        log.add_metadata(REJECTED_METADATA, _as_text(rejected))
+    log.close()
+
+
+def _as_text(counts: Mapping[str, int]) -> dict[str, str]:
+    return {name: str(count) for name, count in counts.items()}
+
+
+def record_failures(path: Path, failures: Sequence[str]) -> None:
+    """Have a recording say what ended the run, wherever it is judged; also a partial one."""
+    for file in (path, partial_path(path)):
+        if failures and file.is_file() and not file.is_symlink():
+            try:
+                record_afterwards(
+                    file, FAILURES_METADATA, {str(i): f for i, f in enumerate(failures)}
+                )
+            except OSError as error:
+                logger.warning("%s: what failed is not in it: %s", file, error.strerror)
+
+
+class Recorder:
+    """Writes every message on the bus until both sides have left.
+
+    Its backlog is bounded. In real time the oldest of it makes room where the disk is too slow, so
+    that no sender ever waits; in lockstep senders wait, and nothing is lost. A disk that fails ends
+    the recording but not the run: what comes later is counted.
+
+    Args:
+        setup: the scenario.
+        path: file of the recording.
+        feed: takes what comes, for a live view.
+
+    Raises:
+        OSError: the recording cannot be begun.
+    """
+
+    def __init__(self, setup: Setup, path: Path, feed: LiveFeed | None = None) -> None:
+        self._setup, self._feed = setup, feed
+        self._log = open_log(setup, path, clock=setup.scenario.clock, link=setup.link_kind.name)
+        self._progress: dict[bytes, int] = {}
+        self._commands_received = 0
+        self._last_stamp_ns = 0
+        lossless = self._is_virtual = setup.scenario.clock == "lockstep"
+        self._pacing = {topic.name for topic in topics.TOPICS if lossless and topic.paces}
+        self._node = ZenohNode(
+            setup.scenario.link,
+            Role.RECORDER,
+            lossless=lossless,
+            agreement=agreement_of(setup),
+        )
+        self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG_BYTES, lossless=lossless)
+        rejected = self._mailbox.rejected
+        self._gaps, self._events = GapCounter(rejected), EventBudget()
+        self._plants = PlantSenders(rejected)
+        for topic in topics.VIEW_TOPICS:
+            self._node.advertise(topic)
+        sent_ns = 0 if self._is_virtual else time.time_ns()
+        self._view = LoggedView(self._log, setup.robot, self._node.publish, sent_ns)
+        self._node.announce()
+
+    @property
+    def messages(self) -> int:
+        """Messages in the recording."""
+        return self._log.messages
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Messages that are not: by gaps in their senders' numbers, and by the disk; by topic."""
+        return self._gaps.missed + self._log.lost
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """What somebody else sent in the name of a process of this run, by reason."""
+        return self._mailbox.rejected
+
+    @property
+    def failure(self) -> OSError | None:
+        """What ended the recording before its time, if anything did."""
+        return self._log.failure
+
+    def run(self, is_stop_requested: Callable[[], bool]) -> None:
+        """Record until both sides have left the bus, or until asked to stop.
+
+        Raises:
+            PeerSilentError: nobody came.
+            ScenarioMismatchError: who came runs another scenario, and would be judged by this one.
+        """
+        give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
+        has_received = False
+        silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
+        while not is_stop_requested():
+            a_peer_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
+            if not has_received:
+                for role in (Role.PLANT, Role.CONTROLLER):
+                    self._node.require_same_scenario(role)
+            time.sleep(_PAUSE_S)
+            has_written = self._write_what_came()
+            has_received = has_received or has_written
+            if a_peer_is_there or has_written:
+                continue
+            if has_received:
+                return
+            for silence in silences:
+                silence.look()
+            if time.monotonic() > give_up_s:
+                raise PeerSilentError(
+                    "plant", self._setup.scenario.link.connect_timeout_s, "message"
+                )
+
+    def close(self) -> None:
+        """Write what was received, as far as there is time, and finish the file."""
+        give_up_s = time.monotonic() + _CLOSE_TIMEOUT_S
+        while time.monotonic() < give_up_s and self._write_what_came():
+            pass
+        self._write(self._mailbox.let_go())
+        for topic, _, sequence, _, gid in chain.from_iterable(iter(self._mailbox.take, None)):
+            self._gaps.note(topic.name, gid, sequence)
+            self._gaps.missed[topic.name] += 1
+        self._compare_with_the_plant()
+        if self.rejected:
+            logger.warning(
+                "somebody else on the bus sends in the name of a process of this run (%s);"
+                " link.security keeps strangers out",
+                ", ".join(f"{reason}: {count}" for reason, count in self.rejected.items()),
+            )  # fmt: skip
+        if self._mailbox.dropped:
+            logger.warning(
+                "more came than could be written: %d deliveries were dropped", self._mailbox.dropped
+            )  # fmt: skip
+        close_log(self._log, self._gaps.missed, self.rejected)
+        self._node.close()
+
+    def _write_what_came(self) -> bool:
+        """Write what has come in, or a good part of it; whether anything had."""
+        taken = written = 0
+        while taken < _AT_ONCE and (messages := self._mailbox.take()) is not None:
+            self._write(messages)
+            written += len(messages)
+            taken += 1 + len(messages)  # what is not ours takes its time too
+        for gid, sequence in self._progress.items():
+            self._node.tell_progress(gid, sequence)
+        self._progress.clear()
+        if self._feed is not None:
+            self._feed.send()
+        return written > 0
+
+    def _write(self, messages: list[Received]) -> None:
+        """Write messages, which is what the recorder spends its time on."""
+        stamp_ns = self._last_stamp_ns
+        feed = self._feed if self._feed is not None and self._feed.is_watched else None
+        for topic, payload, sequence, source_time_ns, gid in messages:
+            self._gaps.note(topic.name, gid, sequence)
+            if topic.sender is Role.PLANT:
+                self._plants.note(topic.name, gid, sequence)
+            if topic is topics.RUN_EVENTS and not self._events.admits(gid, len(payload)):
+                self._gaps.missed[topic.name] += 1
+                continue
+            told_ns = stamp_of(payload)
+            if told_ns is not None:
+                stamp_ns = told_ns
+            # In virtual time, when a message was sent by the wall says nothing of the run.
+            sent_ns = stamp_ns if self._is_virtual else source_time_ns
+            self._log.write(topic, sequence, stamp_ns, sent_ns, payload)
+            if topic is topics.JOINT_STATES:
+                self._view.show(payload, stamp_ns, sent_ns)
+            elif topic is topics.RUN_EVENTS:
+                self._read_event(payload, gid, sequence)
+            elif topic.name in self._pacing and gid:
+                self._progress[gid] = sequence
+            if feed is not None:
+                feed.take(Message(topic, stamp_ns, payload))
+        self._last_stamp_ns = stamp_ns
+
+    def _read_event(self, payload: bytes, gid: bytes, sequence: int) -> None:
+        """Tell a process whose last message this is that all of its messages are recorded."""
+        with contextlib.suppress(InvalidMessageError):
+            event = RunEvent.decode(payload)
+            if event.source == Role.PLANT:
+                self._plants.note(topics.RUN_EVENTS.name, gid, sequence)
+            if event.kind == EventKind.ENDED and gid:
+                self._node.acknowledge(gid)
+            if event.kind == EventKind.COUNTS and event.source == Role.PLANT:
+                count = event.values().get(COMMANDS_RECEIVED)
+                if isinstance(count, int) and 0 <= count < _MOST_COMMANDS:
+                    self._commands_received = count
+
+    def _compare_with_the_plant(self) -> None:
+        """Count the commands that the plant received and that never came here."""
+        name = topics.JOINT_COMMANDS.name
+        came = self._log.written[name] + self._log.lost[name]
+        missing = self._gaps.expect(name, self._commands_received, came)
+        if missing:
+            logger.warning(
+                "the plant received %d commands that never came here: a controller that connects"
+                " to the plant alone has to listen at link.controller_endpoint (%s), where"
+                " recorders connect to, or be a Zenoh client of the plant",
+                missing, self._setup.scenario.link.controller_endpoint,
+            )  # fmt: skip

@@ -1,0 +1,279 @@
+"""A process of its own, forked from one that has few threads: a role of a run, or a program.
+
+A role is a function; it finds the libraries of the program loaded. A program of the user's own
+takes the place of all that is there.
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing import forkserver, resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple, NoReturn, TypeVar
+
+from setproctitle import setproctitle
+
+from bus_schema.runtime import compiled
+from deploy.run.exit_codes import with_exit_codes
+from deploy.run.processes.status import StatusReporter
+from deploy.run.stop_signals import STOPS, stop_at_once
+
+_CONTEXT = multiprocessing.get_context("forkserver")
+_CONTEXT.set_forkserver_preload(["deploy.run.processes.fork_server"])
+CANNOT_START = 127
+"""Exit code of a program that could not be started, as shells have it."""
+PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+_SAFE_PATH = "PYTHONSAFEPATH"
+_LONG_PATH = 60
+"""Of the 107 characters that the path of a socket may have, 32 are Python's own."""
+_LEAVE_WITHIN_S = 30
+"""Longer than any process takes to leave in order."""
+Options = TypeVar("Options")
+_sockets: list[int] = []
+"""At most one: the file descriptor by which the fork server is reached."""
+
+
+class _Surroundings(NamedTuple):
+    """What a process is given beside what it does.
+
+    Attributes:
+        environment: its environment variables.
+        outputs: files that its standard output and error are appended to.
+        fork_server: id of the process that it is forked from.
+    """
+
+    environment: dict[str, str]
+    outputs: tuple[Path, Path]
+    fork_server: int
+
+    def enter(self) -> None:
+        """Take them on; no signal of the terminal reaches this process from here on."""
+        os.setsid()
+        os.environ.clear()
+        os.environ.update(self.environment)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        for number, path in enumerate(self.outputs, start=1):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), number)
+
+
+def prepare() -> None:
+    """Start the process that others are forked from, which loads the program meanwhile.
+
+    To be called in the main thread. It ends with this process.
+    """
+    with _fork_server_survives(), _socket_without_a_path():
+        forkserver.ensure_running()
+
+
+def start_role(
+    role: str,
+    function: Callable[[Options, StatusReporter], int],
+    options: Options,
+    folder: Path,
+    output: Path,
+) -> tuple[BaseProcess, Connection]:
+    """Start a role in this folder; from the main thread. It ends with this process.
+
+    Args:
+        role: what the process is called.
+        function: what it does; returns its exit code.
+        options: what it is called with, beside a reporter.
+        folder: of the run.
+        output: file that takes what it, or a law in it, prints.
+
+    Returns:
+        the process, and the connection that takes what it reports.
+    """
+    ours, theirs = _CONTEXT.Pipe()
+    with theirs:
+        arguments = (role, function, options, theirs, folder)
+        process = _fork(_run_role, os.environ, (output, output), *arguments)
+    return process, ours
+
+
+def start_program(
+    command: Sequence[str], environment: Mapping[str, str], stdout: Path, stderr: Path
+) -> BaseProcess:
+    """Start a program in this folder, in a process group of its own; from the main thread.
+
+    It is killed when this process ends, and no signal of the terminal reaches it.
+
+    Args:
+        command: the program and its arguments.
+        environment: all of its environment variables.
+        stdout: file that takes its standard output.
+        stderr: file that takes its standard error.
+    """
+    return _fork(_run_program, environment, (stdout, stderr), list(command))
+
+
+def thaw() -> None:
+    """Have what processes are forked from go on where it is frozen (stopped by a signal).
+
+    Until then nobody's end is noticed. So does the process that clears up after it.
+    """
+    for pid in (forkserver._forkserver._forkserver_pid, resource_tracker._resource_tracker._pid):  # type: ignore[attr-defined]
+        if pid is not None:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+
+atexit.register(thaw)
+
+
+def end_with_parent(parent_pid: int) -> None:
+    """Have this process leave in order when its parent is gone, even if it is stopped by then.
+
+    The signal asked for is SIGCONT: only that and SIGKILL reach a process that is stopped, and
+    SIGKILL would leave no time to finish a file. To be called before anything that takes time, in
+    the main thread. Where there is no Linux, nothing is asked for.
+
+    Args:
+        parent_pid: process id of the parent, which may be gone already.
+    """
+
+    def leave_without_parent(_number: int = 0, _frame: FrameType | None = None) -> None:
+        if os.getppid() != parent_pid:
+            signal.alarm(_LEAVE_WITHIN_S)  # ends a process that does not get round to leaving
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    signal.signal(signal.SIGCONT, leave_without_parent)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
+    leave_without_parent()
+
+
+def _fork(
+    target: Callable[..., None],
+    environment: Mapping[str, str],
+    outputs: tuple[Path, Path],
+    *arguments: Any,
+) -> BaseProcess:
+    """Start a process; a request to stop can end the wait for a fork server that is frozen.
+
+    Raises:
+        ChildProcessError: something ended the fork server meanwhile.
+    """
+    prepare()
+    server: int = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+    surroundings = _Surroundings(dict(environment), outputs, server)
+    process = _CONTEXT.Process(target=target, args=(surroundings, *arguments), daemon=True)
+    try:
+        process.start()
+    except EOFError as error:
+        raise ChildProcessError("what this run's processes are forked from was killed") from error
+    return process
+
+
+@contextmanager
+def _fork_server_survives() -> Iterator[None]:
+    """For a fork server to be started: nothing that is meant for this process ends it.
+
+    It is in the process group that a terminal, or `timeout`, tells to stop; and modules in this
+    folder are not to take the place of ours.
+    """
+    resource_tracker.ensure_running()  # which would let the signals through
+    signals = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    is_ours = _SAFE_PATH not in os.environ
+    os.environ.setdefault(_SAFE_PATH, "1")
+    try:
+        yield
+    finally:
+        if is_ours:
+            del os.environ[_SAFE_PATH]
+        signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+
+
+@contextmanager
+def _socket_without_a_path() -> Iterator[None]:
+    """For a fork server to be started: its socket is removed at once, and reached without a path.
+
+    A process that is killed could not remove it at its end. Where there is no Linux, it stays until
+    then. The path must be short, which not every TMPDIR is.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    server: Any = forkserver._forkserver
+    settings: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
+    others, parent = settings.get("tempdir"), tempfile.gettempdir()
+    place = parent if len(parent) < _LONG_PATH else "/tmp"
+    with tempfile.TemporaryDirectory(prefix="pymp-", dir=place) as folder:
+        settings["tempdir"] = folder
+        try:
+            yield
+        finally:
+            settings["tempdir"] = others
+        if server._forkserver_address.startswith(folder):
+            while _sockets:  # of a fork server that has ended
+                os.close(_sockets.pop())
+            _sockets.append(os.open(server._forkserver_address, os.O_PATH))
+            server._forkserver_address = f"/proc/self/fd/{_sockets[0]}"
+
+
+def _run_role(
+    surroundings: _Surroundings,
+    role: str,
+    function: Callable[[Any, StatusReporter], int],
+    options: Any,
+    channel: Connection,
+    folder: Path,
+) -> None:
+    """Call the function, and end as a command does."""
+    title = f"{sys.executable} -m deploy.cli {role} {folder}"  # for `ps` and the like
+    setproctitle(title.encode(errors="replace").decode())  # finds its place by the old environment
+    surroundings.enter()
+    launcher = multiprocessing.parent_process()
+    if launcher is None or not launcher.is_alive():  # from here on its end is noticed
+        return
+    stop_at_once()
+    with with_exit_codes():
+        end_with_parent(surroundings.fork_server)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
+        reporter = StatusReporter(role, channel)
+        _set_up_output(reporter)
+        sys.exit(function(options, reporter))
+
+
+def _set_up_output(reporter: StatusReporter) -> None:
+    """What is printed or logged is written at once; that something compiles is reported."""
+
+    def is_written(record: logging.LogRecord) -> bool:
+        if record.msg != compiled.COMPILES:
+            return True
+        reporter.report("compiles")
+        return False
+
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    compiled.logger.addFilter(is_written)
+    logging.basicConfig(level=logging.ERROR, format="%(message)s")
+    logging.getLogger("bus_schema").setLevel(logging.WARNING)
+    logging.getLogger("plant_emulator").setLevel(logging.CRITICAL)
+
+
+def _run_program(surroundings: _Surroundings, command: list[str]) -> NoReturn:
+    """Become the program."""
+    folder = Path.cwd()
+    surroundings.enter()
+    if sys.platform == "linux":  # its parent, the fork server, ends with whoever asked for it
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # which Python ignores, and programs inherit
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
+    try:
+        os.chdir(folder)
+        os.execvpe(command[0], command, surroundings.environment)
+    except OSError as error:
+        os.write(2, f"{command[0]}: {error.strerror}\n".encode(errors="replace"))
+        os._exit(CANNOT_START)

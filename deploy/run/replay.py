@@ -1,0 +1,124 @@
+"""Replay: a recorded run's delivered states fed to the law again, torques compared bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+
+from bus_schema.arrays import Vector
+from bus_schema.link.in_process import InProcessBus, InProcessControllerLink
+from bus_schema.messages import topics
+from bus_schema.messages.layout import Record
+from bus_schema.recording.mcap_log import LogContents
+from bus_schema.runtime.clock import VirtualClock
+from controller.control_loop import ControlLoop
+from deploy.judge.run_data import digest
+from deploy.scenario.setup import Setup
+from plant_emulator.faults.process_faults import process_faults
+
+_STAMP = slice(4, 12)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """How a replay compares with its recording.
+
+    Attributes:
+        recorded: commands in the recording.
+        replayed: commands that the law gave now.
+        first_difference: index of the first command that differs; None if none does.
+        digest: digest of the replay.
+        recorded_digest: digest of the recording.
+        failure: what ended the replay before all recorded states were answered; empty if nothing.
+    """
+
+    recorded: int
+    replayed: int
+    first_difference: int | None
+    digest: str
+    recorded_digest: str
+    failure: str = ""
+
+    @property
+    def is_identical(self) -> bool:
+        return self.first_difference is None and self.digest == self.recorded_digest
+
+
+def replay(setup: Setup, contents: LogContents) -> Replay:
+    """Feed the recorded joint states to a fresh law.
+
+    Args:
+        setup: the recorded scenario.
+        contents: the recording; a partial one, or one of a run whose controller was struck, is
+            compared as far as it goes.
+    """
+    states = contents.payloads[topics.JOINT_STATES.name]
+    recorded = contents.payloads[topics.JOINT_COMMANDS.name]
+    bus = InProcessBus(VirtualClock())
+    loop = ControlLoop(setup.control_task(), InProcessControllerLink(bus))
+    loop.warm_up()
+    has_status = setup.link_kind.brings_plant_status
+    statuses = _statuses_beside(contents) if has_status else [None] * len(states)
+    failure = _cycle_through(loop, states, statuses)
+    replayed = [command.payload for command in bus.commands]
+    rounding = setup.link_kind.wire_rounding(setup.link_run(lockstep=True))
+    if rounding is not None:
+        replayed = _as_delivered(setup, replayed, rounding)
+    if not contents.complete or process_faults(setup.scenario.faults):
+        whole = min(len(recorded), len(replayed))
+        recorded, replayed = recorded[:whole], replayed[:whole]
+    pairs = zip_longest(recorded, replayed)
+    differing = (index for index, (a, b) in enumerate(pairs) if a != b)
+    return Replay(
+        recorded=len(recorded),
+        replayed=len(replayed),
+        first_difference=next(differing, None),
+        digest=digest(states, replayed),
+        recorded_digest=digest(states, recorded),
+        failure=failure,
+    )
+
+
+def _statuses_beside(contents: LogContents) -> list[bytes | None]:
+    """The plant status that went with each joint state; None where there was none.
+
+    Both have the same stamp, at the same place, and the same number: so one that a stranger sends
+    again is told from the plant's. A plant that numbers them otherwise sends one for each stamp.
+    """
+    name = topics.PLANT_STATUS.name
+    of_number: dict[tuple[int, bytes], bytes] = {}
+    of_stamp: dict[bytes, bytes] = {}
+    for number, status in zip(contents.sequences[name], contents.payloads[name], strict=True):
+        of_number.setdefault((number, status[_STAMP]), status)
+        of_stamp.setdefault(status[_STAMP], status)
+    name = topics.JOINT_STATES.name
+    return [
+        of_number.get((number, state[_STAMP]), of_stamp.get(state[_STAMP]))
+        for number, state in zip(contents.sequences[name], contents.payloads[name], strict=True)
+    ]
+
+
+def _cycle_through(
+    loop: ControlLoop, states: Sequence[bytes], statuses: Sequence[bytes | None]
+) -> str:
+    """Answer all states; what ended that early, as a law that failed in the recording will."""
+    for state, status in zip(states, statuses, strict=True):
+        try:
+            loop.cycle(state, status)
+        except Exception as error:  # noqa: BLE001 (a law of the user's own may raise anything)
+            return str(error)
+    return ""
+
+
+def _as_delivered(
+    setup: Setup, commands: list[bytes], rounding: Callable[[Vector], Vector]
+) -> list[bytes]:
+    """Commands as they arrive over a link that rounds torques."""
+    layout = topics.layout(topics.JOINT_COMMANDS, setup.robot.joint_names)
+    command, delivered = Record(layout), []
+    for payload in commands:
+        layout.decode(payload, command)
+        command.fields["effort"][:] = rounding(command.fields["effort"])
+        delivered.append(command.payload())
+    return delivered

@@ -1,0 +1,274 @@
+"""What runs leave behind: ``run.mcap``, ``summary.json``, ``manifest.json``, ``report.html``.
+
+And, where something went wrong, ``fault.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+from bus_schema.errors import InputError
+from bus_schema.recording.atomic_files import partial_path, write_json
+from bus_schema.recording.mcap_log import LogContents, read_log
+from bus_schema.user_files import read_text
+from controller.laws.custom import custom_laws_left_out
+from deploy.judge.arithmetic import libm_fingerprint
+from deploy.judge.run_data import RunData, build_run_data
+from deploy.run.missing_recording import missing_recording
+from deploy.run.new_folder import FolderLock, new_folder
+from deploy.run.processes.recorder import (
+    DAMAGING,
+    DATA_ATTACHMENTS,
+    FAILURES_METADATA,
+    LOST_METADATA,
+    REJECTED_METADATA,
+    ROBOT_ATTACHMENT,
+    RUN_METADATA,
+    SCENARIO_ATTACHMENT,
+)
+from deploy.scenario.effective import write_scenario
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.setup import Setup
+from deploy.scenario.warnings import all_warnings
+from deploy.scenario.yaml_files import ScenarioError, plain
+
+_LIBRARIES = (
+    "funnel-hil", "eclipse-zenoh", "pybullet", "mujoco", "pin", "numpy", "numba", "rosbags", "mcap",
+)  # fmt: skip
+
+
+class RunFolderError(InputError):
+    """A folder holds nothing of ours that can be read."""
+
+
+class ResultFolder:
+    """What every command with results leaves in their folder: numbers, provenance and a report.
+
+    Args:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.summary = path / "summary.json"
+        self.manifest = path / "manifest.json"
+        self.report = path / "report.html"
+        self._lock: FolderLock | None = None
+
+    def lock(self) -> Self:
+        """Keep other commands from writing here until this object is left as a context, or ends.
+
+        Raises:
+            ScenarioError: another one is at it.
+        """
+        self._lock = FolderLock(self.path)
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let others write here again."""
+        if self._lock is not None:
+            self._lock.close()
+
+
+class RunFolder(ResultFolder):
+    """The files of one run."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.log = path / "run.mcap"
+        self.can_log = path / "can.log"
+        self.scenario = path / "scenario.yaml"
+        self.fault = path / "fault.json"
+
+    @staticmethod
+    def begin(setup: Setup, out: Path | None, *, overwrite: bool = False) -> RunFolder:
+        """The folder of a new run, locked, with the scenario in force and a manifest.
+
+        Raises:
+            ScenarioError: as `new_folder`.
+        """
+        folder = RunFolder(new_folder(setup.scenario.name, out, overwrite=overwrite))
+        folder.lock()
+        folder.write_scenario(setup)
+        folder.write_manifest(setup, {})
+        return folder
+
+    def write_scenario(self, setup: Setup) -> None:
+        """Write the scenario in force; after a run, without the places that only this run had.
+
+        So it can be run again, also beside others.
+        """
+        write_scenario(setup, self.scenario)
+
+    def write_manifest(
+        self, setup: Setup, grants: Mapping[str, Any], real_delay: Mapping[str, Any] | None = None
+    ) -> None:
+        """Write what was run, with what, and where.
+
+        Args:
+            setup: the scenario.
+            grants: real-time setup, by role.
+            real_delay: a real delay of the link, and how exactly it was kept; None for none.
+        """
+        delay = {} if real_delay is None else {"real_delay": dict(real_delay)}
+        write_json(self.manifest, manifest_of([setup], grants) | delay)
+
+
+def read_summary(path: Path) -> dict[str, Any]:
+    """What ``summary.json`` of a folder says; empty where there is none."""
+    return read_json(path / "summary.json")
+
+
+def _failures(path: Path, contents: LogContents) -> list[str]:
+    """What ended processes of a run: in recordings of older versions, only its folder has it."""
+    if FAILURES_METADATA in contents.metadata:
+        return list(contents.metadata[FAILURES_METADATA].values())
+    told = read_summary(path).get("unrecorded_faults")
+    return [each for each in told if isinstance(each, str)] if isinstance(told, list) else []
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """What ``manifest.json`` of a folder says; empty where there is none."""
+    return read_json(path / "manifest.json")
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """What a JSON file says; empty where it is missing, or holds no mapping."""
+    try:
+        values = json.loads(read_text(file))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def load_run(path: Path) -> tuple[RunData, LogContents]:
+    """Read a run folder or an MCAP file back; where that is all there is, a partial recording.
+
+    The recording may be anybody's: a law that its scenario names and that is not shipped is not
+    imported, and does nothing in the setup.
+
+    Raises:
+        RunFolderError: there is no recording of ours.
+    """
+    file = RunFolder(path).log if path.is_dir() else path
+    if not file.exists():
+        file = partial_path(file)
+    if not file.is_file():
+        raise RunFolderError(missing_recording(path, str(read_summary(path).get("kind", ""))))
+    contents = read_log(file)
+    if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
+        damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""
+        raise RunFolderError(
+            f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        scenario, robot = Path(folder) / SCENARIO_ATTACHMENT, Path(folder) / ROBOT_ATTACHMENT
+        scenario.write_bytes(contents.attachments[SCENARIO_ATTACHMENT])
+        robot.write_bytes(contents.attachments[ROBOT_ATTACHMENT])
+        overrides = [f"robot.urdf={robot}"]
+        for key, name in DATA_ATTACHMENTS.items():
+            if name in contents.attachments:
+                (Path(folder) / name).write_bytes(contents.attachments[name])
+                overrides.append(f"{key}={name}")
+        try:
+            with custom_laws_left_out():
+                setup = load_setup(str(scenario), overrides)
+        except ScenarioError as error:
+            raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
+    run = contents.metadata.get(RUN_METADATA, {})
+    rejected = _counts(contents.metadata.get(REJECTED_METADATA)) or {}
+    data = build_run_data(
+        setup,
+        contents.payloads,
+        clock=run.get("clock", "unknown"),
+        link=run.get("link", "unknown"),
+        lost=_counts(contents.metadata.get(LOST_METADATA)),
+        complete=contents.complete,
+        damage=[*contents.damage, *_forgeries(rejected)],
+        rejected=rejected,
+        failures=_failures(path if path.is_dir() else path.parent, contents),
+        lacks_checksums=contents.lacks_checksums,
+    )
+    return data, contents
+
+
+def _forgeries(rejected: Mapping[str, int]) -> list[str]:
+    """What leaves open which messages are the plant's, in a sentence."""
+    found = ", ".join(f"{name}: {rejected[name]}" for name in DAMAGING if name in rejected)
+    return [f"somebody else sent in the plant's name ({found})"] if found else []
+
+
+def _counts(told: Mapping[str, str] | None) -> dict[str, int] | None:
+    """Counts from a table of metadata; None where there is none, or something else."""
+    if told is None or not all(count.isdecimal() and len(count) < 19 for count in told.values()):
+        return None
+    return {name: int(count) for name, count in told.items()}
+
+
+def manifest_of(
+    setups: Sequence[Setup], grants: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
+    """What is run, with what, and where.
+
+    Args:
+        setups: the scenario, under each law that it is run under.
+        grants: real-time setup, by role.
+    """
+    return {
+        **provenance(),
+        "realtime": dict(grants),
+        "warnings": all_warnings(setups),
+        "set": [text for text in setups[0].overrides if all(text in s.overrides for s in setups)],
+        "gains": {setup.scenario.controller.name: plain(setup.gains) for setup in setups},
+        "scenario": plain(setups[0].scenario),
+    }
+
+
+def provenance() -> dict[str, Any]:
+    """What was called, when, where and with which versions, for a manifest."""
+    return {
+        "command": sys.argv,
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "host": {
+            "machine": platform.machine(),
+            "kernel": platform.release(),
+            "cpus": os.cpu_count(),
+            "usable_cpus": len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else None,
+            "python": platform.python_version(),
+        },
+        "versions": {name: _version(name) for name in _LIBRARIES},
+        "arithmetic": {"libm": libm_fingerprint()},
+    }
+
+
+def grown_from(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest of results to which more was added: what it was before goes with it.
+
+    Args:
+        before: the manifest of what was there.
+        now: that of what is added.
+    """
+    earlier = {key: value for key, value in before.items() if key != "grown_from"}
+    return {**now, "grown_from": [*before.get("grown_from", []), earlier]}
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,193 @@
+"""The effective scenario: all values in force, written to run again, and agreed on by processes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePath
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from bus_schema.limits import LimitsConfiguration
+from bus_schema.link.agreement import Agreement
+from bus_schema.recording.atomic_files import write_whole
+from controller.configuration import ControllerConfiguration
+from controller.laws import LAWS
+from deploy.scenario.referenced_files import data_files
+from deploy.scenario.setup import Setup
+from deploy.scenario.yaml_files import plain, set_value, to_yaml
+from plant_emulator.configuration import PlantConfiguration
+from plant_emulator.physics.engines import engine_name
+
+_DIGITS = 8
+_OF_EACH_HOST = (
+    "link.plant_endpoint", "link.controller_endpoint", "link.router_endpoint",
+    "link.security.folder", "link.connect_timeout_s", "link.reply_timeout_s",
+    "link.can.interface", "link.can.channel", "link.can.port", "plant.gui",
+)  # fmt: skip
+"""Keys that may differ: where things are, and how long each waits for them."""
+
+
+def effective_scenario(setup: Setup, files: Mapping[str, str] = MappingProxyType({})) -> str:
+    """`effective_values` as YAML.
+
+    Args:
+        setup: the scenario.
+        files: paths to write, by dotted key, in place of absolute ones.
+    """
+    values = effective_values(setup)
+    for key, path in files.items():
+        set_value(values, key, path)
+    return to_yaml(values)
+
+
+def effective_values(setup: Setup) -> dict[str, Any]:
+    """The scenario in force: defaults, overrides, and what follows from the arm; paths absolute.
+
+    But for endpoints, CAN buses and a time to judge from that nobody chose: who runs it again may
+    choose others, or another duration.
+    """
+    given = setup.scenario
+    values: dict[str, Any] = plain(
+        given.model_copy(
+            update={
+                "controller": _with_gains(setup),
+                "limits": _with_limits(setup),
+                "plant": _plant_in_force(setup),
+            }
+        )
+    )
+    values["robot"]["urdf"] = str(setup.robot.path)
+    for key in {"plant_endpoint", "controller_endpoint"} - given.link.model_fields_set:
+        del values["link"][key]
+    if "from_s" not in given.metrics.model_fields_set:
+        del values["metrics"]["from_s"]
+    for key in {"channel", "port"} - given.link.can.model_fields_set:
+        values["link"]["can"].pop(key, None)
+    return values
+
+
+def write_scenario(setup: Setup, path: Path) -> None:
+    """Write the scenario in force, and beside it copies of its URDF and its other files.
+
+    Copies are named by their contents too, so that scenarios in one folder share equal ones.
+
+    Args:
+        setup: the scenario.
+        path: the YAML file; it names the copies by relative paths.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    texts = _texts(setup)
+    for name, text in texts.values():
+        if not (path.parent / name).exists():
+            write_whole(path.parent / name, text)
+    write_whole(path, portable_scenario(setup))
+
+
+def portable_scenario(setup: Setup) -> str:
+    """The scenario in force as `write_scenario` writes it, and as recordings hold it."""
+    return effective_scenario(setup, {key: name for key, (name, _) in _texts(setup).items()})
+
+
+def _texts(setup: Setup) -> dict[str, tuple[str, str]]:
+    """Name and text of a copy of each file that a scenario refers to, by its key."""
+    robot = setup.robot
+    arm = robot.path
+    if arm.suffix in (".xacro", ".xml"):  # the copy is what it stands for
+        arm = arm.with_name(f"{arm.stem.removesuffix('.urdf')}.urdf")
+    found = {"robot.urdf": (arm, robot.portable_urdf())}
+    for key, file in data_files(setup.scenario).items():
+        found[key] = (file, file.read_text(encoding="utf-8"))
+    return {key: (_name(file, text), text) for key, (file, text) in found.items()}
+
+
+def is_copy(file: Path) -> bool:
+    """Whether a file is such a copy, as its name and contents say."""
+    digest = file.stem[-_DIGITS - 1 :]
+    if not re.fullmatch(rf"-[0-9a-f]{{{_DIGITS}}}", digest) or not file.is_file():
+        return False
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:_DIGITS] == digest[1:]
+
+
+def _name(original: Path, text: str) -> str:
+    digest = hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+    stem = original.stem.removesuffix(f"-{digest}")  # it may itself be such a copy
+    return f"{stem}-{digest}{original.suffix}"
+
+
+def _with_gains(setup: Setup) -> ControllerConfiguration:
+    controller = setup.scenario.controller
+    if controller.law not in LAWS:
+        return controller
+    gains = {**controller.gains, controller.law: setup.gains}
+    ordered = {law: gains[law] for law in (*LAWS, *gains) if law in gains}
+    return controller.model_copy(update={"gains": ordered})
+
+
+def _with_limits(setup: Setup) -> LimitsConfiguration:
+    limits = setup.scenario.limits
+    in_force = limits.of_plant(setup.robot)
+    known = {
+        name: limit
+        for name in ("torque_nm", "velocity_rad_s", "torque_rate_nm_s")
+        if np.isfinite(limit := getattr(in_force, name)).all()  # no file says that there is none
+    }
+    return limits.model_copy(update=known)
+
+
+def _plant_in_force(setup: Setup) -> PlantConfiguration:
+    plant, drive = setup.scenario.plant, setup.drive
+    engine = plant.physics.model_copy(update={"engine": engine_name(plant)})
+    plant = plant.model_copy(update={"physics": engine})
+    if not drive.is_active:
+        return plant
+    loop = {"stiffness_nm_rad": drive.stiffness_nm_rad, "damping_nm_s": drive.damping_nm_s}
+    return plant.model_copy(update={"drive_feedback": plant.drive_feedback.model_copy(update=loop)})
+
+
+def agreement_of(setup: Setup) -> Agreement:
+    """What processes of a run agree on: `values_in_common`, on whatever engine the plant has."""
+    values = values_in_common(setup)
+    del values["plant.physics.engine"]  # by default it is the one that is installed there
+    return Agreement(values)
+
+
+def values_in_common(
+    setup: Setup, recorded: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, str]:
+    """Every value in force but for those of the host, as JSON; files count by what they hold.
+
+    Args:
+        setup: the scenario.
+        recorded: texts of files that only a recording holds, by dotted key; others are read.
+    """
+    values = dict(_leaves(effective_values(setup)))
+    for key in _OF_EACH_HOST:
+        values.pop(key, None)
+    values["robot.urdf"] = _arm(setup.robot.text)
+    for key, file in data_files(setup.scenario).items():
+        values[key] = recorded[key] if key in recorded else file.read_text(encoding="utf-8")
+    return values
+
+
+def _leaves(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", json.dumps(value, default=str)
+
+
+def _arm(urdf: str) -> str:
+    """A URDF without what is up to a host or an editor: comments, white space, folders."""
+    root = ET.fromstring(urdf)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", PurePath(mesh.get("filename", "")).name)
+    return ET.canonicalize(ET.tostring(root, encoding="unicode"), strip_text=True)

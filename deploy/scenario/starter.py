@@ -1,0 +1,153 @@
+"""A first scenario for an arm of which nothing is known but its URDF or MJCF file.
+
+What the file does not say is estimated: the inertia of rotors and friction from the joints' largest
+torques, and these, where they are missing too, from the arm's own weight. The estimates are ours;
+motors of the same torque differ by a factor of 3 and more.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from bus_schema.robot_description import RobotDescription
+from controller.manipulator_model import ManipulatorModel, spread_positions
+from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
+
+ARM_FILES = (".urdf", ".xacro", ".xml", ".mjcf")
+"""Suffixes of files that describe an arm."""
+FRICTION_SHARE = 0.03
+"""Dry friction of a geared joint, as a share of its rated torque."""
+_SPEED_SHARE = 0.3
+_TORQUE_SHARE, _HELD_SHARE = 0.7, 0.5
+"""Of rated torque, along a move and for gravity alone."""
+_REACH_SHARE = 0.2
+"""Of a joint's range, to either side of the middle of the reference."""
+_LARGEST_MOVE = 0.5
+_OFFSET_SHARE = 0.1
+_UNKNOWN_SPEED = 1.0
+_LEAST_MOVE_S = 1.0
+_PEAK_SPEED = 1.875
+"""Of a minimum-jerk move of length 1 in time 1."""
+_TRIES = 12
+
+
+def starter_scenario(
+    robot: RobotDescription, *, joints: bool = False, repair: bool = False
+) -> dict[str, Any]:
+    """The values of a scenario that moves an arm to and fro, at rest at both ends.
+
+    Args:
+        robot: the arm.
+        joints: whether its driven joints were chosen by hand, and have to be named.
+        repair: whether its inertias have to be mended.
+    """
+    rated = torque_limits(robot)
+    rotors = ROTOR_INERTIA_S2_RAD * rated
+    model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
+    middle, move = _motion(robot, model, rated)
+    duration_s = _move_time(robot, model, rated, middle, move)
+    ends = [middle - move, middle + move]
+    waypoints = [
+        {"time_s": round(number * duration_s, 3), "position_rad": _rounded(ends[number % 2])}
+        for number in range(5)
+    ]
+    offsets = _OFFSET_SHARE * move * np.where(np.arange(robot.joints) % 2, -1.0, 1.0)
+    return {
+        "name": re.sub(r"[^A-Za-z0-9_.-]", "_", robot.path.stem).lstrip("_.-") or "arm",
+        "duration_s": round(4.0 * duration_s, 3),
+        "seed": 1,
+        "robot": {
+            "urdf": str(robot.path),
+            **({"joints": list(robot.joint_names)} if joints else {}),
+            **({"repair": True} if repair else {}),
+            "initial_offset_rad": _rounded(offsets),
+        },
+        "reference": {"kind": "minimum_jerk", "waypoints": waypoints},
+        "funnel": {"final_rad": _rounded(np.minimum(0.01, 0.2 * np.abs(move))), "rate_per_s": 4},
+        "controller": {"law": "fixed_time_adaptive"},
+        "plant": {
+            "physics": {"engine": "mujoco"},
+            "actuator": {"rotor_inertia_kg_m2": _rounded(rotors), "saturation_nm": _rounded(rated)},
+            "friction": {"coulomb_share": FRICTION_SHARE, "smoothing_velocity_rad_s": 0.02},
+        },
+        "limits": {"torque_nm": _rounded(rated)},
+    }
+
+
+def torque_limits(robot: RobotDescription) -> Vector:
+    """Rated torques, shape (joints,), N m: where the file has none, three times what the arm needs
+    to hold itself up in the worst of many postures, and at least a hundredth of the largest.
+    """
+    limits = robot.effort_limits_nm.copy()
+    unknown = ~np.isfinite(limits)
+    if unknown.any():
+        model = ManipulatorModel(robot)
+        held = 3.0 * np.abs([model.gravity(each) for each in spread_positions(robot)]).max(axis=0)
+        limits[unknown] = np.maximum(held, 0.01 * max(held.max(), 1.0))[unknown]
+    return limits
+
+
+def _motion(
+    robot: RobotDescription, model: ManipulatorModel, rated: Vector
+) -> tuple[Vector, Vector]:
+    """Middle of the motion, and how far it goes to either side; shape (joints,).
+
+    The middle is zero where the joints' ranges have it; in an arm that hardly holds itself up
+    there, the posture among many in which it does so most easily.
+    """
+    lower, upper = _range(robot)
+    zero = np.where((lower < 0.0) & (upper > 0.0), 0.0, 0.5 * (lower + upper))
+    move = np.minimum(_REACH_SHARE * (upper - lower), _LARGEST_MOVE)
+    margin = move + 0.1 * (upper - lower - 2.0 * move)
+    best, least = zero, np.inf
+    for posture in (zero, *spread_positions(robot)):
+        middle = np.clip(posture, lower + margin, upper - margin)
+        usage = float((_peak_torque(model, middle, move) / rated).max())
+        if usage < least:
+            best, least = middle, usage
+        if least <= _HELD_SHARE:
+            break
+    return best, move
+
+
+def _range(robot: RobotDescription) -> tuple[Vector, Vector]:
+    """Ends of the joints' ranges, of which those that turn for ever have half a turn each way."""
+    return np.maximum(robot.lower_rad, -np.pi), np.minimum(robot.upper_rad, np.pi)
+
+
+def _move_time(
+    robot: RobotDescription, model: ManipulatorModel, rated: Vector, middle: Vector, move: Vector
+) -> float:
+    """Time of a move from one end to the other within limits of speed and torque, s."""
+    limits = robot.velocity_limits_rad_s
+    speeds = _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
+    move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / speeds).max()))
+    for _ in range(_TRIES):
+        if (_peak_torque(model, middle, move, move_s) <= _TORQUE_SHARE * rated).all():
+            break
+        move_s *= 1.25
+    return move_s
+
+
+def _peak_torque(
+    model: ManipulatorModel, middle: Vector, move: Vector, move_s: float = np.inf
+) -> Vector:
+    """Largest torque of each joint along a minimum-jerk move, shape (joints,), N m."""
+    peaks: list[Vector] = []
+    for s in np.linspace(0.0, 1.0, 11 if np.isinf(move_s) else 41):
+        path = -1.0 + 2.0 * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        rate = 60 * s**2 * (1 - s) ** 2 / move_s
+        change = 120 * s * (1 - s) * (1 - 2 * s) / move_s**2
+        torque = model.inverse_dynamics(middle + path * move, rate * move, change * move)
+        peaks.append(np.abs(torque))
+    largest: Vector = np.array(peaks).max(axis=0)
+    return largest
+
+
+def _rounded(values: Vector | Matrix) -> list[float]:
+    """Values with four digits, as a person would write them."""
+    return [float(f"{value:.4g}") for value in values]

@@ -1,0 +1,94 @@
+"""Warnings of what a scenario is run with, but may not mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from bus_schema.arrays import Matrix, Vector
+from controller.manipulator_model import ManipulatorModel
+from deploy.scenario.setup import Setup
+from deploy.scenario.starter import ARM_FILES
+
+_TORQUE_SAMPLES = 400
+
+
+def all_warnings(setups: Iterable[Setup]) -> list[str]:
+    """Those of several scenarios, each once."""
+    return list(dict.fromkeys(said for setup in setups for said in scenario_warnings(setup)))
+
+
+def scenario_warnings(setup: Setup) -> list[str]:
+    """Warnings of accepted but suspicious settings, a sentence each."""
+    robot, scenario = setup.robot, setup.scenario
+    said = [*robot.warnings, *setup.reference.warnings]
+    if scenario.limits.torque_nm is None and scenario.plant.actuator.saturation_nm is None:
+        lacking = _unlimited(robot.joint_names, robot.effort_limits_nm)
+        if lacking:
+            said.append(
+                f"no effort limit in the URDF for {lacking}: torques are UNLIMITED there; set"
+                " limits.torque_nm or plant.actuator.saturation_nm"
+            )
+    if scenario.limits.velocity_rad_s is None:
+        lacking = _unlimited(robot.joint_names, robot.velocity_limits_rad_s)
+        if lacking:
+            said.append(
+                f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
+                " limits.velocity_rad_s"
+            )
+    if setup.source.suffix.lower() in ARM_FILES and scenario.plant.actuator.has_rotors:
+        said.append(
+            "rotor inertia and friction are ESTIMATES in proportion to the joints' largest torques:"
+            " funnel-hil robot --scenario writes them into a scenario, to be replaced"
+        )
+    said += _torque_warning(setup)
+    most_nm = scenario.limits.of_plant(robot).torque_nm
+    return said + setup.link_kind.oddities(setup.link_run(lockstep=True), most_nm)
+
+
+def _torque_warning(setup: Setup) -> list[str]:
+    """That the reference asks a joint for more than its rated torque, where it does."""
+    robot, plant = setup.robot, setup.scenario.plant
+    limits = setup.scenario.limits.of_plant(robot).torque_nm
+    if plant.actuator.saturation_nm is not None:
+        limits = np.minimum(limits, plant.actuator.saturation_nm)
+    times_s = np.linspace(0.0, setup.scenario.duration_s, _TORQUE_SAMPLES)
+    rotors = plant.actuator.rotor_inertia(robot.joints)
+    torques = np.abs(reference_torques(setup, times_s, rotors))
+    usage = torques / np.where(limits > 0.0, limits, np.inf)
+    if not usage.max(initial=0.0) > 1.0:
+        return []
+    tick, joint = np.unravel_index(int(usage.argmax()), usage.shape)
+    more = int((usage.max(axis=0) > 1.0).sum()) - 1
+    others = f"; {more} more joint{'s' * (more > 1)} too" if more else ""
+    return [
+        f"the reference asks {robot.joint_names[joint]} for {torques[tick, joint]:.3g} N m at"
+        f" {times_s[tick]:.2f} s, {usage[tick, joint]:.2f} times its largest torque"
+        f" {limits[joint]:g} N m{others}: no law can follow it there"
+    ]
+
+
+def reference_torques(setup: Setup, times_s: Vector, rotors_kg_m2: Vector) -> Matrix:
+    """Torques that move the arm along its reference without friction, shape (times, joints), N m.
+
+    Args:
+        setup: the scenario.
+        times_s: shape (times,).
+        rotors_kg_m2: inertia of each joint's rotor, shape (joints,).
+    """
+    payload_kg = setup.scenario.plant.payload_kg
+    model = ManipulatorModel(setup.robot, payload_kg=payload_kg, rotor_inertia_kg_m2=rotors_kg_m2)
+    motion = np.empty((3, setup.robot.joints))
+    follow, torques = setup.reference.onto(*motion), []
+    for time_s in times_s:
+        follow(float(time_s))
+        torques.append(model.inverse_dynamics(*motion))
+    return np.array(torques)
+
+
+def _unlimited(names: Sequence[str], limits: Vector) -> str:
+    """Names of the joints without a limit; a URDF's zero is how exporters write unknown."""
+    found = [name for name, limit in zip(names, limits, strict=True) if not np.isfinite(limit)]
+    shown = ", ".join(found[:4])
+    return f"{shown} and {len(found) - 4} more" if len(found) > 4 else shown

@@ -1,0 +1,93 @@
+"""Fixed time put to the test: settling times from near and far, against the one bound."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.run.execute import execute
+from deploy.scenario.checks import check
+from deploy.scenario.setup import Setup
+
+OFFSETS_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
+LONGEST_S = 8.0
+"""How long each start is followed, unless the scenario ends before."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start.
+
+    Attributes:
+        offset_rad: initial error of each joint.
+        settling_time_s: when the last joint entered the funnel's final bound to stay; None if not.
+        bounds_kept: whether the verdict on it is that it kept its bounds.
+    """
+
+    offset_rad: list[float]
+    settling_time_s: float | None
+    bounds_kept: bool
+
+    @property
+    def distance_rad(self) -> float:
+        """The largest initial error of a joint."""
+        return max(map(abs, self.offset_rad))
+
+
+@dataclass(frozen=True)
+class SettlingTest:
+    """All starts of one law.
+
+    Attributes:
+        law: its name.
+        bound_s: the bound that holds for every start; None for a law that has none.
+    """
+
+    law: str
+    bound_s: float | None
+    starts: list[Start]
+
+    @property
+    def holds(self) -> bool:
+        """Whether there is a bound and every start settled within it."""
+        times = [start.settling_time_s for start in self.starts]
+        bound = self.bound_s
+        return bound is not None and all(time is not None and time <= bound for time in times)
+
+
+def settling_test(setup: Setup, offsets_rad: Sequence[float] = OFFSETS_RAD) -> SettlingTest:
+    """Run a scenario from several distances, long enough for the bound to be seen to hold.
+
+    Every joint starts off by the same size, on the side of the scenario's own offset, or on the
+    other where its range ends before, or as far as it goes. The funnel opens with the offset, as
+    the scenario says.
+    """
+    bound_s, starts = None, []
+    for size in offsets_rad:
+        start = _started_off(setup, size)
+        summary = execute(start).summary
+        bound_s = summary["tracking"]["settling_bound_s"]
+        times = summary["tracking"]["settling_time_s"]
+        settled = max(times) if summary["completed"] and None not in times else None
+        offset = start.scenario.robot.initial_offset_rad
+        starts.append(Start(offset.tolist(), settled, summary["bounds"]["kept"]))
+    return SettlingTest(setup.scenario.controller.law, bound_s, starts)
+
+
+def _started_off(setup: Setup, size_rad: float) -> Setup:
+    scenario, robot = setup.scenario, setup.robot
+    own = np.broadcast_to(scenario.robot.initial_offset_rad, robot.joints)
+    target = setup.start_position_rad - own
+    side = np.where(own < 0, -1, 1)
+    room = np.where(side > 0, robot.upper_rad - target, target - robot.lower_rad)
+    other_room = np.where(side > 0, target - robot.lower_rad, robot.upper_rad - target)
+    turned = (room < size_rad) & (other_room > room)
+    reach = np.minimum(np.where(turned, other_room, room), size_rad)
+    offset = np.where(turned, -side, side) * reach
+    changes = {
+        "robot": scenario.robot.model_copy(update={"initial_offset_rad": offset}),
+        "duration_s": min(LONGEST_S, scenario.duration_s),
+    }
+    return check(scenario.model_copy(update=changes), setup.origin)

@@ -1,0 +1,206 @@
+"""Bad input ends with exit code 2 and one message, before anything is written or started."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from deploy.scenario.definition import ScenarioConfiguration
+from deploy.scenario.explanation import _keys, _sections
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError, set_value
+from tests.deploy.cli.refused import (
+    ARMS,
+    BASE,
+    FILES,
+    IMPOSSIBLE,
+    MISSPELT,
+    NO_YAML,
+    OVER_CAN,
+    REFUSED,
+    SET,
+    TYPOS,
+)
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All files that the table names."""
+    folder = tmp_path_factory.mktemp("given")
+    for name, content in FILES.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    (folder / "loop").symlink_to(folder / "loop")
+    return folder
+
+
+@pytest.fixture
+def refuse(funnel_hil, nothing_starts, folder: Path, monkeypatch: pytest.MonkeyPatch):
+    """The only message of a command that has to be refused."""
+    monkeypatch.chdir(folder)
+
+    def run(*words: str) -> str:
+        before = {*folder.rglob("*")}
+        code, said = funnel_hil(*(word.replace("HERE", str(folder)) for word in words))
+        said = said.replace(f"{folder}/", "")
+        assert code == 2, said
+        assert said.startswith("error: ")  # and nothing on standard output
+        assert said.count("error: ") == 1
+        assert "Traceback" not in said
+        assert len(said) < 1000
+        assert {*folder.rglob("*")} == before
+        return said.removeprefix("error: ").rstrip("\n")
+
+    return run
+
+
+@pytest.mark.parametrize("row", REFUSED, ids=lambda row: row[0][:40])
+def test_bad_input(refuse, row: tuple[str, ...]) -> None:
+    line, begins, *said = row
+    message = refuse(*shlex.split(line))
+    assert message.startswith(begins)
+    for text in said:
+        assert text in message
+
+
+@pytest.mark.parametrize("row", SET, ids=lambda row: row[0][:40])
+def test_bad_setting(refuse, row: tuple[str, ...]) -> None:
+    setting, begins, *said = row
+    message = refuse("run", "paper_arm", "--set", setting)
+    shown = f"--set {setting.replace('HERE/', '')}"
+    assert message.startswith(f"{shown}: {begins}" if begins else shown[:60])
+    for text in said:
+        assert text in message
+
+
+@pytest.mark.parametrize(("key", "given", "shown", "allowed"), IMPOSSIBLE)
+def test_impossible_value(refuse, key: str, given: str, shown: str, allowed: str) -> None:
+    message = refuse("run", "paper_arm", "--set", f"{key}={given}")
+    assert message.startswith(f"--set {key}={given}: {key} = {shown}: ")
+    assert allowed in message
+
+
+@pytest.mark.parametrize(("scenario", "settings", "said"), OVER_CAN)
+def test_can_bus_that_cannot_be(refuse, scenario: str, settings: str, said: str) -> None:
+    words = [word for each in settings.split(" & ") for word in ("--set", each)]
+    assert said in refuse("run", scenario, *words)
+
+
+@pytest.mark.parametrize("command", ["run", "simulate"])
+def test_program_that_is_none(funnel_hil, nothing_starts, command: str) -> None:
+    setting = "--set controller.process=[./nope]"
+    code, said = funnel_hil(command, *setting.split())
+    assert code == 2
+    assert f"\nerror: {setting}: controller.process = " in said  # behind whose code it is
+
+
+def test_drives_refuse_a_bus_too(refuse) -> None:
+    said = refuse("drives", "paper_arm", "--set", "link.can.interface=nope")
+    assert "'nope': must be one that python-can knows" in said
+
+
+@pytest.mark.parametrize(("value", "said"), NO_YAML, ids=[value[:12] for value, _ in NO_YAML])
+def test_value_that_yaml_cannot_hold(refuse, tmp_path: Path, value: str, said: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(re.sub("(?m)^seed:.*\n", "", BASE) + f"\nseed: {value}\n")
+    assert re.match(f"{re.escape(str(file))}: {said}", refuse("simulate", str(file)))
+    assert refuse("simulate", "--set", f"seed={value}").startswith("--set seed=")
+
+
+@pytest.mark.parametrize(("key", "known", "meant"), TYPOS)
+def test_unknown_key(refuse, tmp_path: Path, key: str, known: str, meant: str | None) -> None:
+    hint = f"; did you mean {meant}?" if meant else ""
+    message = refuse("run", "paper_arm", "--set", f"{key}=1")
+    assert message == f"--set {key}=1: {known}: there is no such key{hint}"
+    file = tmp_path / "mine.yaml"
+    values: dict[str, Any] = {"extends": "paper_arm"}
+    set_value(values, key, 1)
+    file.write_text(yaml.safe_dump(values))
+    assert refuse("run", str(file)) == f"{file}: {known}: there is no such key{hint}"
+
+
+@pytest.mark.parametrize(("line", "meant"), MISSPELT)
+def test_misspelt_choice(refuse, line: str, meant: str) -> None:
+    assert refuse(*shlex.split(line)).endswith(f"; did you mean {meant}?")
+
+
+@pytest.mark.parametrize(("old", "new", "said"), ARMS, ids=[new[:20] for _, new, _ in ARMS])
+def test_urdf_that_no_simulator_should_see(refuse, tmp_path: Path, old, new, said) -> None:
+    arm = Path(load_setup("paper_arm").robot.path).read_text()
+    changed = re.sub(old, new, arm)
+    assert changed != arm
+    file = tmp_path / "a.urdf"
+    file.write_text(changed)
+    message = refuse("run", "--set", f"robot.urdf={file}")
+    assert message.startswith(f"--set robot.urdf={file}: robot.urdf = ")
+    assert said in message
+
+
+def numbers_of(section, prefix=""):
+    """Dotted keys of a scenario that take one number, or one for each joint."""
+    for name, annotation in _keys(section).items():
+        inner = list(_sections(annotation))
+        taken = re.findall(r"\b(float|int|ndarray|bool|str)\b", str(annotation))
+        if not inner and taken and not {"bool", "str"} & set(taken):
+            yield prefix + name
+        elif len(inner) == 1 and "tuple" not in str(annotation) and "list" not in str(annotation):
+            yield from numbers_of(inner[0], f"{prefix}{name}.")
+
+
+def test_no_number_may_be_a_boolean() -> None:
+    numbers = [
+        key for key in numbers_of(ScenarioConfiguration) if not key.startswith("uncertainty")
+    ]
+    assert len(numbers) > 80
+    taken = []
+    for key in numbers:
+        try:
+            load_setup("paper_arm", [f"{key}=true"])
+        except ScenarioError as error:
+            if not re.search("number|is missing|a list of", str(error)):
+                taken.append(f"{key}: {error}")
+        else:
+            taken.append(key)
+    assert not taken
+
+
+def test_last_of_a_key_that_is_set_twice_holds(funnel_hil, tmp_path: Path) -> None:
+    twice = ("--set", "duration_s=2", "--set", "duration_s=0.1")
+    code, said = funnel_hil("simulate", *twice, "--no-report", "--out", tmp_path / "out")
+    assert code == 0
+    assert "--set duration_s=2: a later --set takes its place" in said
+    assert "set: duration_s=0.1;" in " ".join(said.split())
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["ticks"] == 100
+
+
+def test_what_is_merged_into_a_section_may_be_said_anew(tmp_path: Path) -> None:
+    file = tmp_path / "merged.yaml"
+    file.write_text(
+        "extends: paper_arm\nlink:\n  uplink: &way {delay_ms: 2, loss: 0.1}\n"
+        "  downlink: {<<: *way, delay_ms: 3}\n"
+    )
+    link = load_setup(str(file)).scenario.link
+    assert (link.downlink.delay_ms, link.downlink.loss) == (3.0, 0.1)
+
+
+def test_process_of_its_own_ends_with_the_same_code_and_message(tmp_path: Path) -> None:
+    words = ["run", "paper_arm", "--set", "link.uplink.delay_ms=-1", "--out", str(tmp_path / "out")]
+    ended = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", *words], cwd=tmp_path, check=False, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert "link.uplink.delay_ms = -1: must be greater than or equal to 0" in ended.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,79 @@
+"""What ros2_control is given: the plugin's documented parameters, and the names that we speak."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
+from bus_schema.robot_description import load_robot
+from deploy.scenario.scenario import load_setup
+
+PAGE = Path("bus_schema/ROS2_CONTROL.md")
+DOCUMENTED = {
+    "joint_commands_topic", "joint_states_topic", "trigger_joint_command_threshold",
+    "sum_wrapped_joint_states",
+}  # fmt: skip
+"""Parameters of JointStateTopicSystem, version 1.1."""
+
+
+@pytest.mark.parametrize("scenario", ["paper_arm", "panda"])
+def test_urdf_and_controllers_name_the_joints_that_are_on_the_bus(funnel_hil, tmp_path, scenario):
+    code, said = funnel_hil("ros2-control", scenario, "--out", tmp_path / "out")
+    assert code == 0
+    assert str(tmp_path / "out") in said.replace("\n", "")
+    setup = load_setup(scenario)
+    names = list(setup.robot.joint_names)
+    urdf = tmp_path / "out" / "robot.urdf"
+    assert list(load_robot(urdf).joint_names) == names  # as any other URDF
+    root = ET.parse(urdf).getroot()
+    (system,) = root.findall("ros2_control")
+    assert system.get("type") == "system"
+    parameters = {each.get("name"): each.text for each in system.findall("hardware/param")}
+    assert parameters.keys() <= DOCUMENTED
+    assert parameters["joint_commands_topic"] == f"/{JOINT_COMMANDS.name}"
+    assert parameters["joint_states_topic"] == f"/{JOINT_STATES.name}"
+    assert [joint.get("name") for joint in system.findall("joint")] == names
+    for joint in system.findall("joint"):
+        assert [each.get("name") for each in joint.findall("command_interface")] == ["effort"]
+        assert [each.get("name") for each in joint.findall("state_interface")] == [
+            "position", "velocity", "effort",
+        ]  # fmt: skip
+    controllers = yaml.safe_load((tmp_path / "out" / "controllers.yaml").read_text())
+    given = controllers["joint_trajectory_controller"]["ros__parameters"]
+    assert given["joints"] == list(given["gains"]) == names
+    assert all(gains["p"] > 0 and gains["d"] > 0 for gains in given["gains"].values())
+    manager = controllers["controller_manager"]["ros__parameters"]
+    assert (manager["update_rate"], manager["use_sim_time"]) == (setup.scenario.rate_hz, True)
+
+
+def test_the_page_shows_the_element_that_is_written(funnel_hil, tmp_path):
+    funnel_hil("ros2-control", "paper_arm", "--out", tmp_path)
+    written = ET.parse(tmp_path / "robot.urdf").find("ros2_control")
+    for joint in written.findall("joint")[1:]:
+        written.remove(joint)
+    (shown,) = re.findall("```xml\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert ET.canonicalize(shown, strip_text=True) == ET.canonicalize(
+        ET.tostring(written), strip_text=True
+    )
+
+
+@pytest.mark.parametrize("name", ["controllers.yaml", "robot.urdf"])
+def test_files_that_were_edited_are_replaced_only_when_asked(funnel_hil, tmp_path, name):
+    words = ("ros2-control", "paper_arm", "--out", tmp_path)
+    assert funnel_hil(*words)[0] == 0
+    assert funnel_hil(*words)[0] == 0  # the same once more
+    file = tmp_path / name
+    written = file.read_text()
+    file.write_text(f"{written}\n")
+    code, said = funnel_hil(*words)
+    assert code == 2
+    assert name in said
+    assert "--overwrite" in said
+    assert file.read_text() == f"{written}\n"
+    assert funnel_hil(*words, "--overwrite")[0] == 0
+    assert file.read_text() == written

@@ -1,0 +1,71 @@
+"""The frames of every shipped CAN scenario, byte for byte and bit time by bit time.
+
+However fast frames are packed, carried and logged: which ones there are, and when they are through
+on the wire, is fixed. The digests of cycles are those of the first, plain way of doing it; those of
+start-up change with what drives say of themselves.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+
+import pytest
+
+from deploy.run.simulate import simulate
+from deploy.scenario.scenario import load_setup
+
+FIRST_OF_CYCLE = {
+    "cia402": r"080#",  # SYNC
+    "cansimple": r"029#R",  # the first axis is asked for its estimates
+    "mit": r"001#(?!FFFFFFFFFFFFFF)",  # the first motor is commanded
+}
+FEEDBACK = "controller.drive_feedback.enabled=true"
+SCALE = "link.can.cansimple.input_torque_scale=40"
+TICKS = 300
+
+
+def digests(folder: Path, scenario: str, *overrides: str) -> tuple[str, str]:
+    """Of the start, and of the first ticks.
+
+    Start-up may repeat requests on a slow machine: so its frames count once each, without order,
+    and bus time is counted from the first cycle on.
+    """
+    values = ("link.can.interface=virtual", "link.can.answer_timeout_s=60", "duration_s=0.8")
+    setup = load_setup(scenario, [*values, *overrides])
+    simulate(setup, can_log=folder / "can.log")
+    fields = [line.split() for line in (folder / "can.log").read_text().splitlines()]
+    times_us = [round(float(field[0].strip("()")) * 1e6) for field in fields]
+    frames = [field[2] for field in fields]
+    pattern = re.compile(FIRST_OF_CYCLE[setup.scenario.link.can.protocol])
+    cycles = [number for number, frame in enumerate(frames) if pattern.match(frame)]
+    first, end = cycles[0], cycles[TICKS]
+    timed = [f"{times_us[n] - times_us[first]} {frames[n]}" for n in range(first, end)]
+    return digest(sorted(set(frames[:first]))), digest(timed)
+
+
+def digest(lines: list[str]) -> str:
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("scenario", "overrides", "start", "cycles"),
+    [
+        ("paper_arm_can", [], "03d7fc45dd037306", "e027c8181c8b5b29"),
+        ("paper_arm_can", ["link.can.protocol=cansimple"], "9c4c1533ab971bba", "e128a8668c39e975"),
+        ("paper_arm_can", [FEEDBACK], "e97df6dbdbe8cd91", "4f7919bfa418de5f"),
+        (
+            "paper_arm_can",
+            ["link.can.protocol=cansimple", FEEDBACK, SCALE],
+            "b813113df2ee1abe",
+            "c79adda173c1d0cc",
+        ),
+        ("paper_arm_mit", [], "9abd708122f30be9", "fe559e0c931eceff"),
+        ("paper_arm_mit", [FEEDBACK], "9abd708122f30be9", "bc930cfb469e7e3d"),
+    ],
+)
+def test_frames_are_the_same_as_ever(
+    scenario: str, overrides: list[str], start: str, cycles: str, tmp_path: Path
+) -> None:
+    assert digests(tmp_path, scenario, *overrides) == (start, cycles)

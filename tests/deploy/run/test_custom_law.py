@@ -1,0 +1,113 @@
+"""Laws of a user's own: named in a scenario, checked first, stopped when they misbehave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import controller
+from deploy.run.simulate import simulate
+from deploy.scenario.effective import effective_scenario
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+SOURCE = """
+import numpy as np
+from controller.control_law import Diagnostics
+
+class ComputedTorque:
+    def __init__(self, model, stiffness=100.0, returns=None, at_tick=0):
+        self.diagnostics = Diagnostics(model.joints)
+        self.model, self.stiffness = model, stiffness
+        self.returns, self.at_tick, self.calls = returns, at_tick, 0
+
+    def reset(self):
+        self.calls = 0
+
+    def torque(self, tracking):
+        self.calls += 1
+        if self.returns and self.calls > self.at_tick:
+            return eval(self.returns)
+        damping = 2.0 * self.stiffness**0.5
+        wanted = tracking.reference_acceleration - self.stiffness * tracking.error
+        wanted = wanted - damping * tracking.error_rate
+        return self.model.inverse_dynamics(tracking.position, tracking.velocity, wanted)
+
+class NoLaw:
+    def __init__(self, model):
+        pass
+
+number = 3
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "my_laws.py").write_text(SOURCE)
+    (tmp_path / "broken_module.py").write_text("1 / 0\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def setup_of(law, *overrides, duration_s=0.5):
+    return load_setup(
+        "paper_arm", [f"controller.law={law}", f"duration_s={duration_s}", *overrides]
+    )
+
+
+def test_custom_law_follows_the_reference_and_reads_its_gains(folder):
+    setup = setup_of(
+        "my_laws:ComputedTorque", "controller.gains.custom={stiffness: 400.0}", duration_s=2
+    )
+    assert setup.gains == {"stiffness": 400.0}
+    simulation = simulate(setup)
+    assert simulation.failure is None
+    errors = simulation.data().true_errors_rad
+    assert np.abs(errors[-1]).max() < 0.05 < np.abs(errors[0]).max()
+    file = folder / "effective.yaml"
+    file.write_text(effective_scenario(setup))
+    assert simulate(load_setup(str(file))).data().digest == simulation.data().digest
+
+
+@pytest.mark.parametrize(
+    ("law", "gains", "told"),
+    [
+        ("nowhere:Law", "{}", "nowhere cannot be imported: ModuleNotFoundError"),
+        ("broken_module:Law", "{}", "broken_module cannot be imported: ZeroDivisionError"),
+        ("my_laws:Missing", "{}", "my_laws has no class Missing"),
+        ("my_laws:number", "{}", "my_laws has no class number"),
+        ("my_laws:NoLaw", "{}", "is no control law: it lacks torque, reset, diagnostics"),
+        ("my_laws:ComputedTorque", "{stifness: 1}", "cannot be made from these: TypeError"),
+        ("not a law", "{}", "must be one of fixed_time_neural"),
+    ],
+)
+def test_unusable_law_is_refused_before_the_run(law, gains, told):
+    with pytest.raises(ScenarioError, match=r"--set controller\.") as refused:
+        setup_of(law, f"controller.gains.custom={gains}")
+    assert told in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("returns", "told"),
+    [
+        ("np.zeros(2)", "(2,) where shape (3,) is expected"),
+        ("[0.0, 0.0, 0.0]", "list where shape (3,) is expected"),
+        ("np.array([0.0, np.nan, 0.0])", "the torque [0.0, nan, 0.0]"),
+        ("np.zeros(3, dtype=int)", "int64 where float64 is expected"),
+    ],
+)
+def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(returns, told):
+    custom = f"controller.gains.custom={{returns: '{returns}', at_tick: 7}}"
+    failure = simulate(setup_of("my_laws:ComputedTorque", custom)).failure
+    assert str(failure) == f"law my_laws:ComputedTorque returned {told} at tick 7"
+
+
+def test_law_in_the_readme_runs_as_shown(folder):
+    readme = Path(controller.__file__).with_name("README.md").read_text()
+    (folder / "law_of_the_readme.py").write_text(readme.partition("```python\n")[2].split("```")[0])
+    custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
+    simulation = simulate(setup_of("law_of_the_readme:ComputedTorque", custom, duration_s=2))
+    assert np.abs(simulation.data().true_errors_rad[-1]).max() < 0.05

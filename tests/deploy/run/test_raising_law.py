@@ -1,0 +1,156 @@
+"""A law that raises is the first cause, and is told with its place, whatever command ran it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy.judge.run_rows import read_rows
+
+LAW = """\
+import numpy as np
+from controller.control_law import Diagnostics
+
+
+class Raising:
+    def __init__(self, model, at_tick=20):
+        self.diagnostics, self.calls, self.at_tick = Diagnostics(model.joints), 0, at_tick
+        self.none = np.zeros(model.joints)
+
+    def reset(self):
+        self.calls = 0
+
+    def torque(self, tracking):
+        self.calls += 1
+        if self.calls > self.at_tick:
+            self.divide(self.calls)
+        return self.none
+
+    def divide(self, calls):
+        if calls > 1000:
+            raise SystemExit("enough")
+        return calls / 0
+"""
+NAME = "raising_law:Raising"
+TOLD = (f"law {NAME} failed at tick 20: ZeroDivisionError: division by zero",
+        "raising_law.py:16 in torque", "raising_law.py:22 in divide")  # fmt: skip
+EARLY = (f"law {NAME} failed before the first tick: ZeroDivisionError", "py:22 in divide")
+SHORT = ["--set", "duration_s=0.2", "--set", "metrics.from_s=0.1"]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "raising_law.py").write_text(LAW)
+    (tmp_path / "mine.yaml").write_text(
+        f"{{extends: paper_arm, name: mine, controller: {{law: '{NAME}'}}}}"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def missing(told, text):
+    return [words for words in told if words not in text]
+
+
+def assert_told_everywhere(told, output, out):
+    fault = json.loads((out / "fault.json").read_text())
+    assert fault["source"] == "controller"
+    for text in (output, fault["detail"], (out / "report.html").read_text()):
+        assert missing(told, text) == []
+    first = json.loads((out / "summary.json").read_text())["faults"][0]
+    assert missing(told, first) == []
+
+
+@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
+def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tick, told):
+    gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
+    out = folder / "out"
+    code, output = funnel_hil("simulate", "mine.yaml", *SHORT, "--set", gains, "--out", out)
+    assert code == 1
+    # of a run without ticks there is nothing to put into tables
+    assert [title in output for title in ("Joints, errors", "Timing")] == [at_tick > 0] * 2
+    assert_told_everywhere(told, output, out)
+
+
+@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
+def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, told):
+    words = ["run", "mine.yaml", *SHORT, "--set", "clock=lockstep", "--out", "out", "--set",
+             f"controller.gains.custom={{at_tick: {at_tick}}}", "--set",
+             "link.reply_timeout_s=60"]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
+        env={**os.environ, "COLUMNS": "400"}, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert_told_everywhere(told, done.stdout, folder / "out")
+
+
+def test_a_law_that_wants_to_exit_only_fails(funnel_hil, folder):
+    gains = "controller.gains.custom={at_tick: 1005}"
+    words = ["--set", "duration_s=1.2", "--set", gains, "--out", folder / "out"]
+    code, output = funnel_hil("simulate", "mine.yaml", *words)
+    assert code == 1
+    assert "failed at tick 1005: SystemExit: enough" in output
+
+
+HOSTILE = """
+    def close(self):
+        raise GeneratorExit("cannot close")
+
+    def reset(self):
+        self.calls = 0
+        print('{"kind": "realtime"}\\n{"kind": "fault"}', flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "raised", "told"),
+    [
+        ("simulate", "KeyboardInterrupt", "KeyboardInterrupt"),
+        ("run", 'type("Own", (BaseException,), {})("x")', "raising_law.Own: x"),
+        ("run", 'ValueError("a\\0b\\ud800c")', "ValueError: a\ufffdb\ufffdc"),
+    ],
+)
+def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raised, told):
+    law = LAW.replace('SystemExit("enough")', raised).replace("calls > 1000", "calls > 30")
+    (folder / "raising_law.py").write_text(law + HOSTILE)
+    gains = "controller.gains.custom={at_tick: 30}"
+    words = [command, "mine.yaml", "--no-report", *SHORT, "--set", gains,
+             "--set", "clock=lockstep", "--out", "out"]  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
+        env={**os.environ, "COLUMNS": "400"}, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    faults = " ".join(json.loads((folder / "out" / "summary.json").read_text())["faults"])
+    raising, closing = f"failed at tick 30: {told} (", "GeneratorExit: cannot close ("
+    assert 0 <= faults.find(raising) < faults.find(closing)
+
+
+def test_replay_says_that_the_law_failed_again(funnel_hil, folder):
+    out = folder / "out"
+    assert funnel_hil("simulate", "mine.yaml", *SHORT, "--no-report", "--out", out)[0] == 1
+    code, output = funnel_hil("replay", out, "--allow-custom-law")
+    assert code == 0
+    assert f"the replay ended early: {TOLD[0]}" in output
+    assert "identical until it failed" in output
+
+
+@pytest.mark.parametrize("kind", ["sweep", "margin"])
+def test_a_study_of_which_every_run_failed_says_why_and_ends_with_1(funnel_hil, folder, kind):
+    Path("s.yaml").write_text("{name: s, scenario: mine.yaml, grid: {plant.payload_kg: [0, 1]}}")
+    words = ["s.yaml"] if kind == "sweep" else ["mine.yaml", "--laws", NAME, "--offsets", "1"]
+    out = folder / "out"
+    code, output = funnel_hil(kind, *words, *SHORT, "--workers", 1, "--out", out)
+    assert code == 1
+    rows = read_rows(out / f"{kind}.parquet")
+    assert rows
+    for text in (output, (out / "report.html").read_text(), *(row["error"] for row in rows)):
+        assert missing(TOLD, text) == []

@@ -1,0 +1,219 @@
+"""Recordings that are damaged, or come from somebody else: judged, not believed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from mcap.reader import make_reader
+from typer.testing import CliRunner
+
+from bus_schema.messages.run_event import EventKind, RunEvent
+from bus_schema.messages.topics import PLANT_TRUTH, RUN_EVENTS, Role
+from deploy.cli.export import export
+from deploy.cli.study.experiments import report
+from deploy.cli.study.replay import replay
+from deploy.judge.bounds import judge_bounds
+from deploy.judge.metrics import summarise
+from deploy.judge.recorded_ticks import known_ticks
+from deploy.judge.reported_values import reported_values
+from deploy.run.run_folder import load_run
+from deploy.run.simulate import Simulation, simulate
+from deploy.scenario.scenario import load_setup
+from deploy.scenario.yaml_files import ScenarioError
+
+TELLTALE = Path("imported")
+LAW = """
+from pathlib import Path
+import numpy as np
+from controller.control_law import Diagnostics
+Path("imported").touch()
+
+class Idle:
+    def __init__(self, model):
+        self.diagnostics = Diagnostics(model.joints)
+
+    def reset(self):
+        pass
+
+    def torque(self, tracking):
+        return np.zeros_like(tracking.position)
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def left(command, *words):
+    """Exit code, output and exception of a command."""
+    app = typer.Typer()
+    app.command()(command)
+    result = CliRunner().invoke(app, list(map(str, words)))
+    return result.exit_code, result.output, result.exception
+
+
+def short_run(*overrides):
+    return simulate(load_setup("paper_arm", ["duration_s=0.2", *overrides]))
+
+
+@pytest.fixture
+def own_law(folder):
+    """A recording that names a law of one's own, in a folder where its module is found."""
+    module = f"law_of_{folder.name.replace('-', '_')}"
+    (folder / f"{module}.py").write_text(LAW)
+    short_run(f"controller.law={module}:Idle").write_log(folder / "run.mcap")
+    TELLTALE.unlink()
+    del sys.modules[module]
+    return folder, f"{module}:Idle"
+
+
+def test_report_imports_no_law(own_law):
+    folder, law = own_law
+    code, output, error = left(report, folder)
+    assert code == 0, (output, error)
+    assert json.loads((folder / "summary.json").read_text())["law"] == law
+    assert not TELLTALE.exists()
+
+
+def test_replay_imports_a_law_of_ones_own_only_if_told_to(own_law):
+    folder, law = own_law
+    code, _, error = left(replay, folder)
+    assert code != 0
+    assert isinstance(error, ScenarioError)  # which is exit code 2
+    assert law in str(error)
+    assert "--allow-custom-law" in str(error)
+    assert not TELLTALE.exists()
+    code, output, error = left(replay, folder, "--allow-custom-law")
+    assert code == 0, (output, error)
+    assert "identical" in output
+    assert TELLTALE.exists()
+
+
+@pytest.fixture
+def lost_in_the_middle(folder):
+    """A run that leaves its bounds in the middle, where its recording is damaged."""
+    file = folder / "run.mcap"
+    push = "{joint: elbow, kind: pulse, torque_nm: 500, start_s: 0.22, duration_s: 0.01}"
+    short_run(
+        "duration_s=0.7", "robot.initial_offset_rad=0", f"plant.disturbance.terms=[{push}]"
+    ).write_log(file)
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    (chunk,) = (
+        each for each in chunks if each.message_start_time < 25 * 10**7 < each.message_end_time
+    )
+    changed = bytearray(file.read_bytes())
+    changed[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 16
+    assert judge_bounds(load_run(file)[0])["violation_fraction"] > 0.0
+    file.write_bytes(changed)
+    return folder
+
+
+def test_what_is_missing_in_the_middle_is_not_claimed(lost_in_the_middle):
+    code, output, error = left(report, lost_in_the_middle)
+    assert code == 1, (output, error)
+    data, _ = load_run(lost_in_the_middle)
+    times_s = data.times_s(PLANT_TRUTH)
+    known, gap = len(times_s) - 1, int(np.argmax(np.diff(times_s)))
+    first_s, last_s = times_s[gap] + 0.001, times_s[gap + 1] - 0.001
+    assert 0.1 < first_s < 0.25 < last_s < 0.5
+    output = " ".join(output.split())
+    assert "recording damaged: bounds not kept" in output
+    assert "The plant itself counted" in output
+    assert f"inside its bounds at the {known} of 700 ticks at which it is known" in output
+    assert f"missing are those at {first_s:.3f} to {last_s:.3f} s" in output
+    assert "all 700 ticks" not in output
+    assert "until then" not in output
+    summary = json.loads((lost_in_the_middle / "summary.json").read_text())
+    assert (summary["ticks"], summary["recording"]["ticks_known"]) == (700, known)
+    assert summary["recording"]["gaps_s"] == [[pytest.approx(first_s), pytest.approx(last_s)]]
+    assert not summary["completed"]
+    assert "Recording damaged" in (lost_in_the_middle / "report.html").read_text()
+    code, output, _ = left(replay, lost_in_the_middle)
+    assert (code, "damaged" in output) == (1, True)
+
+
+def test_an_export_of_a_damaged_recording_says_what_is_missing(lost_in_the_middle):
+    app = typer.Typer()
+    app.command()(export)
+    words = [str(lost_in_the_middle), "--csv", "--series", "tracking"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert "The recording is damaged" in result.stderr
+    known = known_ticks(load_run(lost_in_the_middle)[0]).known
+    assert f"known at {known} of 700 ticks" in result.stderr
+    assert result.stdout.split() == [str(lost_in_the_middle / "export" / "tracking.csv")]
+
+
+def test_what_is_known_counts_also_without_an_end(lost_in_the_middle):
+    """Where nobody told the end, the ticks are those up to the last that is known."""
+    data, _ = load_run(lost_in_the_middle)
+    whole = known_ticks(data)
+    assert whole.missing > 0
+    assert known_ticks(replace(data, events=[])) == whole
+    truth = data.tables[PLANT_TRUTH.name]
+    cut = replace(data, tables={**data.tables, PLANT_TRUTH.name: truth[:-10]})
+    assert known_ticks(cut).gaps_s[-1] == pytest.approx((0.691, 0.7))
+    assert summarise(replace(cut, events=[]))["ticks"] == 690
+
+
+def with_events(*events):
+    """A finished run with more events behind those that it had."""
+    run = short_run()
+    payloads = [RunEvent(10**8, *each).encode() for each in events]
+    return Simulation(
+        run.setup, run.topics + [RUN_EVENTS] * len(events), run.payloads + payloads, None
+    )
+
+
+MALFORMED = [
+    (EventKind.ENDED, {"wall_s": "x"}, "wall_s"),
+    (EventKind.ENDED, {"wall_s": float("nan"), "stolen_ms": []}, "wall_s"),
+    (EventKind.ENDED, {"ticks": 10**400}, "ticks"),
+    (EventKind.ENDED, {"ticks": True, "completed": "yes"}, "completed"),
+    (EventKind.ENDED, {"limits": 3}, "limits"),
+    (EventKind.COUNTS, {"rejected": 3, "downlink": {"rejected": 3}}, "rejected"),
+    (EventKind.COUNTS, {"downlink": 3, "uplink": {"delay_ms": {"p50": "x"}}}, "downlink"),
+    (EventKind.COUNTS, {"uplink": {"sent": -1, "loss_burst": None}, "can": 1}, "can"),
+]
+
+
+@pytest.mark.parametrize(("kind", "said", "named"), MALFORMED)
+def test_malformed_last_words_spoil_nothing(kind, said, named):
+    clean = summarise(short_run().data())
+    for source in (Role.PLANT, Role.CONTROLLER):
+        summary = summarise(with_events((source, kind, json.dumps(said))).data())
+        notes = summary["recording"]["notes"]
+        assert any(named in note and source in note for note in notes), notes
+        for same in ("ticks", "completed", "digest", "bounds", "transport", "limits"):
+            assert summary[same] == clean[same], same
+
+
+def test_what_is_no_json_object_at_all_is_passed_over(folder):
+    more = [(Role.PLANT, EventKind.ENDED, text) for text in ("[]", "{", "1" * 5000, "[" * 5000)]
+    with_events(*more).write_log(folder / "run.mcap")
+    data, _ = load_run(folder / "run.mcap")
+    assert summarise(data)["completed"]
+
+
+def test_notes_are_bounded():
+    events = [RunEvent(0, f"{number}", EventKind.ENDED, '{"ticks": "x"}') for number in range(1000)]
+    _, notes = reported_values(events)
+    assert 0 < len(notes) < 100
+
+
+def test_summary_says_what_one_commander_is_worth():
+    data = short_run().data()
+    assert summarise(data)["commander"] == {"authenticated": None, "note": None}
+    on_a_bus = summarise(replace(data, link="zenoh"))["commander"]
+    assert on_a_bus["authenticated"] is False
+    assert "link.security" in on_a_bus["note"]

@@ -1,0 +1,105 @@
+"""An arm's file alone: a first scenario, what it estimates, and what it warns of."""
+
+import numpy as np
+import pytest
+
+from bus_schema.robot_description import load_robot
+from controller.manipulator_model import largest_load_kg
+from deploy.run.execute import execute
+from deploy.scenario.scenario import build_setup, load_setup
+from deploy.scenario.starter import starter_scenario, torque_limits
+from deploy.scenario.warnings import reference_torques, scenario_warnings
+from deploy.scenario.yaml_files import ScenarioError
+from tests.arms import ARMS, shipped_arm
+
+LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="0.25 0 0"/>
+<inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{x} 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{effort}" velocity="2"/></joint>"""
+
+
+@pytest.fixture
+def two_links(tmp_path):
+    """A URDF of two links that pitch, of 3 and 2 kg, 0.5 m each."""
+
+    def write(*efforts):
+        parts = ['<robot name="two"><link name="base"/>']
+        for number, (mass, effort) in enumerate(zip((3.0, 2.0), efforts, strict=True)):
+            parent = "base" if number == 0 else "link0"
+            child, x = f"link{number}", 0.5 * number
+            parts.append(LINK.format(name=child, mass=mass))
+            parts.append(JOINT.format(
+                name=f"joint{number}", parent=parent, child=child, x=x, effort=effort
+            ))  # fmt: skip
+        file = tmp_path / "two.urdf"
+        file.write_text("".join(parts) + "</robot>")
+        return file
+
+    return write
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_starter_moves_within_every_limit(name, tmp_path):
+    robot = shipped_arm(name)
+    setup = build_setup(starter_scenario(robot), tmp_path / "mine.yaml")
+    times_s = np.linspace(0.0, setup.scenario.duration_s, 500)
+    rotors = setup.scenario.plant.actuator.rotor_inertia(robot.joints)
+    usage = np.abs(reference_torques(setup, times_s, rotors)) / robot.effort_limits_nm
+    assert usage.max() <= 0.71  # 70 % of the largest torques, as it says, and four digits
+    motion = np.empty((3, robot.joints))
+    follow, speeds = setup.reference.onto(*motion), []
+    for time_s in times_s:
+        follow(float(time_s))
+        speeds.append(np.abs(motion[1]).copy())
+    assert (np.max(speeds, axis=0) <= 0.31 * robot.velocity_limits_rad_s).all()
+    np.testing.assert_allclose(rotors, 0.008 * robot.effort_limits_nm, rtol=1e-3)
+
+
+def test_a_strangers_arm_keeps_its_bounds_over_a_delay_with_a_wrong_model(two_links):
+    delay = ["controller.delay_compensation.enabled=true", "controller.model_scale=0.8"]
+    delay += ["link.uplink.delay_ms=24", "link.downlink.delay_ms=24"]
+    setup = load_setup(str(two_links(60, 20)), delay)
+    assert setup.scenario.controller.law == "fixed_time_adaptive"
+    assert execute(setup).summary["verdict"] == "kept"
+
+
+def test_what_is_estimated_is_called_an_estimate(two_links):
+    assert any(
+        "ESTIMATES" in said for said in scenario_warnings(load_setup(str(two_links(60, 20))))
+    )
+
+
+def test_a_torque_that_no_motor_has_is_warned_of_before_the_run(two_links):
+    # Held out flat, the first joint carries 9.81 (3 · 0.25 + 2 · 0.75) = 22 N m.
+    flat = {"kind": "minimum_jerk", "waypoints": [{"time_s": 0, "position_rad": 0.0}]}
+    values = {"name": "flat", "duration_s": 1, "reference": flat}
+    values["robot"] = {"urdf": str(two_links(11.0, 20.0))}
+    (said,) = [each for each in scenario_warnings(build_setup(values, two_links(11.0, 20.0)))
+               if "the reference asks" in each]  # fmt: skip
+    assert "joint0 for 22.1 N m at 0.00 s, 2.01 times its largest torque 11 N m" in said
+
+
+def test_payload_is_a_share_of_what_the_arm_holds_up(two_links):
+    # Stretched out, joint 0 has 40 − 22.07 N m left for the 9.81 · 0.5 N m of a kg at the tip, the
+    # origin of the last link: 3.66 kg, less than the 5 kg that move.
+    robot = load_robot(two_links(40.0, 20.0))
+    assert largest_load_kg(robot, robot.effort_limits_nm) == pytest.approx(3.66, rel=0.02)
+    setup = load_setup(str(robot.path), ["plant.payload_share=0.5"])
+    assert setup.scenario.plant.payload_kg == pytest.approx(1.83, rel=0.02)
+    strong = load_robot(two_links(1e6, 1e6))
+    assert largest_load_kg(strong, strong.effort_limits_nm) == pytest.approx(5.0)
+
+
+def test_unknown_torques_are_estimated_from_the_arms_weight(two_links):
+    file = two_links(60.0, 20.0)
+    file.write_text(file.read_text().replace(' effort="60.0"', ""))
+    robot = load_robot(file)
+    # Three times the 22.07 N m that hold it out flat; 500 postures come close to that.
+    np.testing.assert_allclose(torque_limits(robot), [66.2, 20.0], rtol=0.02)
+
+
+@pytest.mark.parametrize("stiffness", [1e7, [100.0, 1e7]])
+def test_a_gear_too_stiff_for_the_physics_step_is_refused(two_links, stiffness):
+    with pytest.raises(ScenarioError, match=r"gear_stiffness_nm_rad.*must be at most .*substeps"):
+        load_setup(str(two_links(60, 20)), [f"plant.actuator.gear_stiffness_nm_rad={stiffness}"])
