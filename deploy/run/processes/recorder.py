@@ -53,6 +53,8 @@ _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
 _MOST_COMMANDS = 1 << 40
+_FROZEN_S, _RETURN_S = 2.0, 12.0
+"""After the recorder stood still for so long, peers whose connections failed have time to return."""
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
@@ -187,8 +189,12 @@ class Recorder:
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
         has_received = False
+        looked_s = stay_until_s = time.monotonic()
         silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
         while not is_stop_requested():
+            if time.monotonic() > looked_s + _FROZEN_S:
+                stay_until_s = time.monotonic() + _RETURN_S
+            looked_s = time.monotonic()
             a_peer_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
             if not has_received:
                 for role in (Role.PLANT, Role.CONTROLLER):
@@ -199,7 +205,9 @@ class Recorder:
             if a_peer_is_there or has_written:
                 continue
             if has_received:
-                return
+                if looked_s > stay_until_s:
+                    return
+                continue
             for silence in silences:
                 silence.look()
             if time.monotonic() > give_up_s:
