@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanSimpleConfiguration
@@ -100,7 +100,7 @@ class CanSimpleCodec:
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint_of_estimates.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, _ESTIMATES.size):
+        if joint is None or not is_data(frame, _ESTIMATES.size):
             return None
         turns, turns_per_s = _ESTIMATES.unpack(frame.data)
         position[joint] = turns * TURN_RAD
@@ -125,7 +125,7 @@ class CanSimpleCodec:
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_input.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, self.mode.layout.size):
+        if joint is None or not is_data(frame, self.mode.layout.size):
             return None
         torque_nm[joint] = self.mode.layout.unpack(frame.data)[-1] / self._torque_scale
         return joint

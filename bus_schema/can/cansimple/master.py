@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -22,7 +21,7 @@ from bus_schema.can.cansimple.codec import (
     identifier,
 )
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.can.master import CanMaster
 from bus_schema.link.can_configuration import CanConfiguration
 
 _IDLE, _CLOSED_LOOP_CONTROL = 1, 8
@@ -36,8 +35,6 @@ _COMMANDS = {
     SET_INPUT_POS: "Set_Input_Pos", SET_INPUT_TORQUE: "Set_Input_Torque",
     CLEAR_ERRORS: "Clear_Errors",
 }  # fmt: skip
-_POLL_S = 0.05
-_AGAIN_S = 0.3
 
 
 class CanSimpleMaster(CanMaster):
@@ -57,12 +54,8 @@ class CanSimpleMaster(CanMaster):
         self._errors = [0] * len(node_ids)
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        give_up_s = time.monotonic() + timeout_s
-        while not self._try_to_enable(is_stop_requested):
-            if is_stop_requested():
-                return False
-            if time.monotonic() > give_up_s:
-                raise DriveError(self._not_enabled(timeout_s))
+        if not self._await_drives(timeout_s, is_stop_requested):
+            return False
         self._faults.clear()
         return True
 
@@ -75,8 +68,8 @@ class CanSimpleMaster(CanMaster):
     def leave(self) -> None:
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
 
-    def _try_to_enable(self, is_stop_requested: Callable[[], bool]) -> bool:
-        """Ask all axes to follow their inputs, and watch for a while whether they do."""
+    def _ask(self) -> None:
+        """Ask all axes to follow their inputs, and for the heartbeats that say whether they do."""
         self._send_gains()
         self._states = [0] * len(self._node_ids)
         self._is_powered = [False] * len(self._node_ids)
@@ -86,33 +79,21 @@ class CanSimpleMaster(CanMaster):
         )
         self._send_to_all(SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
-        until_s = time.monotonic() + _AGAIN_S
-        while time.monotonic() < until_s and not is_stop_requested():
-            frame = self._bus.receive(_POLL_S)
-            if frame is not None:
-                self._handle(frame)
-            if all(self._is_powered):
-                return True
-        return False
 
     def _send_gains(self) -> None:
         """Tune the loops that axes close in position control."""
         if self._codec.gains is None:
             return
         _, stiffnesses, dampings = self._codec.gains
-        for node_id, stiffness, damping in zip(
-            self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True
-        ):
-            position_gain = _GAIN.pack(stiffness / damping)
-            velocity_gains = _GAINS.pack(damping * TURN_RAD, 0.0)
-            self._send(
-                (
-                    CanFrame(identifier(node_id, _SET_POS_GAIN), position_gain),
-                    CanFrame(identifier(node_id, _SET_VEL_GAINS), velocity_gains),
-                )
-            )
+        rows = zip(self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True)
+        for node_id, stiffness, damping in rows:
+            position_gain, velocity_gain = stiffness / damping, damping * TURN_RAD
+            self._send((
+                CanFrame(identifier(node_id, _SET_POS_GAIN), _GAIN.pack(position_gain)),
+                CanFrame(identifier(node_id, _SET_VEL_GAINS), _GAINS.pack(velocity_gain, 0.0)),
+            ))  # fmt: skip
 
-    def _not_enabled(self, timeout_s: float) -> str:
+    def _who_is_absent(self, timeout_s: float) -> str:
         sentences = []
         for node_id, state, errors in zip(self._node_ids, self._states, self._errors, strict=True):
             if state == 0:

@@ -16,7 +16,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
 
@@ -140,12 +140,12 @@ def reply_of(data: bytes, ranges: MitRanges) -> MitReply:
 
 def is_command(frame: CanFrame) -> bool:
     """Whether a frame has the form of a command or a special one."""
-    return is_classical_data(frame, COMMAND_BYTES)
+    return is_data(frame, COMMAND_BYTES)
 
 
 def is_reply(frame: CanFrame) -> bool:
     """Whether a frame has the form of a reply."""
-    return any(is_classical_data(frame, length) for length in REPLY_BYTES)
+    return any(is_data(frame, length) for length in REPLY_BYTES)
 
 
 def _signed(value: float, limit: float, bits: int) -> int:
