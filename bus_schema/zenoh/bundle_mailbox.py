@@ -17,20 +17,14 @@ from bus_schema.zenoh.access import (
 )
 from bus_schema.zenoh.bundle_order import BundleOrder
 from bus_schema.zenoh.bundles import BUNDLED, UNKNOWN, Received, Span, unbundled
-from bus_schema.zenoh.ros_graph import (
-    Attachment,
-    Entity,
-    EntityKind,
-    endpoint_gid,
-    graph_key_expression,
-)
+from bus_schema.zenoh.ros_graph import Attachment, RosGraph
 from bus_schema.zenoh.session import Delivery, ZenohSession
 
 WRONG_ROLE = "wrong_role"
 _OBJECT_BYTES = 300
 """Of Python around each delivery that is kept."""
-_MOST_SENDERS, _MOST_PUBLISHERS = 32, 10_000
-"""Whoever makes up an id for each message fills no memory."""
+_MOST_SENDERS = 32
+"""Whoever makes up an id for each bundle fills no memory."""
 
 
 class Mailbox:
@@ -101,7 +95,7 @@ class BundleMailbox:
         domain: ROS domain.
         most_bytes: of messages to keep, in bundles and by themselves each.
         lossless: once there are more, senders wait; or else the oldest make room.
-        speakers: gives the sessions that have announced that they send on our topics.
+        graph: who is on the bus.
 
     Attributes:
         rejected: what was left out, by reason: bundles that their senders cannot have sent
@@ -116,16 +110,15 @@ class BundleMailbox:
         most_bytes: int,
         *,
         lossless: bool,
-        speakers: Callable[[], set[str]],
+        graph: RosGraph,
     ) -> None:
         self._session, self._domain = session, domain
         self._most_bytes, self._lossless = most_bytes, lossless
-        self._speakers = speakers
+        self._graph = graph
         self.rejected: Counter[str] = Counter()
         self._bundling: dict[str, str] = {}  # role by session
         self._have_bundled: set[str] = set()  # roles
         self._left: set[str] = set()  # of these sessions
-        self._publishers: dict[bytes, str] = {}  # session by id
         self._lock = threading.Lock()
         self._topics = {topic.key_expression(domain): topic for topic in TOPICS}
         self._bundled_topics = {
@@ -145,7 +138,6 @@ class BundleMailbox:
         self._dropped = 0  # of mailboxes that are closed
         self._listen()
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
-        session.watch_tokens(graph_key_expression(domain), self._on_publisher)
 
     def take(self) -> list[Received] | None:
         """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
@@ -232,13 +224,13 @@ class BundleMailbox:
         topic, _, _, _, gid = message
         if topic is JOINT_COMMANDS and Role.PLANT in self._bundling.values():
             return True
-        return self._publishers.get(gid) in self._bundling
+        return self._graph.sessions.get(gid) in self._bundling
 
     def _listen(self) -> None:
         """Listen to all that is sent, unless all of it comes in bundles."""
         if (
             set(self._bundling.values()) != set(BUNDLED)
-            or not self._speakers() <= self._bundling.keys()
+            or not self._graph.speakers() <= self._bundling.keys()
         ):
             if self._direct is None:
                 key = f"{self._domain}/**"
@@ -260,25 +252,12 @@ class BundleMailbox:
             else:
                 self._left.add(session)
 
-    def _on_publisher(self, token: str, alive: bool) -> None:
-        """Remember whose it is; of those who bundle until all that they said is taken."""
-        entity = Entity.from_token(token)
-        if entity is None or entity.kind != EntityKind.PUBLISHER:
-            return
-        with self._lock:
-            if alive and len(self._publishers) < _MOST_PUBLISHERS:
-                self._publishers[endpoint_gid(token)] = entity.session
-            elif not alive and entity.session not in self._bundling:
-                self._publishers.pop(endpoint_gid(token), None)
-
     def _forget(self, left: set[str]) -> None:
         """Sessions have left, and all that came by itself before was held against their bundles."""
         with self._lock:
             for session in left & self._left:
                 self._left.discard(session)
                 self._bundling.pop(session, None)
-                for gid in [gid for gid, of in self._publishers.items() if of == session]:
-                    del self._publishers[gid]
 
 
 def _size(kept: tuple[str, Delivery]) -> int:
