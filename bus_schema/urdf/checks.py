@@ -111,8 +111,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
 def _check_tree(root: ET.Element) -> None:
     """One link carries all others, each by one joint."""
     links = {link.get("name", "") for link in root.findall("link")}
-    children: dict[str, list[str]] = {}
-    carried: set[str] = set()
+    carriers: dict[str, str] = {}
     for joint in root.findall("joint"):
         ends = joint_ends(joint)
         for kind, link in zip(("parent", "child"), ends, strict=True):
@@ -126,19 +125,16 @@ def _check_tree(root: ET.Element) -> None:
             raise RobotDescriptionError(
                 f"{_owner(joint)} joins link {shortened(child)!r} to itself; {allowed}"
             )
-        if child in carried:
+        if child in carriers:
             raise RobotDescriptionError(f"link {child!r} is the child of more than one joint")
-        carried.add(child)
-        children.setdefault(parent, []).append(child)
-    bases = sorted(links - carried)
+        carriers[child] = parent
+    bases = sorted(links - carriers.keys())
     if len(bases) != 1:
         shown = shortened(", ".join(bases)) or "none"
         raise RobotDescriptionError(f"one link must be the child of no joint, not {shown}")
     reached = set(bases)
-    level = bases
-    while level:
-        level = [child for link in level for child in children.get(link, ())]
-        reached.update(level)
+    for _ in links:
+        reached |= {child for child, parent in carriers.items() if parent in reached}
     if reached != links:
         apart = shortened(", ".join(sorted(links - reached)))
         raise RobotDescriptionError(f"the joints of {apart} form a circle")

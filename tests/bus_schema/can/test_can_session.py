@@ -14,7 +14,7 @@ import pytest
 from can.interfaces.udp_multicast.utils import pack_message
 
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.medium import candump_lines
+from bus_schema.can.medium import CandumpLog
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -154,10 +154,12 @@ def test_bus_that_cannot_be_joined_is_a_configuration_error_with_advice(
         (CanFrame(0x040, bytes(8), is_error=True), "(1.000002) can0 20000040#" + "00" * 8),
     ],
 )
-def test_log_lines_are_those_of_candump(frame: CanFrame, line: str) -> None:
+def test_log_lines_are_those_of_candump(frame: CanFrame, line: str, tmp_path: Path) -> None:
+    log = CandumpLog(tmp_path / "can.log", "can0")
     times_ns = np.array([1_000_002_999, 12_345_678_901_234])
-    lines = candump_lines(times_ns, "can0", [frame, CanFrame(0x7AB, b"\x01")])
-    assert lines == f"{line}\n(12345.678901) can0 7AB#01\n"
+    log.write(times_ns, [frame, CanFrame(0x7AB, b"\x01")])
+    log.close()
+    assert (tmp_path / "can.log").read_text() == f"{line}\n(12345.678901) can0 7AB#01\n"
 
 
 def _close(*buses: CanBus) -> None:

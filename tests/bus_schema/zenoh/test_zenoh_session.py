@@ -118,14 +118,14 @@ def wait_for(session: ZenohSession, expected: set[str]) -> bool:
 
 def test_full_mailbox_drops_the_oldest_or_has_senders_wait() -> None:
     session = ZenohSession([], [], low_latency=False)
-    newest = Mailbox(session, "full/newest", 5000, lossless=False)
+    newest = Mailbox(session, "full/newest", most_bytes=5000, lossless=False)
     publisher = session.publisher("full/newest")
     for number in range(10):
         publisher.put(bytes([number]) * 1000, b"")
     taken = [delivery.payload[0] for _, delivery in iter(newest.take, None)]
     assert taken == [7, 8, 9]
     assert newest.dropped == 7
-    every = Mailbox(session, "full/every", 5000, lossless=True)
+    every = Mailbox(session, "full/every", most_bytes=5000, lossless=True)
     publisher = session.publisher("full/every")
     sender = threading.Thread(
         target=lambda: [publisher.put(bytes([number]) * 1000, b"") for number in range(10)]
