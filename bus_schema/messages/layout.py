@@ -25,11 +25,7 @@ from rosbags.interfaces import Nodetype
 
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.cdr_types import NUMPY_TYPES, Cursor, fields_of, zero_message
-from bus_schema.messages.header import (
-    ENCAPSULATION_BYTES,
-    NANOSEC,
-    NANOSECONDS,
-)
+from bus_schema.messages.header import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS
 from bus_schema.messages.types import TYPESTORE
 
 MAX_PAYLOAD_BYTES = 64 * 1024

@@ -9,15 +9,10 @@ import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.can.cansimple.codec import (
-    CLEAR_ERRORS,
     COMMAND_BITS,
-    HEARTBEAT,
-    SET_AXIS_STATE,
-    SET_CONTROLLER_MODE,
-    SET_INPUT_POS,
-    SET_INPUT_TORQUE,
     TURN_RAD,
     CanSimpleCodec,
+    Command,
     identifier,
 )
 from bus_schema.can.frame import CanBus, CanFrame
@@ -26,15 +21,14 @@ from bus_schema.link.can_configuration import CanConfiguration
 
 _IDLE, _CLOSED_LOOP_CONTROL = 1, 8
 _PASSTHROUGH = 1
-_SET_POS_GAIN, _SET_VEL_GAINS = 0x1A, 0x1B
 _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _GAIN, _GAINS = struct.Struct("<f"), struct.Struct("<ff")
 _BEAT = struct.Struct("<IBB")
-_COMMANDS = {
-    SET_AXIS_STATE: "Set_Axis_State", SET_CONTROLLER_MODE: "Set_Controller_Mode",
-    SET_INPUT_POS: "Set_Input_Pos", SET_INPUT_TORQUE: "Set_Input_Torque",
-    CLEAR_ERRORS: "Clear_Errors",
+_OF_MASTER = {
+    Command.SET_AXIS_STATE, Command.SET_CONTROLLER_MODE, Command.SET_INPUT_POS,
+    Command.SET_INPUT_TORQUE, Command.CLEAR_ERRORS,
 }  # fmt: skip
+"""Commands that tell of another master."""
 
 
 class CanSimpleMaster(CanMaster):
@@ -61,23 +55,23 @@ class CanSimpleMaster(CanMaster):
 
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:
-            self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
+            self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
             torque_nm = np.zeros_like(torque_nm)
         super().command(torque_nm)
 
     def leave(self) -> None:
-        self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
 
     def _ask(self) -> None:
         """Ask all axes to follow their inputs, and for the heartbeats that say whether they do."""
         self._send_gains()
         self._states = [0] * len(self._node_ids)
         self._is_powered = [False] * len(self._node_ids)
-        self._send_to_all(CLEAR_ERRORS, b"\0")
+        self._send_to_all(Command.CLEAR_ERRORS, b"\0")
         self._send_to_all(
-            SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
+            Command.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
         )
-        self._send_to_all(SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
 
     def _send_gains(self) -> None:
@@ -87,10 +81,11 @@ class CanSimpleMaster(CanMaster):
         _, stiffnesses, dampings = self._codec.gains
         rows = zip(self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True)
         for node_id, stiffness, damping in rows:
-            position_gain, velocity_gain = stiffness / damping, damping * TURN_RAD
+            position = _GAIN.pack(stiffness / damping)
+            velocity = _GAINS.pack(damping * TURN_RAD, 0.0)
             self._send((
-                CanFrame(identifier(node_id, _SET_POS_GAIN), _GAIN.pack(position_gain)),
-                CanFrame(identifier(node_id, _SET_VEL_GAINS), _GAINS.pack(velocity_gain, 0.0)),
+                CanFrame(identifier(node_id, Command.SET_POS_GAIN), position),
+                CanFrame(identifier(node_id, Command.SET_VEL_GAINS), velocity),
             ))  # fmt: skip
 
     def _who_is_absent(self, timeout_s: float) -> str:
@@ -107,7 +102,7 @@ class CanSimpleMaster(CanMaster):
 
     def _send_heartbeat(self) -> None:
         """Request the heartbeats of all axes; they need none of the master's."""
-        self._send_to_all(HEARTBEAT, is_remote=True)
+        self._send_to_all(Command.HEARTBEAT, is_remote=True)
 
     def _only_master_sends(self, frame: CanFrame) -> str | None:
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
@@ -115,13 +110,13 @@ class CanSimpleMaster(CanMaster):
             return None
         if frame.is_remote:
             return "requests"
-        return _COMMANDS.get(command)
+        return Command(command).name.title() if command in _OF_MASTER else None
 
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in heartbeats."""
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
         joint = self._joint_of.get(node_id)
-        if joint is None or command != HEARTBEAT or len(frame.data) < _BEAT.size:
+        if joint is None or command != Command.HEARTBEAT or len(frame.data) < _BEAT.size:
             return
         self._errors[joint], self._states[joint], _ = _BEAT.unpack_from(frame.data)
         self._is_powered[joint] = self._states[joint] == _CLOSED_LOOP_CONTROL
