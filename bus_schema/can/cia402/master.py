@@ -62,12 +62,12 @@ class Cia402Master(CanMaster):
             BaseNode402(node_id, object_dictionary(can.eds or CIA402_EDS, node_id))
             for node_id in node_ids
         ]
-        for node in self._nodes:
+        for joint, node in enumerate(self._nodes):
             node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
             node.TIMEOUT_SWITCH_STATE_FINAL = can.answer_timeout_s
             node.TIMEOUT_SWITCH_STATE_SINGLE = can.answer_timeout_s
             self._network.add_node(node)
-            node.nmt.add_heartbeat_callback(partial(self._note_boot, self._joint_of[node.id]))
+            node.nmt.add_heartbeat_callback(partial(self._note_boot, joint))
         self._last_heartbeat_ns = [0] * len(node_ids)
         self._is_in_cycle = [False] * len(node_ids)
         self._start_timeout_ms = float(can.heartbeat_timeout_ms)

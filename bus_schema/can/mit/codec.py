@@ -117,7 +117,7 @@ def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:
 
 def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
     """What eight bytes that are not `special_of` command."""
-    return MitCommand(**_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
+    return MitCommand(*_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
 
 
 def packed_reply(reply: MitReply, ranges: MitRanges, reply_bytes: int) -> bytes:
@@ -129,8 +129,9 @@ def packed_reply(reply: MitReply, ranges: MitRanges, reply_bytes: int) -> bytes:
 
 def reply_of(data: bytes, ranges: MitRanges) -> MitReply:
     """What six or eight bytes report."""
-    state = _unpacked(int.from_bytes(data[: REPLY_BYTES[0]], "big"), _STATE, ranges)
-    reply = MitReply(data[0], **state)
+    packed = int.from_bytes(data[: REPLY_BYTES[0]], "big")
+    position, velocity, torque = _unpacked(packed, _STATE, ranges)
+    reply = MitReply(data[0], position, velocity, torque)
     if len(data) == REPLY_BYTES[0]:
         return reply
     return reply._replace(temperature_c=data[6] + _COLDEST_C, error=data[7])
@@ -145,14 +146,14 @@ def _packed(values: MitCommand | MitReply, numbers: Sequence[_Number], ranges: M
     return packed
 
 
-def _unpacked(packed: int, numbers: Sequence[_Number], ranges: MitRanges) -> dict[str, float]:
-    values = {}
+def _unpacked(packed: int, numbers: Sequence[_Number], ranges: MitRanges) -> list[float]:
+    values = []
     for name, bits, is_signed in reversed(numbers):
         most = (1 << bits) - 1
         share = (packed & most) / most
-        values[name] = (2.0 * share - 1.0 if is_signed else share) * getattr(ranges, name)
+        values.append((2.0 * share - 1.0 if is_signed else share) * getattr(ranges, name))
         packed >>= bits
-    return values
+    return values[::-1]
 
 
 def is_command(frame: CanFrame) -> bool:
