@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 
-from bus_schema.messages.header import ENCAPSULATION_BYTES
 from bus_schema.messages.types import TYPESTORE
 
 NUMPY_TYPES = {
@@ -16,25 +15,6 @@ NUMPY_TYPES = {
     "uint32": "<u4", "int32": "<i4", "uint64": "<u8", "int64": "<i8",
     "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
-
-
-class Cursor:
-    """Position in a CDR stream; offsets count from the start of the payload."""
-
-    def __init__(self) -> None:
-        self._position = 0
-
-    def take(self, size: int, alignment: int) -> int:
-        start = -(-self._position // alignment) * alignment
-        self._position = start + size
-        return start + ENCAPSULATION_BYTES
-
-    def skip_strings(self, values: Sequence[str], *, counted: bool) -> None:
-        if counted:
-            self.take(4, 4)
-        for value in values:
-            self.take(4, 4)
-            self.take(len(value.encode()) + 1, 1)
 
 
 def fields_of(type_name: str) -> Iterator[tuple[str, Nodetype, Any]]:
@@ -62,3 +42,19 @@ def zero_message(
                 lengths[path] if kind == Nodetype.SEQUENCE else argument[1], base
             )
     return TYPESTORE.types[type_name](**values)
+
+
+def numeric_fields(message: Any, prefix: str = "") -> Iterator[tuple[str, np.dtype[Any], Any, str]]:
+    """Each number and array of a message in wire order: dotted name, type, owner, and name there.
+
+    Empty arrays are left out.
+    """
+    for field, kind, argument in fields_of(message.__msgtype__):
+        value, path = getattr(message, field), prefix + field
+        if kind == Nodetype.NAME:
+            yield from numeric_fields(value, f"{path}.")
+        elif isinstance(value, np.ndarray):
+            if value.size:
+                yield path, np.dtype((value.dtype, value.shape)), message, field
+        elif not isinstance(value, str | list):
+            yield path, np.dtype(NUMPY_TYPES[argument[0]]), message, field
