@@ -73,4 +73,5 @@ def has_todays_form(type_name: str, text: bytes) -> bool:
         recorded = get_types_from_msg(text.decode(), type_name)
     except Exception:  # noqa: BLE001 (what rosbags trips over in a text that is no schema)
         return False
-    return all(TYPESTORE.fielddefs.get(name) == fields for name, fields in recorded.items())
+    todays = TYPESTORE.fielddefs
+    return all(name in todays and todays[name][1] == recorded[name][1] for name in recorded)
