@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.cdr_types import numeric_fields, zero_message
 from bus_schema.messages.header import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS
 from bus_schema.messages.types import TYPESTORE
+from bus_schema.messages.zero_messages import numeric_fields, zero_message
 
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Nothing on our topics comes near this; larger payloads are refused before they are parsed."""
