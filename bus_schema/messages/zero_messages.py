@@ -19,7 +19,8 @@ def zero_message(
     Its numbers are NumPy's, of the type that they have on the wire.
     """
     values: dict[str, Any] = {}
-    for field, (kind, argument) in TYPESTORE.fielddefs[type_name][1]:
+    fields: Any = TYPESTORE.fielddefs[type_name][1]
+    for field, (kind, argument) in fields:
         path = prefix + field
         if kind == Nodetype.NAME:
             values[field] = zero_message(argument, lengths, strings, path + ".")
