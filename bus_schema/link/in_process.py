@@ -50,6 +50,14 @@ class InProcessBus:
         self.has_left = {role: threading.Event() for role in Role}
         self.is_over = threading.Event()
 
+    def leave(self, role: Role) -> None:
+        """One side leaves; without its controller, states are not answered any longer."""
+        if role is Role.CONTROLLER:
+            self.on_state = None
+        self.has_left[role].set()
+        if role is Role.PLANT:
+            self.is_over.set()
+
 
 class InProcessNode:
     """One side of an `InProcessBus`; on its own, telemetry of loops whose states go another way."""
@@ -83,12 +91,7 @@ class InProcessNode:
         """The bus itself remembers everything."""
 
     def close(self) -> None:
-        """Leave; without its controller, states are not answered any longer."""
-        if self._role is Role.CONTROLLER:
-            self._bus.on_state = None
-        self._bus.has_left[self._role].set()
-        if self._role is Role.PLANT:
-            self._bus.is_over.set()
+        self._bus.leave(self._role)
 
 
 class InProcessPlantLink(InProcessNode, PlantLink):
