@@ -116,7 +116,7 @@ class StrictSdoServer(SdoServer):
 
 
 class DriveNode(canopen.LocalNode):
-    """A node with the drive's dictionary.
+    """A node with the drive's dictionary, which holds the values of all its objects.
 
     Args:
         node_id: its address.
@@ -138,31 +138,38 @@ class DriveNode(canopen.LocalNode):
         self.now_ns = 0
         self.readers: dict[int, Reader] = {}
         self.writers: dict[int, Writer] = {}
-        self._read_callbacks = [self._read_live]
-        self._write_callbacks = [self._write_checked]
+        self._read_callbacks = [self._read_number]
+        self._write_callbacks = [self._write_number]
+        self._values: dict[tuple[int, int], int] = {}
         self._factory: dict[tuple[int, int], int] = {}
 
     def fit(self, index: int, subindex: int, value: int) -> None:
         """Give an object of this drive another default than the EDS has."""
-        self._factory[index, subindex] = value
-        self._store(index, subindex, value)
+        self._factory[index, subindex] = self._values[index, subindex] = value
 
     def value(self, index: int, subindex: int = 0) -> int:
-        """Value of a numeric object."""
-        data = self.get_data(index, subindex)
-        return int(self.find(index, subindex).decode_raw(data))
+        """Value of a numeric object that is stored."""
+        place = index, subindex
+        found = self._values.get(place)
+        if found is None:
+            default = self.get_data(index, subindex)
+            found = self._values[place] = int(self.find(index, subindex).decode_raw(default))
+        return found
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        """Write an object as the master does; raises `SdoAbortedError` if it is refused."""
+        check = self.writers.get(index)
+        if check is not None:
+            check(subindex, value)
+        self._values[index, subindex] = value
 
     def restore_defaults(self, first: int, last: int) -> None:
         """Forget what was written to the objects from `first` to `last`."""
         for index in [index for index in self.data_store if first <= index <= last]:
             del self.data_store[index]
-        for (index, subindex), value in self._factory.items():
-            if first <= index <= last:
-                self._store(index, subindex, value)
-
-    def _store(self, index: int, subindex: int, value: int) -> None:
-        data = self.find(index, subindex).encode_raw(value)
-        self.data_store.setdefault(index, {})[subindex] = data
+        kept = {at: value for at, value in self._values.items() if not first <= at[0] <= last}
+        fitted = {at: value for at, value in self._factory.items() if first <= at[0] <= last}
+        self._values = kept | fitted
 
     def find(self, index: int, subindex: int) -> ODVariable:
         """The description of an object.
@@ -180,11 +187,11 @@ class DriveNode(canopen.LocalNode):
 
     _find_object = find  # what canopen's own methods call
 
-    def _read_live(self, index: int, subindex: int, **_: Any) -> int | None:
+    def _read_number(self, index: int, subindex: int, **_: Any) -> int | None:
         read = self.readers.get(index)
-        return None if read is None else read(subindex)
+        return self._values.get((index, subindex)) if read is None else read(subindex)
 
-    def _write_checked(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+    def _write_number(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         if od.data_type not in NUMBER_TYPES:
             return
         value = int(od.decode_raw(data))
@@ -192,6 +199,4 @@ class DriveNode(canopen.LocalNode):
             raise SdoAbortedError(Abort.TOO_HIGH)
         if od.min is not None and value < od.min:
             raise SdoAbortedError(Abort.TOO_LOW)
-        write = self.writers.get(index)
-        if write is not None:
-            write(subindex, value)
+        self.write(index, subindex, value)
