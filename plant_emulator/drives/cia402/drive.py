@@ -70,8 +70,7 @@ class Cia402Drive(Drive):
         return None if code is ErrorCode.NONE else f"{SENTENCES[code]} (0x{code:04X})"
 
     def measure(self, reading: JointReading) -> None:
-        super().measure(reading)
-        self._looked_ns = None
+        self._reading, self._looked_ns = reading, None
         self._motor.measure(reading)
 
     def demand(self) -> JointDemand:
@@ -230,7 +229,7 @@ class Cia402Drive(Drive):
 
     def _leave_operational(self) -> None:
         """What object 0x1029 wants after an error of communication."""
-        state = _AFTER_COMMUNICATION_ERROR.get(self._node.value(0x1029, 1))
+        state = _AFTER_COMMUNICATION_ERROR.get(self._node.values[0x1029_01])
         if state is not None and self._is_operational():
             self._network.state = state
             self._process_data.rest()

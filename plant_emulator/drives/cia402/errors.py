@@ -62,7 +62,7 @@ class ErrorLog:
         node.readers[0x1003] = self._read_history
         node.readers[0x603F] = lambda _: self.fault
         node.writers[0x1003] = self._clear_history
-        node.writers[0x1014] = lambda _, value: check_identifier(value, node.value(0x1014))
+        node.writers[0x1014] = lambda _, value: check_identifier(value, node.values[0x1014_00])
 
     @property
     def any(self) -> bool:
@@ -113,7 +113,7 @@ class ErrorLog:
         self.fault = ErrorCode.NONE
 
     def _emit(self, code: ErrorCode) -> None:
-        identifier = self._node.value(0x1014)
+        identifier = self._node.values[0x1014_00]
         if self._network.has_sdo and not identifier & _NOT_VALID:
             self._node.emcy.cob_id = identifier
             self._node.emcy.send(code, self.register)

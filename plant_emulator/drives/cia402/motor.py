@@ -16,6 +16,7 @@ from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, Joi
 NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE = 0, 8, 10
 _MODES = (NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE)
 INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
+_TARGET, _OFFSET, _MAX_TORQUE = 0x6071_00, 0x60B2_00, 0x6072_00
 _PER_MILLE = 1000
 _MILLI = 1e-3
 _ALWAYS_SET = Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
@@ -53,7 +54,7 @@ class Motor:
         self._position_mode = PositionMode(node, settings)
         self._position = self._position_mode.measure(self._reading)
         self.automaton = Automaton(node, self._is_still, errors.reset)
-        self._torques = 0
+        self._torques, self._mode = 0, NO_MODE
         self._fit()
         self._serve()
 
@@ -70,6 +71,7 @@ class Motor:
 
     def restore(self) -> None:
         """The dictionary has its defaults again."""
+        self._mode = self._node.values[0x6060_00]
         self._position_mode.restore()
 
     def fail(self, code: ErrorCode, *, power_off: bool = False) -> None:
@@ -80,7 +82,7 @@ class Motor:
 
     def abort_connection(self, code: ErrorCode) -> None:
         """The connection to the master is gone: do what object 0x6007 says."""
-        option = self._node.value(0x6007)
+        option = self._node.values[0x6007_00]
         if option == _ABORT_FAULT:
             self.fail(code)
         elif option == _ABORT_DISABLE:
@@ -96,7 +98,7 @@ class Motor:
             return JointDemand(min(max(damping_nm, -most_nm), most_nm), is_released=True)
         if not self._follows():
             return AT_REST
-        if self._closes_loop():
+        if self._mode == CYCLIC_SYNCHRONOUS_POSITION:
             loop = self._loop()
             return JointDemand(loop.torque_nm(*self._reading[:2]), is_released=True, loop=loop)
         return JointDemand(self._nm(self._limited()[0]), is_released=True)
@@ -104,7 +106,7 @@ class Motor:
     def advance(self) -> None:
         """Do what is due: the end of a slow-down, the window of a following error."""
         self.automaton.advance()
-        if not self._closes_loop():
+        if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
             self._position_mode.rest()
             return
         self._position_mode.follow()
@@ -130,39 +132,31 @@ class Motor:
         per_mille = self._reading.torque_nm / (self._rated_mnm * _MILLI) * _PER_MILLE
         return clamp(round(per_mille), INT16)
 
-    @property
-    def _mode(self) -> int:
-        return self._node.value(0x6060)
-
     def _follows(self) -> bool:
         return self.automaton.follows and self._mode != NO_MODE
 
-    def _closes_loop(self) -> bool:
-        return self.automaton.follows and self._mode == CYCLIC_SYNCHRONOUS_POSITION
-
     def _loop(self) -> CascadeLoop:
-        offset_nm, most_nm = self._nm(self._node.value(0x60B2)), self._nm(self._most())
-        return self._position_mode.loop(offset_nm, most_nm)
+        most = min(self._node.values[_MAX_TORQUE], self._hard_limit)
+        return self._position_mode.loop(self._nm(self._node.values[_OFFSET]), self._nm(most))
 
     def _is_limited(self) -> bool:
         """Whether a limit has a say in the torque, while the motor follows."""
-        if not self._closes_loop():
+        if self._mode != CYCLIC_SYNCHRONOUS_POSITION:
             return self._limited()[1]
         loop = self._loop()
         is_torque_limited = abs(loop.torque_nm(*self._reading[:2])) >= loop.most_nm
         return self._position_mode.is_target_limited or is_torque_limited
 
-    def _most(self) -> int:
-        return min(self._node.value(0x6072), self._hard_limit)
-
     def _limited(self) -> tuple[int, bool]:
         """The torque to give, per mille, and whether a limit has had a say."""
-        wanted = self._node.value(0x6071) + self._node.value(0x60B2)
-        most = self._most()
+        values, position, most = self._node.values, self._position, self._hard_limit
+        if values[_MAX_TORQUE] < most:
+            most = values[_MAX_TORQUE]
+        wanted = values[_TARGET] + values[_OFFSET]
         given = wanted if -most <= wanted <= most else clamp(wanted, (-most, most))
-        lowest, highest = self._position_mode.limits
-        position = self._position
-        if (position >= highest and given > 0) or (position <= lowest and given < 0):
+        if (given > 0 and position >= values[0x607D_02]) or (
+            given < 0 and position <= values[0x607D_01]
+        ):
             given = 0
         return given, given != wanted
 
@@ -170,15 +164,15 @@ class Motor:
         return per_mille * self._rated_mnm * (_MILLI / _PER_MILLE)
 
     def _is_still(self) -> bool:
-        return abs(self._velocity) <= self._node.value(0x606F)
+        return abs(self._velocity) <= self._node.values[0x606F_00]
 
     def _fit(self) -> None:
         """Objects whose defaults are this drive's own."""
         settings, fit = self._settings, self._node.fit
-        fit(0x6072, 0, clamp(self._hard_limit, (0, 0xFFFF)))
-        fit(0x6076, 0, self._rated_mnm)
-        for index in (0x608F, 0x6092):
-            fit(index, 1, settings.counts_per_turn)
+        fit(_MAX_TORQUE, clamp(self._hard_limit, (0, 0xFFFF)))
+        fit(0x6076_00, self._rated_mnm)
+        for place in (0x608F_01, 0x6092_01):
+            fit(place, settings.counts_per_turn)
 
     def _serve(self) -> None:
         node = self._node
@@ -188,14 +182,15 @@ class Motor:
         node.readers[0x606C] = lambda _: self._velocity
         node.readers[0x6077] = lambda _: self.torque()
         node.writers[0x6040] = lambda _, value: self.automaton.obey(value)
-        node.writers[0x6060] = self._check_mode
+        node.writers[0x6060] = self._set_mode
         node.writers[0x6071] = self._count_target
 
-    def _check_mode(self, _subindex: int, value: int) -> None:
+    def _set_mode(self, _subindex: int, value: int) -> None:
         if value not in _MODES:
             raise SdoAbortedError(Abort.INVALID_VALUE)
         if value != self._mode:
             self._position_mode.rest()
+        self._mode = value
 
     def _count_target(self, _subindex: int, _value: int) -> None:
         self._torques += self._mode != CYCLIC_SYNCHRONOUS_POSITION

@@ -75,11 +75,11 @@ class NetworkState:
         self.state = NmtState.PRE_OPERATIONAL
         self._heard_ns.clear()
         self._lost.clear()
-        self._on_period(0, self._node.value(0x1017))
+        self._on_period(0, self._node.values[0x1017_00])
 
     def note_set_up(self) -> None:
         """Object 0x1016 may have been written."""
-        entries = [self._node.value(0x1016, subindex) for subindex in _CONSUMED]
+        entries = [self._node.values[0x1016_00 + subindex] for subindex in _CONSUMED]
         self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
 
     def obey(self, command: NmtCommand) -> None:
@@ -98,13 +98,12 @@ class NetworkState:
         now_ns = self._node.now_ns
         if self._heartbeats.is_due(now_ns):
             self._report()
-        overdue = {
-            node_id
-            for node_id, time_ns in self.watched.items()
-            if now_ns - self._heard_ns.get(node_id, now_ns) > time_ns
-        }
-        has_failed = not overdue <= self._lost
-        self._lost |= overdue
+        has_failed = False
+        for node_id, time_ns in self.watched.items():
+            is_overdue = now_ns - self._heard_ns.get(node_id, now_ns) > time_ns
+            if is_overdue and node_id not in self._lost:
+                self._lost.add(node_id)
+                has_failed = True
         return has_failed
 
     def _report(self) -> None:
@@ -115,7 +114,7 @@ class NetworkState:
 
     def _check_consumed(self, subindex: int, value: int) -> None:
         """Two entries may not watch the same node (CiA 301, 7.5.2.18)."""
-        others = [self._node.value(0x1016, other) for other in _CONSUMED if other != subindex]
+        others = [self._node.values[0x1016_00 + other] for other in _CONSUMED if other != subindex]
         nodes = [_consumer(other)[0] for other in others if _is_used(other)]
         if _is_used(value) and _consumer(value)[0] in nodes:
             raise SdoAbortedError(Abort.INCOMPATIBLE)

@@ -7,12 +7,12 @@ length, sub-indices that a variable or an array does not have, limits of values.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import Any
 
 import canopen
-from canopen.objectdictionary import NUMBER_TYPES, ODVariable
+from canopen.objectdictionary import NUMBER_TYPES, ObjectDictionary, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
@@ -125,6 +125,7 @@ class DriveNode(canopen.LocalNode):
     Attributes:
         node_id: its address.
         now_ns: the time of what is being done.
+        values: of the numeric objects that are stored, by index and sub-index, such as 0x1018_01.
         readers: where the values of objects come from that are not stored, by index.
         writers: what checks values that are written to objects, by index, before they are stored.
     """
@@ -140,36 +141,20 @@ class DriveNode(canopen.LocalNode):
         self.writers: dict[int, Writer] = {}
         self._read_callbacks = [self._read_number]
         self._write_callbacks = [self._write_number]
-        self._values: dict[tuple[int, int], int] = {}
-        self._factory: dict[tuple[int, int], int] = {}
+        self._defaults = dict(_defaults(self.object_dictionary))
+        self.values = self._defaults.copy()
 
-    def fit(self, index: int, subindex: int, value: int) -> None:
+    def fit(self, place: int, value: int) -> None:
         """Give an object of this drive another default than the EDS has."""
-        self._factory[index, subindex] = self._values[index, subindex] = value
-
-    def value(self, index: int, subindex: int = 0) -> int:
-        """Value of a numeric object that is stored."""
-        place = index, subindex
-        found = self._values.get(place)
-        if found is None:
-            default = self.get_data(index, subindex)
-            found = self._values[place] = int(self.find(index, subindex).decode_raw(default))
-        return found
-
-    def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an object as the master does; raises `SdoAbortedError` if it is refused."""
-        check = self.writers.get(index)
-        if check is not None:
-            check(subindex, value)
-        self._values[index, subindex] = value
+        self._defaults[place] = self.values[place] = value
 
     def restore_defaults(self, first: int, last: int) -> None:
         """Forget what was written to the objects from `first` to `last`."""
         for index in [index for index in self.data_store if first <= index <= last]:
             del self.data_store[index]
-        kept = {at: value for at, value in self._values.items() if not first <= at[0] <= last}
-        fitted = {at: value for at, value in self._factory.items() if first <= at[0] <= last}
-        self._values = kept | fitted
+        self.values.update(
+            (place, value) for place, value in self._defaults.items() if first <= place >> 8 <= last
+        )
 
     def find(self, index: int, subindex: int) -> ODVariable:
         """The description of an object.
@@ -189,7 +174,7 @@ class DriveNode(canopen.LocalNode):
 
     def _read_number(self, index: int, subindex: int, **_: Any) -> int | None:
         read = self.readers.get(index)
-        return self._values.get((index, subindex)) if read is None else read(subindex)
+        return self.values.get(index << 8 | subindex) if read is None else read(subindex)
 
     def _write_number(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         if od.data_type not in NUMBER_TYPES:
@@ -199,4 +184,16 @@ class DriveNode(canopen.LocalNode):
             raise SdoAbortedError(Abort.TOO_HIGH)
         if od.min is not None and value < od.min:
             raise SdoAbortedError(Abort.TOO_LOW)
-        self.write(index, subindex, value)
+        write = self.writers.get(index)
+        if write is not None:
+            write(subindex, value)
+        self.values[index << 8 | subindex] = value
+
+
+def _defaults(dictionary: ObjectDictionary) -> Iterator[tuple[int, int]]:
+    """Place and default of all numbers that have one."""
+    for entry in dictionary.values():
+        for each in (entry,) if isinstance(entry, ODVariable) else entry.values():
+            default = each.default if each.value is None else each.value
+            if each.data_type in NUMBER_TYPES and default is not None:
+                yield each.index << 8 | each.subindex, int(default)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 from canopen.objectdictionary import ODVariable
@@ -78,14 +77,13 @@ class Pdo:
     def note_set_up(self) -> None:
         """Its parameters may have been written."""
         cob_id, self.period, inhibit, event = (
-            self._node.value(self._communication, each)
-            for each in (_COB_ID, _TYPE, _INHIBIT, _EVENT)
+            self._parameter(each) for each in (_COB_ID, _TYPE, _INHIBIT, _EVENT)
         )
         self.identifier, self.is_valid = cob_id & 0x7FF, not cob_id & _NOT_VALID
         self.answers_remote = not self._is_received and not cob_id & _NO_REMOTE
         self.is_synchronous = self.period <= _LAST_SYNCHRONOUS
         self.inhibit_ns, self.event_ns = inhibit * _INHIBIT_UNIT, event * _MS
-        entries = self._mapped(self._node.value(self._mapping, 0))
+        entries = self._mapped(self._node.values[self._mapping << 8])
         if entries != self.entries:
             self._map(entries)
 
@@ -94,6 +92,9 @@ class Pdo:
         self.heard_ns: int | None = None
         self.data: bytes | None = None
         self.sent_ns = self.syncs = 0
+
+    def _parameter(self, subindex: int) -> int:
+        return self._node.values[(self._communication << 8) + subindex]
 
     def _map(self, entries: list[Entry]) -> None:
         self.entries, self.length = entries, sum(entry.bits for entry in entries) // 8
@@ -111,7 +112,7 @@ class Pdo:
 
     def _check_communication(self, subindex: int, value: int) -> None:
         if subindex == _COB_ID:
-            check_identifier(value & ~_NO_REMOTE, self._node.value(self._communication, _COB_ID))
+            check_identifier(value & ~_NO_REMOTE, self._parameter(_COB_ID))
         is_no_type = value > _LAST_SYNCHRONOUS and value not in _EVENT_DRIVEN
         # An inhibit time may not be changed while the PDO exists.
         if (subindex == _TYPE and is_no_type) or (subindex == _INHIBIT and self.is_valid):
@@ -131,7 +132,7 @@ class Pdo:
             self._entry(value)
 
     def _mapped(self, count: int) -> list[Entry]:
-        return [self._entry(self._node.value(self._mapping, i + 1)) for i in range(count)]
+        return [self._entry(self._node.values[(self._mapping << 8) + i + 1]) for i in range(count)]
 
     def _entry(self, value: int) -> Entry:
         """A mapping parameter, if that can be mapped here."""
@@ -149,14 +150,15 @@ class Pdo:
 def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
     """A function that gives the present values."""
     pack = _layout(node, entries).pack
-    reads = [
-        (node.readers.get(index) or partial(node.value, index), subindex)
-        for index, subindex, _ in entries
-    ]
+    stored = node.values.__getitem__
+    reads: list[tuple[Callable[[int], int], int]] = []
+    for index, subindex, _ in entries:
+        read = node.readers.get(index)
+        reads.append((stored, index << 8 | subindex) if read is None else (read, subindex))
     if len(reads) == 1:  # a statusword alone, looked at after every frame
         ((read_alone, only),) = reads
         return lambda: pack(read_alone(only))
-    return lambda: pack(*[read(subindex) for read, subindex in reads])
+    return lambda: pack(*[read(place) for read, place in reads])
 
 
 def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], None]:
@@ -164,11 +166,14 @@ def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], Non
 
     It raises `SdoAbortedError` if an object does not take its value; those before it were written.
     """
-    layout, write = _layout(node, entries), node.write
+    layout, values = _layout(node, entries), node.values
+    fields = [(node.writers.get(index), index << 8 | subindex) for index, subindex, _ in entries]
 
     def unpack(data: bytes) -> None:
-        for (index, subindex, _), value in zip(entries, layout.unpack(data), strict=True):
-            write(index, subindex, value)
+        for (check, place), value in zip(fields, layout.unpack(data), strict=True):
+            if check is not None:
+                check(place & 0xFF, value)
+            values[place] = value
 
     return unpack
 

@@ -47,7 +47,7 @@ class ProcessData:
 
     def note_set_up(self) -> None:
         """Objects of SYNC or PDOs may have been written."""
-        self.sync_identifier = self._node.value(0x1005) & 0x7FF
+        self.sync_identifier = self._node.values[0x1005_00] & 0x7FF
         for pdo in (*self._received, *self._sent):
             pdo.note_set_up()
         valid = [pdo for pdo in self._sent if pdo.is_valid]
