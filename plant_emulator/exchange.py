@@ -132,7 +132,7 @@ class Exchange:
                 self._unused["after_stop"] += 1
                 continue
             self._watchdog.feed(effective_ns)
-            self._telemetry.note_round_trip(effective_ns - command.stamp_ns)
+            self._telemetry.round_trip_ns = effective_ns - command.stamp_ns
             self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
             self.delay_ns = now_ns - command.stamp_ns
             self._arm.command(command.torque_nm, command.target, command.stamp_ns)
@@ -143,7 +143,7 @@ class Exchange:
         due_ns, measurement = self._uplink.receive()
         self._link.wait_until(self._clock, due_ns)
         self._newest_state_ns = max(self._newest_state_ns, measurement.stamp_ns)
-        self._telemetry.note_delivered(self._clock.now_ns() - measurement.stamp_ns)
+        self._telemetry.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
         self._telemetry.send(self._link)
         if self._reply_timeout_s is not None and not self._controller_is_lost:

@@ -166,7 +166,7 @@ class PlantLoop:
         reached = self._grid.tick_at_or_before(self._clock.now_ns())
         if reached > tick:
             reached = min(reached, self._supervisor.end_tick)
-            self._telemetry.note_skipped(reached - tick)
+            self._telemetry.skipped += reached - tick
             tick = reached
         return tick
 
@@ -195,7 +195,7 @@ class PlantLoop:
             following = end if stays_so else first + 1
             self._arm.advance(first, following)
             first = following
-        self._telemetry.note_physics(time.perf_counter_ns() - started_ns)
+        self._telemetry.physics_ns += time.perf_counter_ns() - started_ns
 
     def _reach_next_tick(self) -> None:
         self.tick += 1

@@ -36,6 +36,12 @@ def shipped_arm(name: str) -> RobotDescription:
 PAPER_ARM = shipped_arm("paper_arm")
 
 
+def forward_dynamics(model, position, velocity, torque):
+    """Acceleration of an arm under a torque, shape (joints,)."""
+    load = model.inverse_dynamics(position, velocity, np.zeros(model.joints))
+    return np.linalg.solve(model.mass_matrix(position), torque - load)
+
+
 def torques_of(
     plant: PlantConfiguration, robot: RobotDescription = PAPER_ARM, *,
     step_s: float = 2.5e-4, seed: int = 0, gains: DriveGains | None = None,

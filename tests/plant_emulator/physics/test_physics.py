@@ -8,7 +8,7 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engines import ENGINES, engine_in_force
-from tests.arms import INSTALLED, PAPER_ARM, FreeArm, listed_from_the_tip
+from tests.arms import INSTALLED, PAPER_ARM, FreeArm, forward_dynamics, listed_from_the_tip
 
 pytestmark = pytest.mark.parametrize("engine", INSTALLED)
 
@@ -50,7 +50,7 @@ def integrated(torque):
     def rate(time_s, state):
         position, velocity = state[:3], state[3:]
         return np.concatenate(
-            [velocity, model.forward_dynamics(position, velocity, torque(time_s))]
+            [velocity, forward_dynamics(model, position, velocity, torque(time_s))]
         )
 
     for index in range(round(DURATION_S / step)):
