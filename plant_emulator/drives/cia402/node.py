@@ -64,14 +64,14 @@ class StrictSdoServer(SdoServer):
     def on_request(self, can_id: int, data: bytes, timestamp: float) -> None:
         """Answer one request of eight bytes."""
         command = data[0] & _COMMAND_MASK
-        if command in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT) and self._pending != command:
-            self.abort(Abort.UNKNOWN_COMMAND)
-            return
-        if command == _ABORTED:
+        if command in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT):
+            if self._pending != command:
+                self.abort(Abort.UNKNOWN_COMMAND)
+                return
+        else:
             self._pending = None
-        elif command not in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT):
-            self._pending = None
-            _, self._index, self._subindex = _REQUEST.unpack_from(data)
+            if command != _ABORTED:
+                _, self._index, self._subindex = _REQUEST.unpack_from(data)
         super().on_request(can_id, data, timestamp)
 
     def init_upload(self, request: bytes) -> None:
