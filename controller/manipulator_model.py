@@ -155,23 +155,20 @@ class ManipulatorModel:
         if self._places.couples:
             allowed = "must be false for an arm with mimic joints (robot.joints may leave them out)"
             raise ConfigurationError("controller.delay_compensation.enabled", True, allowed)
-        zero, joints = np.zeros(self.joints), range(self.joints)
         numbers = [int(self._model.getJointId(name)) for name in self._names]
-        axes = np.empty((self.joints, 3))
-        for i in joints:
-            velocity = np.zeros(self.joints)
-            velocity[self._places.order[i]] = 1.0
-            pinocchio.forwardKinematics(self._model, self._data, zero, velocity)
-            twist = self._data.v[numbers[i]]
-            axes[i] = twist.linear if self._slides[i] else twist.angular
+        twists = [np.ravel(self._model.joints[number].createData().S) for number in numbers]
+        axes = [
+            twist[:3] if slides else twist[3:]
+            for twist, slides in zip(twists, self._slides, strict=True)
+        ]
         carriers = [int(self._model.parents[number]) for number in numbers]
         placements = [self._model.jointPlacements[number] for number in numbers]
         return RigidBodies(
-            outwards=np.array(sorted(joints, key=numbers.__getitem__), dtype=np.int64),
+            outwards=np.argsort(numbers).astype(np.int64),
             parents=np.array([numbers.index(c) if c else -1 for c in carriers], dtype=np.int64),
             rotations=np.array([placement.rotation for placement in placements]),
             origins=np.array([placement.translation for placement in placements]),
-            axes=axes,
+            axes=np.array(axes),
             slides=self._slides,
             gravity=np.array(self._model.gravity.linear),
         )
