@@ -3,7 +3,6 @@ command, little endian, IEEE 754 floats."""
 
 import math
 import struct
-from pathlib import Path
 
 import pytest
 from drive_bench import MS, NODE, SETTINGS, Bench
@@ -11,12 +10,11 @@ from drive_bench import MS, NODE, SETTINGS, Bench
 from bus_schema.can.frame import CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.robot_description import load_robot
-from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.cansimple.drive import CanSimpleDrive, load_database
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive import AT_REST, DriveFault, DriveSettings
+from tests.arms import PAPER_ARM
 
 HEARTBEAT, ESTOP, GET_ERROR, SET_STATE, ESTIMATES, SET_MODE, SET_TORQUE, LIMITS = (
     0x01, 0x02, 0x03, 0x07, 0x09, 0x0B, 0x0E, 0x0F,
@@ -184,9 +182,8 @@ def test_reboot_forgets_everything(axis):
     axis.tell(SET_TORQUE, "f", 5.0)
     axis.tell(SET_STATE, "I", CLOSED_LOOP)
     assert axis.heartbeat[0] == 0
-    assert axis.drive.demand().loop.target_rad == pytest.approx(
-        0.3, abs=1e-5
-    )  # a fresh one: position
+    target_rad = axis.drive.demand().loop.target_rad
+    assert target_rad == pytest.approx(0.3, abs=1e-5)  # a fresh one: position
 
 
 def test_watchdog():
@@ -212,8 +209,7 @@ def test_watchdog():
 def test_no_watchdog_as_delivered(given, polled, watchdog_bites):
     """An axis that is alone with its client waits for ever; in the closed loop it does not."""
     can = CanConfiguration(protocol="cansimple", **given)
-    robot = load_robot(find_urdf("paper_arm", Path()))
-    bank = build_bank(can, robot, PlantConfiguration(), lambda _: None, polled=polled)
+    bank = build_bank(can, PAPER_ARM, PlantConfiguration(), lambda _: None, polled=polled)
     for command, data in ((SET_MODE, struct.pack("<II", 1, 1)), (SET_STATE, b"\x08\0\0\0")):
         bank.receive(CanFrame(1 << 5 | command, data), 0)
     assert not bank.braked[0]
