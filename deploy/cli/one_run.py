@@ -18,12 +18,7 @@ from deploy.cli.terminal.show_run import show_relay, status_handler
 from deploy.reports.results import load_report
 from deploy.run.confirmation import check_confirmable, check_repeatable, simulated_otherwise
 from deploy.run.execute import InProcess, InProcesses, execute
-from deploy.run.network.links import (
-    check_awaiting,
-    check_link,
-    require_keys,
-    with_free_endpoints,
-)
+from deploy.run.network.links import check_awaiting, check_link, require_keys, with_free_endpoints
 from deploy.run.network.real_delay import (
     RealDelay,
     check_real_delay,
@@ -96,9 +91,7 @@ def _checked(options: RunOptions) -> Setup:
     return setup
 
 
-def loading_report(
-    on_message: Callable[[StatusMessage], None],
-) -> Callable[[StatusMessage], None]:
+def loading_report(on_message: Callable[[StatusMessage], None]) -> Callable[[StatusMessage], None]:
     """The same, which also loads what draws a report: as the processes leave the bus.
 
     Before, it would take time from loops that are measured; later, it would be waited for.

@@ -14,9 +14,7 @@ import typer
 Options = TypeVar("Options")
 
 
-def taking(
-    options: type[Options],
-) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+def taking(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
     """Have a command line fill the fields of a dataclass, with which the command is called."""
 
     def decorated(command: Callable[[Options], None]) -> Callable[..., None]:
@@ -63,8 +61,7 @@ Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
 ]
 NoReport = Annotated[
-    bool,
-    typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later."),
+    bool, typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later.")
 ]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")

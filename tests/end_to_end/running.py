@@ -29,14 +29,7 @@ from deploy import cli
 from deploy.judge.run_data import RunData
 from deploy.run.network.links import free_ports
 from deploy.run.run_folder import load_run
-from tests.warm_process import (
-    FUNNEL_HIL,
-    HANG_S,
-    ROOT,
-    WITHOUT_REPORT,
-    WarmProcess,
-    no_report,
-)
+from tests.warm_process import FUNNEL_HIL, HANG_S, ROOT, WITHOUT_REPORT, WarmProcess, no_report
 
 PERIOD_S = 0.001
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")

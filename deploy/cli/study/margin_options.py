@@ -111,8 +111,7 @@ class MarginOptions(StudyOptions):
         float | None, typer.Option("--limit", help="The last value tried, in the quantity's unit.")
     ] = None
     values: Annotated[
-        str | None,
-        typer.Option("--values", metavar="A,B,…", help="Values to try on all plants."),
+        str | None, typer.Option("--values", metavar="A,B,…", help="Values to try on all plants.")
     ] = None
     kept_share: Annotated[
         float | None, typer.Option("--kept-share", help="Plants to be kept; default 0.95.")

@@ -37,13 +37,7 @@ from deploy.run.processes.program import require_program
 from deploy.run.run_folder import read_summary
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
-from deploy.study.folder import (
-    StudyFolder,
-    changes_since,
-    create_folder,
-    find_folder,
-    read_study,
-)
+from deploy.study.folder import StudyFolder, changes_since, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out, retrace
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
