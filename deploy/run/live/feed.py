@@ -41,9 +41,6 @@ class LiveFeed:
         scenario: file of the scenario in force.
         joint_names: of the robot.
 
-    Attributes:
-        dropped: snapshots that a viewer had no room for.
-
     Raises:
         OSError: there is no place for its socket.
     """
@@ -54,7 +51,6 @@ class LiveFeed:
         self._socket, self._place = _bound(_name(endpoint))
         self._viewers: dict[str, float] = {}
         self._sampler: Sampler | None = None
-        self.dropped = 0
 
     @property
     def is_watched(self) -> bool:
@@ -106,13 +102,13 @@ class LiveFeed:
         try:
             self._socket.sendto(datagram, viewer)
         except (BlockingIOError, InterruptedError):
-            self.dropped += 1
+            return  # it has no room for this one
         except OSError:  # gone
             self._viewers.pop(viewer, None)
 
 
 class FeedReceiver:
-    """A viewer's end. Whatever else arrives there is counted and ignored.
+    """A viewer's end. Whatever else arrives there is ignored.
 
     Args:
         endpoint: of the plant.
@@ -120,7 +116,6 @@ class FeedReceiver:
     Attributes:
         scenario: file of the scenario in force, once a recorder has told it.
         is_over: the recorder was there, and is no more.
-        garbage: datagrams that were no snapshots.
 
     Raises:
         OSError: there is no place for its socket.
@@ -133,7 +128,6 @@ class FeedReceiver:
         self._recorder: Path | None = None
         self.scenario: Path | None = None
         self.is_over = False
-        self.garbage = 0
 
     def receive(self, timeout_s: float) -> Snapshot | None:
         """The next snapshot; None if none comes in time."""
@@ -146,10 +140,7 @@ class FeedReceiver:
                 self.scenario = Path(json.loads(datagram[len(_HELLO) :]))
                 return None
             return Snapshot.decode(datagram)
-        except TimeoutError:
-            return None
-        except (ValueError, TypeError):
-            self.garbage += 1
+        except (TimeoutError, ValueError, TypeError):  # the last two for what is no snapshot
             return None
 
     def close(self) -> None:
