@@ -41,6 +41,9 @@ class LiveFeed:
         scenario: file of the scenario in force.
         joint_names: of the robot.
 
+    Attributes:
+        dropped: snapshots that a viewer had no room for.
+
     Raises:
         OSError: there is no place for its socket.
     """
@@ -51,6 +54,7 @@ class LiveFeed:
         self._socket, self._place = _bound(_name(endpoint))
         self._viewers: dict[str, float] = {}
         self._sampler: Sampler | None = None
+        self.dropped = 0
 
     @property
     def is_watched(self) -> bool:
@@ -102,13 +106,13 @@ class LiveFeed:
         try:
             self._socket.sendto(datagram, viewer)
         except (BlockingIOError, InterruptedError):
-            return  # it has no room for this one
+            self.dropped += 1
         except OSError:  # gone
             self._viewers.pop(viewer, None)
 
 
 class FeedReceiver:
-    """A viewer's end. Whatever else arrives there is ignored.
+    """A viewer's end. Whatever else arrives there is counted and ignored.
 
     Args:
         endpoint: of the plant.
@@ -116,6 +120,7 @@ class FeedReceiver:
     Attributes:
         scenario: file of the scenario in force, once a recorder has told it.
         is_over: the recorder was there, and is no more.
+        garbage: datagrams that were no snapshots.
 
     Raises:
         OSError: there is no place for its socket.
@@ -128,6 +133,7 @@ class FeedReceiver:
         self._recorder: Path | None = None
         self.scenario: Path | None = None
         self.is_over = False
+        self.garbage = 0
 
     def receive(self, timeout_s: float) -> Snapshot | None:
         """The next snapshot; None if none comes in time."""
@@ -140,7 +146,10 @@ class FeedReceiver:
                 self.scenario = Path(json.loads(datagram[len(_HELLO) :]))
                 return None
             return Snapshot.decode(datagram)
-        except (TimeoutError, ValueError, TypeError):  # the last two for what is no snapshot
+        except TimeoutError:
+            return None
+        except (ValueError, TypeError):
+            self.garbage += 1
             return None
 
     def close(self) -> None:
