@@ -36,7 +36,7 @@ def export(
         typer.Option("--series", metavar="NAME", help="Only this series; repeatable."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the files; RUN/export by default.")
+        Path | None, typer.Option(help="Folder for the files; RUN/export by default.")
     ] = None,
 ) -> None:
     """Write a recorded run as tables over time: what is judged, and every topic.
@@ -109,7 +109,7 @@ def reference(
     as_csv: Annotated[bool, typer.Option("--csv", help="As text, a row per tick.")] = False,
     as_parquet: Annotated[bool, typer.Option("--parquet", help="As a Parquet file.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", help="The file; by default <scenario>_reference.csv.")
+        Path | None, typer.Option(help="The file; by default <scenario>_reference.csv.")
     ] = None,
 ) -> None:
     """Write where the joints are to be at each tick: position, velocity and acceleration."""

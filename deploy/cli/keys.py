@@ -34,7 +34,7 @@ def init(
     hosts: Hosts = None,
     days: Days = 30.0,
     authority_days: Annotated[
-        float, typer.Option("--authority-days", min=0.01, max=3650, help="That of the authority.")
+        float, typer.Option(min=0.01, max=3650, help="That of the authority.")
     ] = 365.0,
 ) -> None:
     """Make an authority, and a certificate for each role."""

@@ -42,9 +42,7 @@ def plant(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     await_recorder: AwaitRecorder = False,
-    can_log: Annotated[
-        Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
-    ] = None,
+    can_log: Annotated[Path | None, typer.Option(help="File for the frames of a CAN bus.")] = None,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
     options = RoleOptions(scenario, overrides or [], await_recorder, can_log)

@@ -60,7 +60,7 @@ from deploy.study.folder import STUDY_FILE
 def compare(
     scenario: ScenarioArgument = "paper_arm",
     laws: Annotated[
-        str | None, typer.Option("--laws", metavar="A,B,…", help="Laws to compare; all by default.")
+        str | None, typer.Option(metavar="A,B,…", help="Laws to compare; all by default.")
     ] = None,
     settling: Annotated[
         bool,

@@ -17,26 +17,20 @@ class StudyOptions:
     """The options that `sweep` and `margin` have in common."""
 
     plants: Annotated[
-        int | None,
-        typer.Option("--plants", metavar="N", help="Try N plants, drawn from what is uncertain."),
+        int | None, typer.Option(metavar="N", help="Try N plants, drawn from what is uncertain.")
     ] = None
     plant_seed: Annotated[
-        int | None, typer.Option("--plant-seed", help="Another one draws other plants; default 1.")
+        int | None, typer.Option(help="Another one draws other plants; default 1.")
     ] = None
     uncertainty: Annotated[
-        str | None,
-        typer.Option(
-            "--uncertainty", help="A file of ranges to draw from; shipped are full, half."
-        ),
+        str | None, typer.Option(help="A file of ranges to draw from; shipped are full, half.")
     ] = None
     overrides: Overrides = None
     workers: Annotated[
-        int | None,
-        typer.Option("--workers", min=1, help="Processes to run on; one per core by default."),
+        int | None, typer.Option(min=1, help="Processes to run on; one per core by default.")
     ] = None
     scheduler: Annotated[
-        str | None,
-        typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786."),
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786.")
     ] = None
     out: Out = None
     overwrite: Overwrite = False
@@ -72,53 +66,43 @@ class MarginOptions(StudyOptions):
         list[str] | None,
         typer.Argument(help="Scenario files or names of shipped ones; default paper_arm."),
     ] = None
-    laws: Annotated[
-        str | None, typer.Option("--laws", metavar="A,B,…", help="Laws; all by default.")
-    ] = None
+    laws: Annotated[str | None, typer.Option(metavar="A,B,…", help="Laws; all by default.")] = None
     compensation: Annotated[
-        str | None,
-        typer.Option("--compensation", metavar="off,on", help="Delay compensation off, on, both."),
+        str | None, typer.Option(metavar="off,on", help="Delay compensation off, on, both.")
     ] = None
     drive_feedback: Annotated[
-        str | None,
-        typer.Option("--drive-feedback", metavar="off,on", help="Feedback at the drives likewise."),
+        str | None, typer.Option(metavar="off,on", help="Feedback at the drives likewise.")
     ] = None
     running: Annotated[
-        str | None,
-        typer.Option("--running", metavar="off,on", help="From the start; ramped up, 1 s to 3 s."),
+        str | None, typer.Option(metavar="off,on", help="From the start; ramped up, 1 s to 3 s.")
     ] = None
     quantity: Annotated[
-        str | None,
-        typer.Option("--quantity", help="delay (round trip), jitter, loss, or a scenario's key."),
+        str | None, typer.Option(help="delay (round trip), jitter, loss, or a scenario's key.")
     ] = None
     direction: Annotated[
-        str | None, typer.Option("--direction", help="Of the link: both, uplink or downlink.")
+        str | None, typer.Option(help="Of the link: both, uplink or downlink.")
     ] = None
     seeds: Annotated[
         str | None, typer.Option("--seeds", metavar="N", help="How many, or a list [3, 5].")
     ] = None
     offsets: Annotated[
-        str | None,
-        typer.Option("--offsets", metavar="A,B,…", help="Factors on the initial offset."),
+        str | None, typer.Option(metavar="A,B,…", help="Factors on the initial offset.")
     ] = None
     duration: Annotated[
-        float | None, typer.Option("--duration", help="Length of each run, s; the scenario's own.")
+        float | None, typer.Option(help="Length of each run, s; the scenario's own.")
     ] = None
-    resolution: Annotated[
-        float | None, typer.Option("--resolution", help="To which the margin is found.")
-    ] = None
+    resolution: Annotated[float | None, typer.Option(help="To which the margin is found.")] = None
     limit: Annotated[
-        float | None, typer.Option("--limit", help="The last value tried, in the quantity's unit.")
+        float | None, typer.Option(help="The last value tried, in the quantity's unit.")
     ] = None
     values: Annotated[
-        str | None, typer.Option("--values", metavar="A,B,…", help="Values to try on all plants.")
+        str | None, typer.Option(metavar="A,B,…", help="Values to try on all plants.")
     ] = None
     kept_share: Annotated[
         float | None, typer.Option("--kept-share", help="Plants to be kept; default 0.95.")
     ] = None
     study: Annotated[
-        str | None,
-        typer.Option("--study", help="A file with all of this, or the name of a shipped one."),
+        str | None, typer.Option(help="A file with all of this, or the name of a shipped one.")
     ] = None
 
     def definition(self) -> dict[str, Any]:
