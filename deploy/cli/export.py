@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import InputError, did_you_mean
@@ -85,7 +86,7 @@ def export_series(
     return files
 
 
-def _write(columns: Mapping[str, Vector], file: Path, kind: Format) -> None:
+def _write(columns: Mapping[str, NDArray[np.generic]], file: Path, kind: Format) -> None:
     """Write a table; a file that is there is replaced as a whole."""
     import pyarrow as pa  # heavy, and needed by few commands
     from pyarrow import csv, parquet

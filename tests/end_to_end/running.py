@@ -156,6 +156,17 @@ class Running:
         output, _ = self.process.communicate()
         return Finished(self.folder, self.process.wait(), output)
 
+    def end_later(
+        self, more_s: float = 1.0, number: signal.Signals = signal.SIGINT
+    ) -> tuple[Finished, float]:
+        """End the run once it has gone on for so much of its own time; how far it came at least."""
+        with Watcher(self.plant_endpoint()) as watcher:
+            watcher.await_time(0.0, self)
+            come_s = watcher.last_stamp_ns * 1e-9 + more_s
+            watcher.await_time(come_s, self)
+        self.send(number)
+        return self.end(), come_s
+
 
 @contextmanager
 def started(*words: str, out: Path, with_report: bool = False) -> Iterator[Running]:
