@@ -37,26 +37,21 @@ def robot(
         str, typer.Argument(help="A URDF or xacro file, or what a scenario's robot.urdf may be.")
     ],
     joints: Annotated[
-        str | None, typer.Option("--joints", metavar="A,B,…", help="Drive these, hold all others.")
+        str | None, typer.Option(metavar="A,B,…", help="Drive these, hold all others.")
     ] = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Mend inertias that no body has, however far off.")
     ] = False,
     include: Annotated[
-        list[Path] | None,
-        typer.Option("--include", metavar="FOLDER", help="More folders that xacro may read."),
+        list[Path] | None, typer.Option(metavar="FOLDER", help="More folders that xacro may read.")
     ] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the arm.")
-    ] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the arm.")] = None,
     scenario: Annotated[
         bool, typer.Option("--scenario", help="Write a first scenario for the arm.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False
-        ),
+        typer.Option(metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False),
     ] = None,
 ) -> None:
     """Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd."""

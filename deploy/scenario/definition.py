@@ -7,13 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from bus_schema.configuration import (
-    NonNegative,
-    Number,
-    PerJoint,
-    StrictModel,
-    Whole,
-)
+from bus_schema.configuration import NonNegative, Number, PerJoint, StrictModel, Whole
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from controller.configuration import ControllerConfiguration

@@ -145,10 +145,7 @@ class Recorder:
         lossless = self._is_virtual = setup.scenario.clock == "lockstep"
         self._pacing = {topic.name for topic in topics.TOPICS if lossless and topic.paces}
         self._node = ZenohNode(
-            setup.scenario.link,
-            Role.RECORDER,
-            lossless=lossless,
-            agreement=agreement_of(setup),
+            setup.scenario.link, Role.RECORDER, lossless=lossless, agreement=agreement_of(setup)
         )
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG_BYTES, lossless=lossless)
         rejected = self._mailbox.rejected
