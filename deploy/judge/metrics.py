@@ -12,6 +12,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
+from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import disagreement, judge_bounds, plant_count
 from deploy.judge.chattering import chatter_shares
 from deploy.judge.identified import identified
@@ -23,9 +24,9 @@ from deploy.judge.recorded_ticks import (
     rows_after_gaps,
 )
 from deploy.judge.run_data import RunData, stamps_s
-from deploy.judge.settling_bound import settling_bound_s
 from deploy.judge.stalls import longest_stall_ms
 from deploy.judge.verdict import decide, with_verdict
+from deploy.scenario.setup import Setup
 
 UNAUTHENTICATED = (
     "without link.security, one commander protects against mistakes, not against somebody who"
@@ -33,6 +34,8 @@ UNAUTHENTICATED = (
 )
 _SHORTEST_S = 1e-6
 _MOST_GAPS = 20
+_largest_inertias: dict[tuple[str, float, bytes], float] = {}
+"""By arm, payload and weights: the runs of a study mostly share them."""
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
@@ -103,6 +106,24 @@ def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[
         entered = outside[-1] + 1 if outside.size else 0
         settled.append(float(times_s[entered]) if entered < len(times_s) else None)
     return settled
+
+
+def settling_bound_s(setup: Setup) -> float | None:
+    """The law's bound for this arm with its payload, s; None for a law that has none.
+
+    The largest inertia is the largest found in positions spread over all joint ranges, not only on
+    the reference: one bound for every start.
+    """
+    robot, payload_kg = setup.robot, setup.scenario.plant.payload_kg
+
+    def largest_inertia(weights: Vector) -> float:
+        arm = (robot.text, payload_kg, weights.tobytes())
+        if arm not in _largest_inertias:
+            model = ManipulatorModel(robot, payload_kg=payload_kg)
+            _largest_inertias[arm] = model.largest_inertia(spread_positions(robot), weights)
+        return _largest_inertias[arm]
+
+    return setup.scenario.controller.settling_bound_s(setup.gains, largest_inertia)
 
 
 def _torque(run: RunData) -> dict[str, Any]:

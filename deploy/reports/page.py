@@ -24,7 +24,7 @@ from plotly.offline import get_plotlyjs
 
 from bus_schema.arrays import Vector
 from bus_schema.recording.atomic_files import write_whole
-from deploy.reports.figure_json import figure_json, typed_array, without_template
+from deploy.reports.figure_json import figure_json, no_template, typed_array
 from deploy.reports.tables import Table
 from deploy.reports.verdict import ReportHead
 from deploy.run.stop_signals import end_if_asked
@@ -166,7 +166,8 @@ def write_page(path: Path, page: Page[T], *, shares_library: bool = False) -> No
     address = library_address(path)
     with ThreadPoolExecutor(max_workers=2) as executor:  # packs beside the drawing of the figures
         packing = None if address else executor.submit(packed_library)
-        sections = _drawn(list(page.panels), page.subject, executor)
+        with no_template():
+            sections = _drawn(list(page.panels), page.subject, executor)
         packed = "" if packing is None else packing.result()
     html = _ENVIRONMENT.get_template("page.html").render(
         page=page, sections=sections, library=address, packed_library=packed
@@ -186,7 +187,7 @@ def _drawn(
         if panel.id in begun:
             content = beside[panel.id].result() if panel.id in beside else None
         else:
-            content = without_template(panel.draw, subject)
+            content = panel.draw(subject)
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
     return sections

@@ -15,15 +15,6 @@ _TYPES = {
     "string": "neither numbers nor truth values",
 }
 """What values of a grid are, by the Parquet type of their column."""
-_TYPES = {
-    "bool": "true or false",
-    "double": "numbers",
-    "string": "neither numbers nor truth values",
-}
-"""What values of a grid are, by the Parquet type of their column."""
-_LISTS = ("seeds", "laws", "scenarios", "compensation", "drive_feedback", "running", "offsets",
-          "values")  # fmt: skip
-"""What a study tries one after another: more of it leaves the runs that are there as they were."""
 
 
 def hindrances(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -152,6 +152,14 @@ def row_of(run: PlannedRun) -> Row:
 def failed(run: PlannedRun, error: str) -> Row:
     """The row of a run that left nothing to judge."""
     return {**failed_row(run.seed, error), **run.columns, "point": run.point}
+
+
+def rows_by(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
+    """Rows that have something in common, such as their point."""
+    found: dict[str, list[Row]] = {}
+    for each in rows:
+        found.setdefault(key(each), []).append(each)
+    return found
 
 
 def column_type(values: Iterable[Any]) -> str:

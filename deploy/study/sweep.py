@@ -36,11 +36,10 @@ from deploy.scenario.yaml_files import (
 )
 from deploy.study.losses import share_kept
 from deploy.study.plants import (
-    Plant,
     UncertainDefinition,
+    Variant,
     draw_columns,
     draw_plants,
-    refused,
     with_ranges,
 )
 from deploy.study.statistics import badness, spread_of_runs, without_effect
@@ -52,6 +51,7 @@ from deploy.study.study import (
     digest_of,
     is_sweep,
     require_different,
+    rows_by,
     scenario_name,
 )
 
@@ -156,9 +156,7 @@ class Sweep(StudyOfRuns):
         return (replace(run, seed=seed) for run in self.points() for seed in self.definition.seeds)
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        by_point: dict[str, list[Row]] = {}
-        for row in rows:
-            by_point.setdefault(_grid_point(row["point"]), []).append(row)
+        by_point = rows_by(rows, lambda row: _grid_point(row["point"]))
         base = self.bases[0]
         runs = itertools.islice(self.points(), 0, None, len(self.plants))
         completed, varied = len(rows) == self.expected, [*self.axes, (SEED,)]
@@ -190,7 +188,7 @@ class Sweep(StudyOfRuns):
                 try:
                     setup = load_setup(run.scenario, run.overrides, "grid")
                 except ScenarioError as error:
-                    raise refused(plant, error) from error
+                    raise plant.refused(error) from error
                 by_kind.setdefault(setup.scenario.link.kind, setup)
                 files |= _file_digests(setup)
         of_base = _file_digests(self.bases[0])
@@ -210,11 +208,10 @@ class Sweep(StudyOfRuns):
         }
         if self.definition.plants is None:
             return summary
-        by_plant: dict[str, list[bool]] = {}
-        for row in rows:
-            by_plant.setdefault(row["point"], []).append(held(row))
-        whole = [runs for runs in by_plant.values() if len(runs) == len(self.definition.seeds)]
-        return {**summary, **share_kept(sum(map(all, whole)), len(whole))}
+        by_plant = rows_by(rows, lambda row: row["point"]).values()
+        whole = [runs for runs in by_plant if len(runs) == len(self.definition.seeds)]
+        kept = sum(all(map(held, runs)) for runs in whole)
+        return {**summary, **share_kept(kept, len(whole))}
 
 
 def load_sweep(
@@ -240,8 +237,8 @@ def load_sweep(
     return Sweep(values, path)
 
 
-def _point(index: int, plant: Plant) -> str:
-    return f"{index:05d}" if plant.number is None else f"{index:05d}-{plant.number:04d}"
+def _point(index: int, plant: Variant) -> str:
+    return f"{index:05d}-{plant.number:04d}" if plant.number else f"{index:05d}"
 
 
 def _grid_point(point: str) -> str:

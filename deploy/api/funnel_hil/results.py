@@ -15,7 +15,7 @@ from deploy.judge.run_data import RunData, Table
 from deploy.judge.run_rows import Row, row
 from deploy.judge.time_series import SERIES, TRACKING, Columns, series
 from deploy.judge.verdict import Verdict, verdict_of
-from deploy.reports.figure_json import template, without_template
+from deploy.reports.figure_json import no_template, template
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Panel
 from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
@@ -52,7 +52,8 @@ class _Drawn:
             InputError: there is none of that name, or there is nothing to draw in it.
         """
         panel = self._panels[_known(name, self.figure_names, "figure")]
-        figure = without_template(panel.draw, self._shown)
+        with no_template():
+            figure = panel.draw(self._shown)
         if not isinstance(figure, go.Figure):
             raise InputError(f"figure {name!r}: there is nothing to draw")
         return figure.update_layout(template=template())

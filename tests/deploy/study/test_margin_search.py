@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from deploy.study.margin import MarginSearch
+from deploy.study.quantities import Steps
 
 
 def found(holds, first=2, limit=256):
     """A finished search and the values it probed, in order."""
-    search, probed = MarginSearch(first, limit), []
+    search, probed = MarginSearch(Steps(0.0, 1.0, first, limit)), []
     while (value := search.next()) is not None:
         probed.append(value)
         search.outcomes[value] = holds(value)
@@ -53,7 +54,7 @@ def test_larger_values_that_hold_again_are_told_and_do_not_count():
 
 @pytest.mark.parametrize("margin", [0, 3, 20, 200])
 def test_what_is_left_is_never_too_much_once_a_value_has_failed(margin):
-    search = MarginSearch(2, 256)
+    search = MarginSearch(Steps(0.0, 1.0, 2, 256))
     probed = 0
     expected = None
     while (value := search.next()) is not None:

@@ -83,7 +83,7 @@ def test_a_search_goes_on_where_it_stopped(tmp_path):
     assert rows[0] == rows[1]
     again = margin_of()
     retrace(again, folder_of(again, tmp_path / "b"))
-    assert [case.search.margin for case in again.cases] == [6, 14]
+    assert [search.margin for search in again.searches] == [6, 14]
 
 
 def test_a_run_that_fails_does_not_hold(tmp_path):

@@ -89,17 +89,16 @@ def test_rows_do_not_depend_on_order_nor_on_interruptions(tmp_path):
     assert len(workers.submitted) == 12 - 5
     rows = [(tmp_path / name / "sweep.parquet").read_bytes() for name in "ab"]
     assert rows[0] == rows[1]
-    assert not (tmp_path / "b" / "rows").exists()
 
 
-def test_rows_are_safe_before_they_are_put_together(tmp_path):
+def test_rows_are_safe_before_a_study_ends(tmp_path):
     sweep = make_sweep(tmp_path, {TIED: [0, 1]}, seeds=2)
     folder = folder_of(sweep, tmp_path / "out")
     runs = list(sweep.first())
     for run in runs[:2]:
         folder.add(run, made_up(run))
-        folder.flush()
-    (tmp_path / "out" / "rows" / "000003.unfinished").write_bytes(b"cut off by a kill")
+        folder.write()
+    (tmp_path / "out" / "sweep.parquet.unfinished").write_bytes(b"cut off by a kill")
     again = folder_of(sweep, tmp_path / "out")
     assert [again.find(run) is not None for run in runs] == [True, True, False, False]
 
