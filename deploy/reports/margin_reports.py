@@ -4,28 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from deploy.reports import study_tables as tables
 from deploy.reports.figures import study_figures
 from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity, point_of
-from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.study_tables import (
-    case_name,
-    case_title,
-    ceiling_text,
-    furthest,
-    held_again,
-    interval_table,
-    interval_text,
-    kept_text,
-    losses_table,
-    margin_table,
-    margin_text,
-    probe_at,
-    robustness_table,
-    setting_text,
-    share_text,
-    value_text,
-    value_title,
-)
+from deploy.reports.page import Fact, Page, Panel
 from deploy.reports.tables import ABSENT
 from deploy.reports.verdict import ReportHead
 
@@ -38,18 +20,19 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins."""
     summary = study.summary
     arms = _cases_by_arm(summary)
-    ceilings = {arm: next(filter(None, map(ceiling_text, arms[arm])), None) for arm in arms}
+    ceilings = {arm: next(filter(None, map(tables.ceiling_text, arms[arm])), None) for arm in arms}
     return Page(
         f"margins of {summary['quantity']}",
         summary["name"],
         verdict=ReportHead(
             "mixed",
-            f"{furthest(summary).capitalize()} {summary['title']} at which the bounds are kept",
-            [*(_best(summary, arm) for arm in arms), *held_again(summary)],
+            f"{tables.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
+            " kept",
+            [*(_best(summary, arm) for arm in arms), *tables.held_again(summary)],
         ),
         facts=[
-            Fact("Resolution", value_text(summary["resolution"], summary)),
-            Fact("Last value tried", value_text(summary["limit"], summary)),
+            Fact("Resolution", tables.value_text(summary["resolution"], summary)),
+            Fact("Last value tried", tables.value_text(summary["limit"], summary)),
             Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
             _durations(summary),
             Fact("Held-arm ceiling",
@@ -59,7 +42,6 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=[panel for arm in arms for panel in _margin_panels(study, arm)],
         subject=study,
-        after=("Results", [Cards([margin_table(summary)], "stacked")]),
         points=[
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
@@ -73,6 +55,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins over uncertain plants."""
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
+    values = ", ".join(tables.value_text(value, summary) for value in summary["values"])
     return Page(
         f"margins of {summary['quantity']} over uncertain plants",
         summary["name"],
@@ -80,14 +63,14 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             "mixed",
             f"Largest {summary['title']} at which {share} of {summary['plants']} plants are kept",
             [
-                f"{case_title(case)}: {kept_text(case, summary)}{_there(case)}."
+                f"{tables.case_title(case)}: {tables.kept_text(case, summary)}{_there(case)}."
                 for case in sorted(cases, key=_kept_up_to, reverse=True)
             ],
         ),
         facts=[
             Fact("Plants", str(summary["plants"])),
             Fact("Plant seed", str(summary["plant_seed"])),
-            Fact("Values", ", ".join(value_text(value, summary) for value in summary["values"])),
+            Fact("Values", values),
             _durations(summary),
         ],
         panels=[
@@ -100,10 +83,6 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
-        after=("Results", [
-            Cards([robustness_table(summary), interval_table(summary), losses_table(summary)],
-                  "stacked"),
-        ]),
         points=[
             (_value_name(case, value, summary), point, study.rerun(point))
             for case in cases
@@ -141,10 +120,10 @@ def _curves_panel(
     """A line for each case of an arm: laws by colour, settings by dash; of one law by colour."""
     cases = study.summary["cases"]
     laws = list(dict.fromkeys(case["law"] for case in cases))
-    settings = list(dict.fromkeys(map(setting_text, cases)))[::-1]
+    settings = list(dict.fromkeys(map(tables.setting_text, cases)))[::-1]
     lines = []
     for case in _cases_by_arm(study.summary)[arm]:
-        law, setting = laws.index(case["law"]), settings.index(setting_text(case))
+        law, setting = laws.index(case["law"]), settings.index(tables.setting_text(case))
         colour, dash = (law, setting) if len(laws) > 1 else (setting, 0)
         tried = case["probes"] if "probes" in case else case["values"]
         points = [
@@ -152,9 +131,15 @@ def _curves_panel(
             for value in tried
             if value["runs"]
         ]
-        lines.append(Curve(case_name(case), colour, dash, points))
+        lines.append(Curve(tables.case_name(case), colour, dash, points))
     return study_figures.curves_panel(
-        arm, f"{name}-{arm}", title, lines, value_title(study.summary), quantity, caption
+        arm,
+        f"{name}-{arm}",
+        title,
+        lines,
+        tables.value_title(study.summary),
+        quantity,
+        caption,
     )
 
 
@@ -167,7 +152,7 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
     losses = case["losses"]
     bars = [(one["quantity"], one["effect"]) for one in losses["effects"] or []]
     return Panel(
-        "What lost plants have in common", f"losses-{index}", case_title(case),
+        "What lost plants have in common", f"losses-{index}", tables.case_title(case),
         lambda _: study_figures.effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0),
         f"{losses['lost_plants']} plants were lost at some value. To the right: they had more of"
         " it. Grey bars lie within what chance alone may give the strongest of all quantities.",
@@ -176,9 +161,11 @@ def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
 
 def _bars(study: DrawnStudy, arm: str) -> Any:
     cases = _cases_by_arm(study.summary)[arm]
-    probes = [probe_at(c, c["first_failure"]) or probe_at(c, c["margin"]) for c in cases]
+    probes = [
+        tables.probe_at(c, c["first_failure"]) or tables.probe_at(c, c["margin"]) for c in cases
+    ]
     reruns = [study.rerun(probe["worst_point"]) if probe else "" for probe in probes]
-    return study_figures.margin_bars(cases, reruns, value_title(study.summary))
+    return study_figures.margin_bars(cases, reruns, tables.value_title(study.summary))
 
 
 def _best(summary: Summary, arm: str) -> str:
@@ -187,8 +174,8 @@ def _best(summary: Summary, arm: str) -> str:
     if not known:
         return f"{arm}: no law keeps its bounds at all."
     best = max(known, key=lambda case: case["growth"] * case["margin"])
-    others = [case_name(case) for case in known if case["margin"] == best["margin"]]
-    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
+    others = [tables.case_name(case) for case in known if case["margin"] == best["margin"]]
+    margin = f"{tables.furthest(summary)} margin is {tables.margin_text(best, summary)}"
     return f"{arm}: the {margin}, of {' and '.join(others)}."
 
 
@@ -197,7 +184,7 @@ def _there(case: Summary) -> str:
     at = next((v for v in case["values"] if v["value"] == case["kept_up_to"]), None)
     if at is None:
         return ""
-    return f", where {share_text(at)} were kept (95 % interval {interval_text(at)})"
+    return f", where {tables.share_text(at)} were kept (95 % interval {tables.interval_text(at)})"
 
 
 def _kept_up_to(case: Summary) -> float:
@@ -205,7 +192,7 @@ def _kept_up_to(case: Summary) -> float:
 
 
 def _value_name(case: Summary, tried: Summary, summary: Summary) -> str:
-    return f"{case_title(case)}, {value_text(tried['value'], summary)}"
+    return f"{tables.case_title(case)}, {tables.value_text(tried['value'], summary)}"
 
 
 def _durations(summary: Summary) -> Fact:

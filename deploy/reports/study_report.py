@@ -21,7 +21,7 @@ from deploy.reports.figures.study_figures import (
 from deploy.reports.margin_reports import margin_page, robustness_page
 from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
-from deploy.reports.study_tables import point_table, shown_value
+from deploy.reports.study_tables import result_tables, shown_value
 from deploy.reports.verdict import ReportHead, level_of
 from deploy.study.folder import StudyFolder
 
@@ -37,6 +37,7 @@ def page_of(study: DrawnStudy) -> Page[DrawnStudy]:
     """The page of a study: what is particular to its kind, and what all studies have."""
     summary = study.summary
     page, seeds = _PAGES[summary["kind"]](study), summary["seeds"]
+    confirmations = confirmation_tables([summary])
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
     others = f"; add --set seed={seeds[1]} and so on for the others" if seeds[1:] else ""
     return replace(
@@ -50,7 +51,7 @@ def page_of(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=page.panels if summary["runs"] else (),
         conditions=summary.get("conditions", {}),
-        after=("Results", [*page.after[1], Cards(confirmation_tables([summary]), "stacked")]),
+        after=("Results", [Cards([*result_tables(summary), *confirmations], "stacked")]),
         points_note=f"The scenarios have seed {seeds[0]}{others}.",
         footer="All runs, one row each:",
     )
@@ -103,7 +104,6 @@ def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=[*_curve_panels(study), *_heat_map_panels(study)],
         subject=study,
-        after=("Results", [Cards([point_table(summary)], "stacked")]),
         points=[
             (
                 _given(summary, point, every) or "all",

@@ -325,6 +325,15 @@ def losses_table(summary: Summary) -> Table:
     )
 
 
+def result_tables(summary: Summary) -> list[Table]:
+    """The tables of a study's report."""
+    if summary["kind"] == "sweep":
+        return [point_table(summary)]
+    if summary["kind"] == "margin":
+        return [margin_table(summary)]
+    return [robustness_table(summary), interval_table(summary), losses_table(summary)]
+
+
 def write_study_table(summary: Summary, path: Path) -> None:
     """Write margins, or how many plants were kept, as a Markdown table with its conditions."""
     is_margin = summary["kind"] == "margin"
