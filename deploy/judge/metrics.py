@@ -16,13 +16,7 @@ from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import disagreement, judge_bounds, plant_count
 from deploy.judge.chattering import chatter_shares
 from deploy.judge.identified import identified
-from deploy.judge.recorded_ticks import (
-    KnownTicks,
-    Rows,
-    known_ticks,
-    longest_run,
-    rows_after_gaps,
-)
+from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.judge.stalls import longest_stall_ms
 from deploy.judge.verdict import decide, with_verdict

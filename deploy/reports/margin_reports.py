@@ -133,13 +133,7 @@ def _curves_panel(
         ]
         lines.append(Curve(tables.case_name(case), colour, dash, points))
     return study_figures.curves_panel(
-        arm,
-        f"{name}-{arm}",
-        title,
-        lines,
-        tables.value_title(study.summary),
-        quantity,
-        caption,
+        arm, f"{name}-{arm}", title, lines, tables.value_title(study.summary), quantity, caption
     )
 
 

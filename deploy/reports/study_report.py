@@ -11,13 +11,7 @@ from typing import Any
 import plotly.graph_objects as go
 
 from deploy.reports.figures import study_figures
-from deploy.reports.figures.study_figures import (
-    Curve,
-    DrawnStudy,
-    Point,
-    StudyQuantity,
-    point_of,
-)
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, Point, StudyQuantity, point_of
 from deploy.reports.margin_reports import margin_page, robustness_page
 from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
@@ -166,9 +160,7 @@ def _heat_map_panels(study: DrawnStudy) -> list[Panel[DrawnStudy]]:
         return [[p and point_of(None, p, p["worst_point"], study) for p in row] for row in rows]
 
     def draw(
-        _study: DrawnStudy,
-        rows: list[list[Point | None]],
-        quantity: StudyQuantity,
+        _study: DrawnStudy, rows: list[list[Point | None]], quantity: StudyQuantity
     ) -> go.Figure:
         return study_figures.heat_map(
             (_title(x), x["values"]), (_title(y), y["values"]), rows, quantity

@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_whole
-from deploy.reports.tables import (
-    ABSENT,
-    Cell,
-    Column,
-    Table,
-    Value,
-    quotable,
-    scaled,
-    table_of,
-)
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, quotable, scaled, table_of
 
 _SHOWN_EFFECTS = 6
 Summary = dict[str, Any]
@@ -233,11 +224,7 @@ def margins_by_law(summary: Summary) -> Table:
     ceilings = [ceiling_text(case) for case in columns.values()]
     if any(ceilings):
         rows.append(["held-arm ceiling", *(ceiling or ABSENT for ceiling in ceilings)])
-    return Table(
-        _margin_title(summary),
-        list(map(Column, ("law", *headings))),
-        rows,
-    )
+    return Table(_margin_title(summary), list(map(Column, ("law", *headings))), rows)
 
 
 def kept_text(case: Summary, summary: Summary) -> str:

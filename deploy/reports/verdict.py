@@ -59,9 +59,7 @@ class ReportHead:
 
 
 def verdict_on_run(
-    run: RunData,
-    summary: dict[str, Any],
-    conditions: Mapping[str, str] = MappingProxyType({}),
+    run: RunData, summary: dict[str, Any], conditions: Mapping[str, str] = MappingProxyType({})
 ) -> ReportHead:
     """The verdict on a run, which came about under some conditions, where they are known."""
     bounds, known = summary["bounds"], known_ticks(run)

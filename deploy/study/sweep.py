@@ -35,13 +35,7 @@ from deploy.scenario.yaml_files import (
     validated,
 )
 from deploy.study.losses import share_kept
-from deploy.study.plants import (
-    UncertainDefinition,
-    Variant,
-    draw_columns,
-    draw_plants,
-    with_ranges,
-)
+from deploy.study.plants import UncertainDefinition, Variant, draw_columns, draw_plants, with_ranges
 from deploy.study.statistics import badness, spread_of_runs, without_effect
 from deploy.study.study import (
     SHIPPED,

@@ -57,10 +57,7 @@ def test_values_of_any_type_are_swept(tmp_path):
         "plant.friction.enabled": [True, False],
     }
     sweep = make_sweep(tmp_path, grid)
-    assert sweep.columns == {
-        "robot.initial_offset_rad": "string",
-        "plant.friction.enabled": "bool",
-    }
+    assert sweep.columns == {"robot.initial_offset_rad": "string", "plant.friction.enabled": "bool"}
     first = next(iter(sweep.first()))
     assert load_setup(first.scenario, first.overrides).start_position_rad.shape == (3,)
 
