@@ -71,33 +71,20 @@ class Setting:
     Attributes:
         scenario: file or name.
         base: the scenario as it is without the quantity.
+        tags: what tells it from the others.
         overrides: what is set in it but for the quantity.
         quantity: what grows.
     """
 
     scenario: str
     base: Setup
-    law: str
-    compensation: bool | None
-    drive_feedback: bool | None
-    running: bool
+    tags: dict[str, Any]
     overrides: tuple[str, ...]
     quantity: Quantity
 
-    @property
-    def tags(self) -> dict[str, Any]:
-        """What tells it from the others."""
-        return {
-            "law": self.law,
-            "arm": self.base.scenario.name,
-            "compensation": self.compensation,
-            "drive_feedback": self.drive_feedback,
-            "running": self.running,
-        }
-
     def at(self, value: float, more: Sequence[str] = ()) -> tuple[str, ...]:
         """What to set for a value of the quantity, and what else is set."""
-        own = self.quantity.overrides(value, running=self.running)
+        own = self.quantity.overrides(value, running=self.tags["running"])
         return (*self.overrides, *more, *own)
 
 
@@ -132,10 +119,14 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
             require_effect(
                 wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
             )
-        name = base.scenario.controller.name
-        yield Setting(
-            scenario, base, name, compensation, drive_feedback, running, overrides, quantity
-        )
+        tags = {
+            "law": base.scenario.controller.name,
+            "arm": base.scenario.name,
+            "compensation": compensation,
+            "drive_feedback": drive_feedback,
+            "running": running,
+        }
+        yield Setting(scenario, base, tags, overrides, quantity)
 
 
 def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
@@ -233,7 +224,7 @@ class StudyOfCases(StudyOfRuns):
         known = dict[str, tuple[list[list[int]], list[float]]]()
         for setting in settings(self.definition, self.own_keys):
             variants = self.variants_of(setting)
-            arm = f"{setting.scenario} {setting.running}"
+            arm = f"{setting.scenario} {setting.tags['running']}"
             if arm in known:
                 self._checked(setting, variants[0])
             else:
@@ -251,7 +242,7 @@ class StudyOfCases(StudyOfRuns):
 
     def _ceilings_ms(self, setting: Setting, setups: Iterable[Setup]) -> list[float]:
         """The held-arm ceilings of a delay that is there from the start, where there are any."""
-        if setting.running or self.definition.quantity != "delay":
+        if setting.tags["running"] or self.definition.quantity != "delay":
             return []
         found = (held_arm_ceiling_ms(setup, self.definition.direction) for setup in setups)
         return [each for each in found if each is not None]

@@ -67,12 +67,8 @@ class MarginSearch:
     def margin(self) -> int | None:
         """The largest value up to which all that were probed held; None where zero failed."""
         failure = self.first_failure
-        holding = (
-            value
-            for value, held in self.outcomes.items()
-            if held and (failure is None or value < failure)
-        )
-        return max(holding, default=None)
+        holding = (value for value, held in self.outcomes.items() if held)
+        return max((v for v in holding if failure is None or v < failure), default=None)
 
     @property
     def held_again(self) -> list[int]:

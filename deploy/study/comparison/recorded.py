@@ -85,13 +85,13 @@ class RecordedRuns:
     @property
     def differences_of_arithmetic(self) -> dict[str, str]:
         """Why the last bits of a run may differ from the first one's, by its label."""
-        first, *others = zip(self.runs, self.manifests, strict=True)
-        said = {
-            run.law: difference_of_arithmetic(first[1], manifest)
-            for run, manifest in others
-            if run.summary["digest"] != first[0].summary["digest"]
+        first, *manifests = self.manifests
+        return {
+            run.law: sentence
+            for run, manifest in zip(self.runs[1:], manifests, strict=True)
+            if run.summary["digest"] != self.runs[0].summary["digest"]
+            and (sentence := difference_of_arithmetic(first, manifest))
         }
-        return {label: sentence for label, sentence in said.items() if sentence}
 
 
 def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:

@@ -40,7 +40,7 @@ def test_a_delay_goes_both_ways_or_one(direction, each_ms):
 
 def test_a_running_loop_meets_its_delay_in_a_ramp():
     study = margin_of(running=[False, True])
-    assert [case.setting.running for case in study.cases] == [False, True]
+    assert [case.setting.tags["running"] for case in study.cases] == [False, True]
     setting = study.cases[1].setting
     link = load_setup(setting.scenario, setting.at(40.0)).scenario.link
     assert link.uplink == link.downlink
