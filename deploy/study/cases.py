@@ -13,17 +13,10 @@ from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
 from deploy.judge.run_rows import Row
+from deploy.scenario import study_keys
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import (
-    LAW,
-    SEED,
-    laws_beside,
-    require_effect,
-    require_link_effect,
-    seeds_that_differ,
-)
 from deploy.scenario.yaml_files import ScenarioError, naming, override, validated
 from deploy.study.plants import Variant, with_ranges
 from deploy.study.quantities import Direction, Quantity, build_quantity, held_arm_ceiling_ms
@@ -110,13 +103,13 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
         wanted.compensation or unasked, wanted.drive_feedback or unasked, wanted.running,
     )  # fmt: skip
     for (scenario, law), compensation, drive_feedback, running in chosen:
-        asked = {LAW: law, COMPENSATION: compensation, DRIVE_FEEDBACK: drive_feedback}
+        asked = {study_keys.LAW: law, COMPENSATION: compensation, DRIVE_FEEDBACK: drive_feedback}
         given = (override(key, value) for key, value in asked.items() if value is not None)
         overrides = (*fixed, *given)
         base = load_setup(scenario, overrides)
         quantity = build_quantity(wanted.quantity, wanted.direction, running, base)
         if quantity.is_of_link:
-            require_effect(
+            study_keys.require_effect(
                 wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
             )
         tags = {
@@ -131,12 +124,12 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
 
 def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
     """What is set in all scenarios; errors as `settings`."""
-    own = {**own, LAW: "as laws (--laws)", SEED: "as seeds (--seeds)"}
+    own = {**own, study_keys.LAW: "as laws (--laws)", study_keys.SEED: "as seeds (--seeds)"}
     if wanted.compensation is not None:
         own[COMPENSATION] = "as compensation (--compensation)"
     if wanted.drive_feedback is not None:
         own[DRIVE_FEEDBACK] = "as drive_feedback (--drive-feedback)"
-    require_effect(wanted.fixed, own)
+    study_keys.require_effect(wanted.fixed, own)
     if wanted.duration_s is None:
         return wanted.fixed_overrides
     if "duration_s" in wanted.fixed:
@@ -148,7 +141,9 @@ def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
 def _laws(wanted: CasesDefinition, scenario: str) -> list[str]:
     if wanted.laws is not None:
         return wanted.laws
-    return laws_beside(load_setup(scenario, wanted.fixed_overrides).scenario.controller.law)
+    return study_keys.laws_beside(
+        load_setup(scenario, wanted.fixed_overrides).scenario.controller.law
+    )
 
 
 @dataclass(frozen=True)
@@ -200,7 +195,7 @@ class StudyOfCases(StudyOfRuns):
             self.cases = list(self._build_cases())
             self._require_own_names()
             self.bases = list({base.scenario.name: base for base in self.variants}.values())
-            require_link_effect({**given.fixed, given.quantity: None}, self.bases)
+            study_keys.require_link_effect({**given.fixed, given.quantity: None}, self.bases)
 
     @abstractmethod
     def variants_of(self, setting: Setting) -> list[Variant]:
@@ -229,7 +224,9 @@ class StudyOfCases(StudyOfRuns):
                 self._checked(setting, variants[0])
             else:
                 setups = [self._checked(setting, variant) for variant in variants]
-                seeds = [seeds_that_differ(setup, self.definition.seeds) for setup in setups]
+                seeds = [
+                    study_keys.seeds_that_differ(setup, self.definition.seeds) for setup in setups
+                ]
                 known[arm] = seeds, self._ceilings_ms(setting, setups)
             yield Case(setting, variants, *known[arm])
 

@@ -18,16 +18,9 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, left_nothing, read_rows, write_rows
+from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION_COLUMNS
 from deploy.run.new_folder import new_folder, resolved_out
-from deploy.run.run_folder import (
-    ResultFolder,
-    RunFolderError,
-    grown_from,
-    provenance,
-    read_manifest,
-    read_summary,
-)
 from deploy.scenario.effective import effective_scenario, write_scenario
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
@@ -47,7 +40,7 @@ _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3
 
 
-class StudyFolder(ResultFolder):
+class StudyFolder(run_folder.ResultFolder):
     """The files of a study; the table of its rows.
 
     Args:
@@ -82,8 +75,8 @@ class StudyFolder(ResultFolder):
         if read_yaml(file) == wanted:
             return
         shutil.rmtree(self.scenarios, ignore_errors=True)
-        before = read_manifest(self.path)
-        write_json(self.manifest, grown_from(before, _manifest(self._study)))
+        before = run_folder.read_manifest(self.path)
+        write_json(self.manifest, run_folder.grown_from(before, _manifest(self._study)))
         write_whole(file, to_yaml(wanted))
 
     def find(self, run: PlannedRun) -> Row | None:
@@ -193,7 +186,9 @@ def read_study(path: Path) -> StudyOfRuns:
     values = read_yaml(file)
     kind, definition = KINDS.get(str(values.get("kind"))), values.get("definition")
     if kind is None or not isinstance(definition, dict):
-        raise RunFolderError(f"{file}: must have kind {' or '.join(KINDS)}, and definition")
+        raise run_folder.RunFolderError(
+            f"{file}: must have kind {' or '.join(KINDS)}, and definition"
+        )
     return kind(definition, file)
 
 
@@ -215,7 +210,7 @@ def _identity(study: StudyOfRuns) -> dict[str, Any]:
 
 def _manifest(study: StudyOfRuns) -> dict[str, Any]:
     warnings = all_warnings(study.bases)
-    return {**provenance(), "warnings": warnings, "study": _identity(study)}
+    return {**run_folder.provenance(), "warnings": warnings, "study": _identity(study)}
 
 
 def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
@@ -224,7 +219,7 @@ def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
         found = read_yaml(path / STUDY_FILE)
     except ScenarioError:
         return False
-    return found == wanted and not read_summary(path).get("completed", False)
+    return found == wanted and not run_folder.read_summary(path).get("completed", False)
 
 
 def _digests(study: StudyOfRuns) -> set[tuple[str, str]]:

@@ -13,31 +13,16 @@ from bus_schema.configuration import Number, Whole
 from deploy.judge.run_rows import Row, held, left_nothing
 from deploy.scenario.study_keys import LAW, SEED, UNCERTAINTY, require_effect
 from deploy.scenario.yaml_files import ScenarioError, plain
-from deploy.study.cases import (
-    CASE_COLUMNS,
-    Case,
-    CasesDefinition,
-    Setting,
-    StudyOfCases,
-    point_name,
-)
+from deploy.study import cases, plants
 from deploy.study.losses import rank_losses, share_kept
 from deploy.study.margin import Margin, MarginDefinition
-from deploy.study.plants import (
-    UncertainDefinition,
-    Variant,
-    draw_columns,
-    draw_plants,
-    measured,
-    uncertainty_of,
-)
 from deploy.study.statistics import badness, spread_of_runs
 from deploy.study.study import Different, PlannedRun, Seeds, StudyOfRuns, rows_by
 
 _WORST_POINTS = 3
 
 
-class RobustnessDefinition(CasesDefinition, UncertainDefinition):
+class RobustnessDefinition(cases.CasesDefinition, plants.UncertainDefinition):
     """What to try on many plants, as a study's YAML file has it.
 
     Attributes:
@@ -54,7 +39,7 @@ class RobustnessDefinition(CasesDefinition, UncertainDefinition):
     seeds: Seeds = Field(default=[1])
 
 
-class Robustness(StudyOfCases):
+class Robustness(cases.StudyOfCases):
     """The runs of all plants at all values."""
 
     kind = "robustness"
@@ -63,20 +48,20 @@ class Robustness(StudyOfCases):
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         super().__init__(values, source)
-        self.columns = {**CASE_COLUMNS, **draw_columns(self.definition, self.bases)}
+        self.columns = {**cases.CASE_COLUMNS, **plants.draw_columns(self.definition, self.bases)}
 
     @property
     def own_keys(self) -> dict[str, str]:
         is_given = self.definition.uncertainty is not None
         return {UNCERTAINTY: "as --uncertainty"} if is_given else {}
 
-    def last_value(self, _setting: Setting) -> float:
+    def last_value(self, _setting: cases.Setting) -> float:
         return self.definition.values[-1]
 
-    def variants_of(self, setting: Setting) -> list[Variant]:
+    def variants_of(self, setting: cases.Setting) -> list[plants.Variant]:
         keys = setting.quantity.keys
         require_effect(self.definition.fixed, dict.fromkeys(keys, "as quantity and values"))
-        return draw_plants(self.definition, setting.base, [*keys, LAW, SEED])
+        return plants.draw_plants(self.definition, setting.base, [*keys, LAW, SEED])
 
     @property
     def expected(self) -> int:
@@ -96,7 +81,8 @@ class Robustness(StudyOfCases):
             "kept_share": wanted.kept_share,
             "completed": len(rows) == self.expected and not any(map(left_nothing, rows)),
             "uncertainty": {
-                base.scenario.name: plain(uncertainty_of(wanted, base)) for base in self.bases
+                base.scenario.name: plain(plants.uncertainty_of(wanted, base))
+                for base in self.bases
             },
             "cases": [
                 self._case_findings(index, case, by_point) for index, case in enumerate(self.cases)
@@ -104,11 +90,13 @@ class Robustness(StudyOfCases):
         }
 
     def _case_findings(
-        self, index: int, case: Case, by_point: Mapping[str, list[Row]]
+        self, index: int, case: cases.Case, by_point: Mapping[str, list[Row]]
     ) -> dict[str, Any]:
         found, lost = [], []
         for at, value in enumerate(self.definition.values):
-            tried = [by_point.get(point_name(index, at, plant), []) for plant in case.variants]
+            tried = [
+                by_point.get(cases.point_name(index, at, plant), []) for plant in case.variants
+            ]
             judged = [
                 rows
                 for rows, seeds in zip(tried, case.seeds, strict=True)
@@ -118,7 +106,9 @@ class Robustness(StudyOfCases):
             if len(judged) == len(tried):
                 lost.append([not _is_kept(rows) for rows in judged])
         base = case.setting.base
-        quantities = measured(uncertainty_of(self.definition, base), case.variants, base)
+        quantities = plants.measured(
+            plants.uncertainty_of(self.definition, base), case.variants, base
+        )
         was_lost = np.array(lost, dtype=bool).reshape(-1, len(case.variants))
         return {
             **case.findings,
@@ -158,7 +148,7 @@ def margin_study(values: Mapping[str, Any], source: Path) -> StudyOfRuns:
     return Robustness(values, source) if of_many else Margin(values, source)
 
 
-def _value_summary(value: float, case: Case, judged: list[list[Row]]) -> dict[str, Any]:
+def _value_summary(value: float, case: cases.Case, judged: list[list[Row]]) -> dict[str, Any]:
     """What became of the plants at one value: a list of rows for each that is judged."""
     kept = sum(map(_is_kept, judged))
     worst = sorted(judged, key=lambda rows: max(map(badness, rows)), reverse=True)[:_WORST_POINTS]
