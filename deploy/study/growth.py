@@ -59,7 +59,7 @@ def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
             before, now = old.get(axis), new.get(axis)
             if not _has_all(now, before):
                 yield _lacks(f"grid.{axis}", before, now)
-            elif (kind := column_type(before)) != column_type(now):
+            elif (kind := column_type(old[axis])) != column_type(new[axis]):
                 yield f"grid.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
     elif key == "plants" and isinstance(old, int) and isinstance(new, int):
         if new < old:

@@ -176,7 +176,7 @@ def test_a_quantity_without_effect_is_refused(key):
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"limit": 0.1}, "at least a step, 0.5 ms"), ({"limit": -1.0}, "at least a step"),
+    ({"limit": 0.1}, "at least a step, 0.5 ms"), ({"limit": -1.0}, "limit = -1.* at least a step"),
     ({"resolution": 200.0}, "at least a step, 200 ms"),
     ({"quantity": "loss", "limit": 0.001}, "at least a step, 0.005,"),
     ({"quantity": "plant.payload_kg", "limit": 0.4, "resolution": 0.5}, "a step, 0.5 kg away from"),
@@ -252,7 +252,7 @@ def test_the_scenarios_own_law_is_always_among_all(tmp_path, monkeypatch):
     setups = load_setups(str(file), [], None)
     assert [setup.scenario.controller.law for setup in setups] == everyone
     both = Margin({"scenarios": [str(file), "paper_arm"]}, Path("margin"))
-    assert [case.setting.law for case in both.cases] == [*everyone, *LAWS]
+    assert [case.setting.tags["law"] for case in both.cases] == [*everyone, *LAWS]
 
 
 def test_errors_are_summed_up_over_some_time(tmp_path):
