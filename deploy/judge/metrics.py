@@ -152,8 +152,15 @@ def _command_times(run: RunData) -> tuple[Vector, Rows]:
 def _recording(
     run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
 ) -> dict[str, Any]:
-    """How whole the recording is."""
+    """How whole the recording is.
+
+    What missing ticks cost: time without torques, and whether settling times are the latest.
+    """
     skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
+    command_times_s, after_gaps = _command_times(run)
+    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
     return {
         "damage": damage,
         "rejected": dict(run.rejected),
@@ -161,17 +168,6 @@ def _recording(
         "ticks_known": known.known,
         "ticks_skipped": int(skipped.max(initial=0)),
         "gaps_s": known.gaps_s[:_MOST_GAPS],
-        **_over_gaps(run, settled_s),
-    }
-
-
-def _over_gaps(run: RunData, settled_s: Sequence[float | None]) -> dict[str, Any]:
-    """What missing ticks cost: time without torques, and whether settling times are the latest."""
-    command_times_s, after_gaps = _command_times(run)
-    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
-    times_s = run.times_s(topics.PLANT_TRUTH)
-    behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
-    return {
         "torque_left_out_s": float(steps_s[after_gaps].sum()),
         "settling_is_latest": [time_s in behind_gaps_s for time_s in settled_s],
     }
