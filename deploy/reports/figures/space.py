@@ -29,7 +29,7 @@ _ROOM = 0.05
 """On every side, as a share of the longest one."""
 _CAMERA = {"eye": {"x": 1.5, "y": 1.3, "z": 0.6}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}}
 """It looks a little below the middle of the box: most ticks and titles are at its foot."""
-_DIAGONAL = 1.28
+_DIAGONAL = 1.4
 """Of the box, in plotly's unit: such a box is whole in the picture, whatever its form, as plotly
 looks through 45°."""
 
