@@ -115,7 +115,7 @@ def write_diff_report(compared: RecordedRuns, path: Path, conditions: Conditions
         [Fact(label, str(place))
          for label, place in zip(compared.labels, compared.paths, strict=True)],
         RECORDED_PANELS,
-        compared.comparison,
+        compared,
         conditions,
         before=("Side by side", [
             Cards([of_runs.recorded_table(compared), *differences], "stacked"),

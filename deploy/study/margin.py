@@ -153,10 +153,8 @@ class Margin(StudyOfCases):
         search = self.searches[index]
         rows = search.rows.setdefault(steps, [])
         rows.append(values)
-        if len(rows) < self.cases[index].runs_per_value:
-            return ()
-        if any(map(left_nothing, rows)):
-            return ()  # nobody knows whether this value holds, so the search ends here
+        if len(rows) < self.cases[index].runs_per_value or any(map(left_nothing, rows)):
+            return ()  # nobody knows yet, or ever, whether this value holds
         search.outcomes[steps] = all(map(held, rows))
         return self._next_probe(index)
 

@@ -203,7 +203,7 @@ class Diff(_SideBySide):
     _key = "run"
 
     def __init__(self, compared: RecordedRuns) -> None:
-        super().__init__(RECORDED_PANELS, compared.comparison)
+        super().__init__(RECORDED_PANELS, compared)
         self.rows = [
             {"run": label, **each} for label, each in zip(self.runs, self.rows, strict=True)
         ]

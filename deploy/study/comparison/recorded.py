@@ -50,13 +50,12 @@ class Parting(NamedTuple):
     is_end: bool
 
 
-@dataclass(frozen=True)
-class RecordedRuns:
-    """Runs side by side; the first is what the others are held against.
+@dataclass(frozen=True, kw_only=True)
+class RecordedRuns(ComparedRuns):
+    """Runs side by side, by labels in place of laws; the others are held against the first.
 
     Attributes:
         paths: folders or MCAP files of the runs.
-        comparison: the runs, each by its label in place of a law.
         partings: of each run from the first; None where all ticks are the same bits that both
             recordings have.
         differing: values of the scenarios by run, as JSON, for each key that is not the same in
@@ -65,13 +64,8 @@ class RecordedRuns:
     """
 
     paths: Sequence[Path]
-    comparison: ComparedRuns
     partings: Sequence[Parting | None]
     differing: dict[str, list[str | None]]
-
-    @property
-    def runs(self) -> list[JudgedRun]:
-        return self.comparison.runs
 
     @property
     def labels(self) -> list[str]:
@@ -123,7 +117,7 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
         for key, values in _differing([each for _, each in read]).items()
         if _is_in_force(key, [run.data for run in runs])
     }
-    return RecordedRuns(places, ComparedRuns(runs), partings, differing)
+    return RecordedRuns(runs=runs, paths=places, partings=partings, differing=differing)
 
 
 def read_again(path: Path) -> RecordedRuns:
