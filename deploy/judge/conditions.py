@@ -33,13 +33,13 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         **provenance_of(manifest),
         "scenario": scenario.name,
         "law": ", ".join(laws),
-        "physics": physics_of(setups),
+        "physics": _physics_of(setups),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"joints off by {start} rad",
         "seeds": str(scenario.seed),
-        "set": set_text(manifest.get("set")),
+        "set": _UNKNOWN if manifest.get("set") is None else ", ".join(manifest["set"]) or "nothing",
         **host_of(manifest),
-        **warnings_of(manifest),
+        **_warnings_of(manifest),
     }
 
 
@@ -60,7 +60,7 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
     return conditions
 
 
-def physics_of(setups: Sequence[Setup]) -> str:
+def _physics_of(setups: Sequence[Setup]) -> str:
     """Engine and integrator of the plants."""
     plants = [setup.scenario.plant for setup in setups]
     return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
@@ -84,7 +84,7 @@ def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
     }
 
 
-def warnings_of(manifest: Mapping[str, Any]) -> Conditions:
+def _warnings_of(manifest: Mapping[str, Any]) -> Conditions:
     """What the arm's file leaves open or has odd, where it does."""
     told = manifest.get("warnings")
     return {"warnings": "; ".join(map(str, told))} if told and isinstance(told, list) else {}
@@ -105,11 +105,6 @@ def granted_and_not(conditions: Mapping[str, str]) -> tuple[bool, list[str]]:
     granted = conditions.get("granted", _UNKNOWN)
     lacked = [name for name in _SHOWN_GRANTS if f"no {name}" in granted]
     return not granted.startswith(_UNKNOWN), lacked
-
-
-def set_text(overrides: Sequence[str] | None) -> str:
-    """What was set beside the scenario."""
-    return _UNKNOWN if overrides is None else ", ".join(overrides) or "nothing"
 
 
 def conditions_line(conditions: Mapping[str, str]) -> str:

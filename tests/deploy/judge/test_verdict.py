@@ -19,7 +19,7 @@ from deploy.cli.common import finish
 from deploy.cli.options import OneRunOptions
 from deploy.judge.bounds import plant_count
 from deploy.judge.metrics import summarise
-from deploy.judge.run_rows import held, read_rows, row, write_rows
+from deploy.judge.run_rows import held, row
 from deploy.judge.verdict import verdict_of
 from deploy.reports.comparison_tables import status_cell
 from deploy.reports.verdict import verdict_on_laws, verdict_on_run
@@ -169,13 +169,8 @@ def test_no_such_run_ends_in_order_where_bounds_are_required(case, tmp_path):
     assert (summary["verdict"], summary["bounds"]["kept"]) == (expected, False)
 
 
-def test_tables_of_older_versions_get_their_verdict_by_the_old_rule(run, tmp_path):
-    kept = row(summarise(run), 1) | {"verdict": None}
-    rows = [kept, kept | {"error": "x"}, kept | {"bounds_kept": False}, kept | {"completed": False}]
-    write_rows(rows, tmp_path / "old.parquet")
-    found = [each["verdict"] for each in read_rows(tmp_path / "old.parquet")]
-    assert found == ["kept", "faulted", "lost", "interrupted"]
-    assert verdict_of({}) == "nothing"
+def test_a_summary_of_an_older_version_has_no_verdict():
+    assert verdict_of({}) == verdict_of({"verdict": "fine"}) == "nothing"
 
 
 @pytest.mark.parametrize("is_partial", [False, True])
