@@ -2,25 +2,29 @@
 
 What the file does not say is estimated: the inertia of rotors and friction from the joints' largest
 torques, and these, where they are missing too, from the arm's own weight. The estimates are ours;
-motors of the same torque differ by a factor of 3 and more.
+motors of the same torque differ by a factor of 3 and more. ``robot.drive_data`` names them.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel, spread_positions
+from deploy.scenario.referenced_files import ROBOTS
+from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
 
 ARM_FILES = (".urdf", ".xacro", ".xml", ".mjcf")
 """Suffixes of files that describe an arm."""
 FRICTION_SHARE = 0.03
 """Dry friction of a geared joint, as a share of its rated torque."""
+ESTIMATED = "ESTIMATED"
+"""Marks numbers that nobody measured, where a scenario says where its numbers come from."""
 _SPEED_SHARE = 0.3
 _TORQUE_SHARE, _HELD_SHARE = 0.7, 0.5
 """Of rated torque, along a move and for gravity alone."""
@@ -35,6 +39,22 @@ _PEAK_SPEED = 1.875
 _TRIES = 12
 
 
+class Drives(NamedTuple):
+    """What moves an arm, and what resists.
+
+    Attributes:
+        rated: largest torques, shape (joints,), N m.
+        rotors: inertia of the rotors, shape (joints,), kg m².
+        friction: section ``plant.friction``.
+        data: where all that comes from; `ESTIMATED` marks what nobody measured.
+    """
+
+    rated: Vector
+    rotors: Vector
+    friction: dict[str, Any]
+    data: str
+
+
 def starter_scenario(
     robot: RobotDescription, *, joints: bool = False, repair: bool = False
 ) -> dict[str, Any]:
@@ -45,8 +65,7 @@ def starter_scenario(
         joints: whether its driven joints were chosen by hand, and have to be named.
         repair: whether its inertias have to be mended.
     """
-    rated = torque_limits(robot)
-    rotors = ROTOR_INERTIA_S2_RAD * rated
+    rated, rotors, friction, data = drives_of(robot)
     model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
     middle, move = _motion(robot, model, rated)
     duration_s = _move_time(robot, model, rated, middle, move)
@@ -64,6 +83,7 @@ def starter_scenario(
             "urdf": str(robot.path),
             **({"joints": list(robot.joint_names)} if joints else {}),
             **({"repair": True} if repair else {}),
+            "drive_data": data,
             "initial_offset_rad": _rounded(offsets),
         },
         "reference": {"kind": "minimum_jerk", "waypoints": waypoints},
@@ -72,10 +92,43 @@ def starter_scenario(
         "plant": {
             "physics": {"engine": "mujoco"},
             "actuator": {"rotor_inertia_kg_m2": _rounded(rotors), "saturation_nm": _rounded(rated)},
-            "friction": {"coulomb_share": FRICTION_SHARE, "smoothing_velocity_rad_s": 0.02},
+            "friction": friction,
         },
         "limits": {"torque_nm": _rounded(rated)},
     }
+
+
+def drives_of(robot: RobotDescription) -> Drives:
+    """What is known of an arm's drives, by the shipped scenario for its motors, or by its file."""
+    motors = ROBOTS.with_name("scenarios") / f"{robot.path.stem}_motors.yaml"
+    if robot.path.parent == ROBOTS and motors.is_file():
+        published = read_yaml(motors)
+        plant, data = published["plant"], published["robot"]["drive_data"]
+        rated = np.array(plant["actuator"].get("saturation_nm", torque_limits(robot)), float)
+        rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
+        return Drives(rated, rotors, plant["friction"], data)
+    own, rated = robot.drives, torque_limits(robot)
+    rotors = own.rotor_inertia_kg_m2
+    rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
+    given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
+    friction: dict[str, Any] = {key: _rounded(each) for key, each in given.items() if each.any()}
+    if not own.friction_nm.all():
+        shares = np.where(own.friction_nm > 0.0, 0.0, FRICTION_SHARE)
+        friction["coulomb_share"] = shares.tolist() if own.friction_nm.any() else FRICTION_SHARE
+    friction["smoothing_velocity_rad_s"] = 0.02
+    sources = (
+        ("rotor inertia", own.rotor_inertia_kg_m2, f"{ROTOR_INERTIA_S2_RAD} kg m² per N m"),
+        ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
+    )
+    return Drives(rated, rotors, friction, ", ".join(_source(*each) for each in sources))
+
+
+def _source(name: str, known: Vector, estimate: str) -> str:
+    """Where a number comes from that is zero for joints of which the file says nothing."""
+    parts = ["from the arm's file"] if known.any() else []
+    if not known.all():
+        parts.append(f"{ESTIMATED} as {estimate} of the largest torque")
+    return f"{name} {' and elsewhere '.join(parts)}"
 
 
 def torque_limits(robot: RobotDescription) -> Vector:
@@ -126,8 +179,12 @@ def _move_time(
     limits = robot.velocity_limits_rad_s
     speeds = _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
     move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / speeds).max()))
+    # An arm that hardly holds itself up is not helped by standing nearly still.
+    allowed = np.maximum(_TORQUE_SHARE * rated, 1.1 * _peak_torque(model, middle, move))
+    damped = robot.drives.damping_nm_s * _PEAK_SPEED * 2.0 * move
     for _ in range(_TRIES):
-        if (_peak_torque(model, middle, move, move_s) <= _TORQUE_SHARE * rated).all():
+        torque = _peak_torque(model, middle, move, move_s) + damped / move_s
+        if (torque <= allowed).all():
             break
         move_s *= 1.25
     return move_s

@@ -9,7 +9,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import ARM_FILES
+from deploy.scenario.starter import ESTIMATED
 
 _TORQUE_SAMPLES = 400
 
@@ -37,10 +37,9 @@ def scenario_warnings(setup: Setup) -> list[str]:
                 f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
                 " limits.velocity_rad_s"
             )
-    if setup.source.suffix.lower() in ARM_FILES and scenario.plant.actuator.has_rotors:
+    if ESTIMATED in (data := scenario.robot.drive_data or ""):
         said.append(
-            "rotor inertia and friction are ESTIMATES in proportion to the joints' largest torques:"
-            " funnel-hil robot --scenario writes them into a scenario, to be replaced"
+            f"{data}: replace that in the scenario (funnel-hil robot --scenario writes one)"
         )
     said += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm

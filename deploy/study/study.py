@@ -20,6 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from bus_schema.configuration import StrictModel
 from deploy.judge.conditions import (
     Conditions,
+    drives_of,
     host_of,
     physics_of,
     provenance_of,
@@ -254,6 +255,7 @@ class StudyOfRuns(ABC):
             "scenario": ", ".join(durations),
             "law": ", ".join(self.laws),
             "physics": physics_of(self.bases),
+            **drives_of(self.bases),
             "quantity": _quantity(summary),
             "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
             "starts": _starts(summary),

@@ -5,6 +5,7 @@ import pytest
 
 from bus_schema.robot_description import load_robot
 from controller.manipulator_model import largest_load_kg
+from deploy.judge.conditions import conditions_of_runs
 from deploy.run.execute import execute
 from deploy.scenario.scenario import build_setup, load_setup
 from deploy.scenario.starter import starter_scenario, torque_limits
@@ -45,7 +46,8 @@ def test_a_starter_moves_within_every_limit(name, tmp_path):
     setup = build_setup(starter_scenario(robot), tmp_path / "mine.yaml")
     times_s = np.linspace(0.0, setup.scenario.duration_s, 500)
     rotors = setup.scenario.plant.actuator.rotor_inertia(robot.joints)
-    usage = np.abs(reference_torques(setup, times_s, rotors)) / robot.effort_limits_nm
+    rated = setup.scenario.plant.actuator.saturation_nm
+    usage = np.abs(reference_torques(setup, times_s, rotors)) / rated
     assert usage.max() <= 0.71  # 70 % of the largest torques, as it says, and four digits
     motion = np.empty((3, robot.joints))
     follow, speeds = setup.reference.onto(*motion), []
@@ -53,7 +55,7 @@ def test_a_starter_moves_within_every_limit(name, tmp_path):
         follow(float(time_s))
         speeds.append(np.abs(motion[1]).copy())
     assert (np.max(speeds, axis=0) <= 0.31 * robot.velocity_limits_rad_s).all()
-    np.testing.assert_allclose(rotors, 0.008 * robot.effort_limits_nm, rtol=1e-3)
+    assert rotors.all()
 
 
 def test_a_strangers_arm_keeps_its_bounds_over_a_delay_with_a_wrong_model(two_links):
@@ -65,9 +67,43 @@ def test_a_strangers_arm_keeps_its_bounds_over_a_delay_with_a_wrong_model(two_li
 
 
 def test_what_is_estimated_is_called_an_estimate(two_links):
-    assert any(
-        "ESTIMATES" in said for said in scenario_warnings(load_setup(str(two_links(60, 20))))
-    )
+    file = two_links(60, 20)
+    setup = load_setup(str(file))
+    assert setup.scenario.plant.actuator.rotor_inertia_kg_m2.tolist() == [0.48, 0.16]
+    assert any("ESTIMATED" in said for said in scenario_warnings(setup))
+    assert "rotor inertia ESTIMATED" in conditions_of_runs([setup], {})["drives"]
+
+
+def test_what_the_file_knows_of_its_motors_is_taken(two_links):
+    file = two_links(60, 20)
+    known = """<transmission><joint name="joint1"/><actuator><mechanicalReduction>100
+    </mechanicalReduction><drake:rotor_inertia xmlns:drake="drake.mit.edu" value="2e-5"/></actuator>
+    </transmission></robot>"""
+    text = file.read_text().replace("</robot>", known)
+    friction = '<axis xyz="0 1 0"/><dynamics friction="0.7" damping="300"/>'
+    file.write_text(text.replace('<axis xyz="0 1 0"/>', friction, 1))
+    setup = load_setup(str(file))
+    plant, rated = setup.scenario.plant, np.array([60.0, 20.0])
+    assert plant.actuator.rotor_inertia_kg_m2.tolist() == [0.48, 0.2]
+    assert plant.friction.coulomb_nm.tolist() == [0.7, 0.0]
+    assert plant.friction.coulomb_share.tolist() == [0.0, 0.03]
+    assert "from the arm's file and elsewhere ESTIMATED" in setup.scenario.robot.drive_data
+    # 300 N m s/rad on a motor of 60 N m leave the reference that much slower.
+    motion = np.empty((3, 2))
+    follow = setup.reference.onto(*motion)
+    for time_s in np.linspace(0.0, setup.scenario.duration_s, 200):
+        follow(float(time_s))
+        assert (np.abs(motion[1]) * [300.0, 0.0] < rated).all()
+
+
+@pytest.mark.parametrize("name", ["iiwa_motors", "panda_motors", "ur5e_motors"])
+def test_a_shipped_arm_with_motors_keeps_its_bounds_over_a_delay(name):
+    delay = ["controller.delay_compensation.enabled=true", "duration_s=6"]
+    delay += ["link.uplink.delay_ms=24", "link.downlink.delay_ms=24"]
+    setup = load_setup(name, delay)
+    assert setup.scenario.robot.drive_data
+    assert starter_scenario(setup.robot)["robot"]["drive_data"] == setup.scenario.robot.drive_data
+    assert execute(setup).summary["verdict"] == "kept"
 
 
 def test_a_torque_that_no_motor_has_is_warned_of_before_the_run(two_links):
