@@ -3,7 +3,7 @@
 ``<dynamics damping friction>`` of a joint, and in the ``<transmission>`` of one joint alone its
 ``<actuator>`` with rotor_inertia (value or text, kg m², in any namespace, such as Drake's) and, if
 that is of the motor's own shaft, gear_ratio or mechanicalReduction. Exporters write zero for what
-they do not know.
+they do not know; what is no number is not known either.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bus_schema.arrays import Vector
-from bus_schema.urdf.checks import finite_number
 
 _RATIOS = ("gear_ratio", "mechanicalReduction")
+_LARGEST = 1e6
+"""Beyond this, physics cannot be computed with it."""
 
 
 class DriveValues(NamedTuple):
@@ -35,20 +36,13 @@ class DriveValues(NamedTuple):
 
 
 def drive_values(root: ET.Element, joint_names: Sequence[str]) -> DriveValues:
-    """The values of some joints.
-
-    Raises:
-        RobotDescriptionError: one is no number.
-    """
+    """The values of some joints."""
     rotors = dict(_rotor(each) for each in root.findall("transmission"))
     found = {joint.get("name"): joint.find("dynamics") for joint in root.findall("joint")}
 
     def dynamics(attribute: str) -> Vector:
         texts = {name: each.get(attribute, "0") for name, each in found.items() if each is not None}
-        values = [
-            finite_number(f"joint {name}", attribute, texts.get(name, "0")) for name in joint_names
-        ]
-        return np.maximum(values, 0.0)
+        return np.array([_number(texts.get(name, "0")) for name in joint_names])
 
     inertia = np.array([rotors.get(name, 0.0) for name in joint_names])
     return DriveValues(inertia, dynamics("friction"), dynamics("damping"))
@@ -63,7 +57,15 @@ def _rotor(transmission: ET.Element) -> tuple[str | None, float]:
     for element in transmission.findall("actuator/*"):
         tag = element.tag.rpartition("}")[2]
         if tag in ("rotor_inertia", *_RATIOS):
-            text = element.get("value") or element.text or ""
-            values[tag] = finite_number(f"the transmission of joint {name}", tag, text)
+            values[tag] = _number(element.get("value") or element.text or "")
     ratio = next((values[tag] for tag in _RATIOS if tag in values), 1.0)
-    return name, max(0.0, values.get("rotor_inertia", 0.0)) * ratio**2
+    return name, values.get("rotor_inertia", 0.0) * ratio**2
+
+
+def _number(text: str) -> float:
+    """A number above zero in a text, else zero."""
+    try:
+        value = float(text)
+    except ValueError:
+        return 0.0
+    return value if 0.0 < value < _LARGEST else 0.0

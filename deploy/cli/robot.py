@@ -27,8 +27,8 @@ from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
 STARTER_COMMENT = """\
-# A first scenario: rest to rest at 30 % of the joints' speeds. Nobody measured what robot.drive_data
-# calls ESTIMATED (see the documentation of plant.actuator): put in your own.
+# A first scenario: rest to rest at 30 % of the joints' speeds. robot.drive_data names what is
+# ESTIMATED (see the documentation of plant.actuator): put in your own.
 """
 
 

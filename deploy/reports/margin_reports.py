@@ -14,13 +14,13 @@ from deploy.reports.study_tables import (
     case_name,
     ceiling_text,
     furthest,
+    headlines,
     held_again,
     interval_table,
     interval_text,
     kept_text,
     losses_table,
     margin_table,
-    margin_text,
     probe_at,
     robustness_table,
     setting_text,
@@ -45,7 +45,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
         verdict=ReportHead(
             "mixed",
             f"{furthest(summary).capitalize()} {summary['title']} at which the bounds are kept",
-            [*(_best(summary, arm) for arm in arms), *held_again(summary)],
+            [*headlines(summary), *held_again(summary)],
         ),
         facts=[
             Fact("Resolution", value_text(summary["resolution"], summary)),
@@ -204,17 +204,6 @@ def _ceilings(summary: Summary) -> str:
         for arm in _arms(summary)
     }
     return ", ".join(f"{arm} {text}" for arm, text in found.items() if text) or ABSENT
-
-
-def _best(summary: Summary, arm: str) -> str:
-    """Who takes the most on an arm."""
-    known = [case for case in _cases(summary, arm) if case["margin"] is not None]
-    if not known:
-        return f"{arm}: no law keeps its bounds at all."
-    best = max(known, key=lambda case: case["growth"] * case["margin"])
-    others = [case_name(case) for case in known if case["margin"] == best["margin"]]
-    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
-    return f"{arm}: the {margin}, of {' and '.join(others)}."
 
 
 def _there(case: Summary) -> str:

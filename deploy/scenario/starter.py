@@ -15,6 +15,7 @@ import numpy as np
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
 from controller.manipulator_model import ManipulatorModel, spread_positions
+from controller.rigid_bodies.vectors import product
 from deploy.scenario.referenced_files import ROBOTS
 from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
@@ -32,6 +33,7 @@ _REACH_SHARE = 0.2
 """Of a joint's range, to either side of the middle of the reference."""
 _LARGEST_MOVE = 0.5
 _OFFSET_SHARE = 0.1
+_SHED_PER_S, _SHED_S = 9.0, 0.05
 _UNKNOWN_SPEED = 1.0
 _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
@@ -74,7 +76,7 @@ def starter_scenario(
         {"time_s": round(number * duration_s, 3), "position_rad": _rounded(ends[number % 2])}
         for number in range(5)
     ]
-    offsets = _OFFSET_SHARE * move * np.where(np.arange(robot.joints) % 2, -1.0, 1.0)
+    offsets = _offsets(model, rated, middle - move, move)
     return {
         "name": re.sub(r"[^A-Za-z0-9_.-]", "_", robot.path.stem).lstrip("_.-") or "arm",
         "duration_s": round(4.0 * duration_s, 3),
@@ -165,6 +167,17 @@ def _motion(
         if least <= _HELD_SHARE:
             break
     return best, move
+
+
+def _offsets(model: ManipulatorModel, rated: Vector, start: Vector, move: Vector) -> Vector:
+    """How far off the reference the joints start, shape (joints,): no more than motors can shed.
+
+    All joints together set off towards it at `_SHED_PER_S` times the offset, within `_SHED_S`.
+    """
+    offsets = _OFFSET_SHARE * move * np.where(np.arange(move.size) % 2, -1.0, 1.0)
+    needed = np.abs(product(model.mass_matrix(start), _SHED_PER_S / _SHED_S * offsets))
+    left = np.maximum(rated - np.abs(model.gravity(start)), 0.0)
+    return offsets * min(1.0, float((left / needed).min()))
 
 
 def _range(robot: RobotDescription) -> tuple[Vector, Vector]:
