@@ -116,12 +116,12 @@ class Case(NamedTuple):
 def setup_of(case: Case, more: tuple[str, ...] = ()) -> Setup:
     """The scenario of a simulation."""
     row, (robot, values) = ROWS[case.row], starter(case.arm)
-    words = [f"controller.law={case.law}", *row.overrides(), *more]
+    words = [f"controller.law={case.law}", *row.overrides()]
+    words += [f"duration_s={min(LONGEST_S, values['duration_s'])}", *more]
     if not case.identify:
         words.append("controller.delay_compensation.identify_model=false")
     if not row.is_drawn:
         words.append(f"controller.model_scale={case.variant}")
-    words.append(f"duration_s={min(LONGEST_S, values['duration_s'])}")
     setup = build_setup(values, robot.path, words)
     if row.encoder_side:
         stiffness = gear_stiffness(setup, GEAR_HZ)

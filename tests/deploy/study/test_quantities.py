@@ -151,3 +151,14 @@ def test_runs_are_as_long_as_the_scenario_says_or_as_is_set(funnel_hil, tmp_path
     code, output = funnel_hil(*words)
     assert code == 2
     assert "--duration and --set duration_s: must not be given together" in output
+
+
+def test_an_arm_with_motors_has_a_margin_from_the_start_and_one_of_a_running_loop():
+    def loops(**values):
+        own = margin_of(scenarios=["ur5e_motors"], **values)
+        return [case.setting.running for case in own.cases]
+
+    assert loops() == [False, True]
+    assert loops(running=[True]) == [True]
+    assert loops(duration_s=2) == [False]  # too short for a ramp
+    assert loops(quantity="plant.payload_kg", limit=3, resolution=1) == [False]

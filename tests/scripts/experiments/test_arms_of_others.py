@@ -22,15 +22,16 @@ def test_a_joint_much_weaker_than_its_neighbours_keeps_its_bounds_from_the_start
     case = Case("no delay", LAW, "random17", 1.0, True)
     found = result(case, ("duration_s=1",))
     assert found["verdict"] == "kept"
-    (head, line, row) = table({case: found})
-    assert row.startswith(f"| no delay | `{LAW}` | yes | at random | 1 of 1 | 1 of 1 | – |")
+    assert [*table({case: found})][-1].startswith(
+        f"| no delay | `{LAW}` | yes | at random | 1 of 1 | 1 of 1 | – |"
+    )
 
 
 @pytest.mark.parametrize(
-    ("side", "verdict"), [("15 Hz gears", "kept"), ("15 Hz gears by the link", "lost")]
+    ("side", "is_kept"), [("15 Hz gears", True), ("15 Hz gears by the link", False)]
 )
-def test_elastic_gears_are_held_through_the_encoders_of_motors(side, verdict):
+def test_elastic_gears_are_held_through_the_encoders_of_motors(side, is_kept):
     case = Case(side, LAW, "random1", 1.0, True)
     setup = setup_of(case, ("duration_s=1",))
     assert setup.scenario.plant.actuator.gear_stiffness_nm_rad is not None
-    assert result(case, ("duration_s=1",))["verdict"] == verdict
+    assert (result(case, ("duration_s=1",))["verdict"] == "kept") == is_kept
