@@ -14,6 +14,7 @@ import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
+from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
 from controller.rigid_bodies.vectors import product
 from deploy.scenario.referenced_files import ROBOTS
@@ -24,6 +25,8 @@ ARM_FILES = (".urdf", ".xacro", ".xml", ".mjcf")
 """Suffixes of files that describe an arm."""
 FRICTION_SHARE = 0.03
 """Dry friction of a geared joint, as a share of its rated torque."""
+_FRICTION_SHARE_BELIEVED = 0.2
+"""What a file may say of it."""
 ESTIMATED = "ESTIMATED"
 """Marks numbers that nobody measured, where a scenario says where its numbers come from."""
 _SPEED_SHARE = 0.3
@@ -109,7 +112,8 @@ def drives_of(robot: RobotDescription) -> Drives:
         rated = np.array(plant["actuator"].get("saturation_nm", torque_limits(robot)), float)
         rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
         return Drives(rated, rotors, plant["friction"], data)
-    own, rated = robot.drives, torque_limits(robot)
+    rated = torque_limits(robot)
+    own = _believed(robot, rated)
     rotors = own.rotor_inertia_kg_m2
     rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
     given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
@@ -123,6 +127,25 @@ def drives_of(robot: RobotDescription) -> Drives:
         ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
     )
     return Drives(rated, rotors, friction, ", ".join(_source(*each) for each in sources))
+
+
+def _believed(robot: RobotDescription, rated: Vector) -> DriveValues:
+    """What an arm's file says of its drives, without friction that would take a motor's torque up.
+
+    Many files have 1 N m for every joint, from a template, and dampings that steady a simulation.
+    """
+    own = robot.drives
+    dry, viscous = own.friction_nm, own.damping_nm_s * _slow_speeds(robot)
+    return own._replace(
+        friction_nm=np.where(dry <= _FRICTION_SHARE_BELIEVED * rated, dry, 0.0),
+        damping_nm_s=np.where(viscous <= _FRICTION_SHARE_BELIEVED * rated, own.damping_nm_s, 0.0),
+    )
+
+
+def _slow_speeds(robot: RobotDescription) -> Vector:
+    """The speeds that the reference stays below, shape (joints,), rad/s."""
+    limits = robot.velocity_limits_rad_s
+    return _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
 
 
 def _source(name: str, known: Vector, estimate: str) -> str:
@@ -189,15 +212,11 @@ def _move_time(
     robot: RobotDescription, model: ManipulatorModel, rated: Vector, middle: Vector, move: Vector
 ) -> float:
     """Time of a move from one end to the other within limits of speed and torque, s."""
-    limits = robot.velocity_limits_rad_s
-    speeds = _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
-    move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / speeds).max()))
+    move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / _slow_speeds(robot)).max()))
     # An arm that hardly holds itself up is not helped by standing nearly still.
     allowed = np.maximum(_TORQUE_SHARE * rated, 1.1 * _peak_torque(model, middle, move))
-    damped = robot.drives.damping_nm_s * _PEAK_SPEED * 2.0 * move
     for _ in range(_TRIES):
-        torque = _peak_torque(model, middle, move, move_s) + damped / move_s
-        if (torque <= allowed).all():
+        if (_peak_torque(model, middle, move, move_s) <= allowed).all():
             break
         move_s *= 1.25
     return move_s
