@@ -23,18 +23,16 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import TypeAdapter
 
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.urdf.resolved import pybullet_data
-from controller.manipulator_model import ManipulatorModel
 from deploy.run.execute import execute
 from deploy.scenario.scenario import build_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.starter import starter_scenario
 from deploy.scenario.uncertainty import Uncertainty, draw_plant
-from deploy.scenario.yaml_files import override, plain, read_yaml
+from deploy.scenario.yaml_files import plain, read_yaml
 from deploy.study.plants import RANGES
 from deploy.study.quantities import LinkQuantity
 from scripts.experiments.random_arms import write_random_arm
@@ -87,6 +85,9 @@ class Row(NamedTuple):
         if self.delay_ms:
             words.append("controller.delay_compensation.enabled=true")
             words += LinkQuantity("delay", "both").overrides(self.delay_ms, running=self.running)
+        if self.encoder_side:
+            words.append(f"plant.actuator.gear_resonance_hz={GEAR_HZ}")
+            words.append(f"plant.actuator.encoder_side={self.encoder_side}")
         if self.drives:
             words.append("controller.drive_feedback.enabled=true")
         return words
@@ -123,16 +124,12 @@ def setup_of(case: Case, more: tuple[str, ...] = ()) -> Setup:
     if not row.is_drawn:
         words.append(f"controller.model_scale={case.variant}")
     setup = build_setup(values, robot.path, words)
-    if row.encoder_side:
-        stiffness = gear_stiffness(setup, GEAR_HZ)
-        words.append(override("plant.actuator.gear_stiffness_nm_rad", stiffness.tolist()))
-        words.append(f"plant.actuator.encoder_side={row.encoder_side}")
     if row.is_drawn:
         ranges = TypeAdapter(Uncertainty).validate_python(read_yaml(RANGES / "half.yaml"))
         scenario, joints = plain(setup.scenario), setup.robot.joints
         drawn = draw_plant(ranges, scenario, joints, seed=1, number=int(case.variant))
         words += drawn.overrides
-    return build_setup(values, robot.path, words) if row.encoder_side or row.is_drawn else setup
+    return build_setup(values, robot.path, words) if row.is_drawn else setup
 
 
 @cache
@@ -148,19 +145,6 @@ def starter(arm: str) -> tuple[RobotDescription, dict[str, Any]]:
     chosen = [name for name in whole.joint_names if name.startswith(begin)]
     robot = load_robot(path, chosen, repair=True)
     return robot, starter_scenario(robot, joints=True, repair=True)
-
-
-def gear_stiffness(setup: Setup, first_hz: float) -> np.ndarray[Any, Any]:
-    """Stiffness in proportion to largest torques, as of harmonic drives, N m/rad, such that the arm
-    at its start has this first resonance while its rotors are held; less where a physics step is
-    too long for that.
-    """
-    shape = setup.scenario.limits.of_plant(setup.robot).torque_nm
-    model, start = ManipulatorModel(setup.robot), setup.start_position_rad
-    root = np.sqrt(shape)
-    slowest = 1.0 / np.linalg.eigvalsh(model.mass_matrix(start) / np.outer(root, root)).max()
-    wanted = shape * (2.0 * np.pi * first_hz) ** 2 / slowest
-    return np.minimum(wanted, 0.2 * model.governing_inertia(start[None]) / setup.grid.substep_s**2)
 
 
 def result(case: Case, more: tuple[str, ...] = ()) -> dict[str, Any]:

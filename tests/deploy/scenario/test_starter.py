@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bus_schema.robot_description import load_robot
-from controller.manipulator_model import largest_load_kg
+from controller.manipulator_model import ManipulatorModel, largest_load_kg
 from deploy.judge.conditions import conditions_of_runs
 from deploy.run.execute import execute
 from deploy.scenario.scenario import build_setup, load_setup
@@ -139,3 +139,14 @@ def test_unknown_torques_are_estimated_from_the_arms_weight(two_links):
 def test_a_gear_too_stiff_for_the_physics_step_is_refused(two_links, stiffness):
     with pytest.raises(ScenarioError, match=r"gear_stiffness_nm_rad.*must be at most .*substeps"):
         load_setup(str(two_links(60, 20)), [f"plant.actuator.gear_stiffness_nm_rad={stiffness}"])
+
+
+def test_gears_bend_as_a_first_resonance_asks(two_links):
+    setup = load_setup(str(two_links(60, 20)), ["plant.actuator.gear_resonance_hz=15"])
+    actuator = setup.scenario.plant.actuator
+    assert actuator.encoder_side == "motor"  # through the link's no law can damp the gear
+    stiffness = actuator.gear_stiffness_nm_rad
+    assert stiffness[0] == pytest.approx(3.0 * stiffness[1])  # as the largest torques
+    mass = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)
+    slowest = np.linalg.eigvals(np.linalg.inv(mass) @ np.diag(stiffness)).min()
+    assert np.sqrt(slowest) / (2 * np.pi) == pytest.approx(15.0)
