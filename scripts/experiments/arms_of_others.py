@@ -5,8 +5,8 @@
 
 Every arm gets its starter scenario (`deploy.scenario.starter`): rest to rest at 30 % of the joints'
 speeds, with rotors and friction of its file or, where that has none, estimated ones. Each row of
-the table is simulated with a nominal model that is 20 % too light, right, and 25 % too heavy, or
-with plants drawn from the shipped half ranges. The arms come with the packages
+the table is simulated with a nominal model that is 20 % too light and one that is 25 % too heavy,
+or with plants drawn from the shipped half ranges. The arms come with the packages
 ``example-robot-data`` and ``pybullet``; joints of grippers and of the rest of a robot are held.
 Further arms are made at random. What is in the file already is not simulated again.
 """
@@ -56,8 +56,8 @@ ARMS: dict[str, tuple[str, str]] = {
     "xarm6": ("xarm/xarm6_robot.urdf", ""), "iiwa": ("kuka_iiwa/model.urdf", ""),
 }  # fmt: skip
 """A file of one of the packages, and how the names of the arm's joints begin."""
-SCALES = (0.8, 1.0, 1.25)
-LONGEST_S = 12.0
+SCALES = (0.8, 1.25)
+LONGEST_S = 8.0
 """No run is longer: the arms that move slowest come to no further move."""
 GEAR_HZ = 15.0
 """First resonance of elastic gears, the rotors held."""
