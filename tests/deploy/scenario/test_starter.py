@@ -150,3 +150,11 @@ def test_gears_bend_as_a_first_resonance_asks(two_links):
     mass = ManipulatorModel(setup.robot).mass_matrix(setup.start_position_rad)
     slowest = np.linalg.eigvals(np.linalg.inv(mass) @ np.diag(stiffness)).min()
     assert np.sqrt(slowest) / (2 * np.pi) == pytest.approx(15.0)
+
+
+def test_torque_of_the_default_law_does_not_chatter_with_derived_gains():
+    delay = ["controller.delay_compensation.enabled=true", "duration_s=3", "metrics.from_s=1"]
+    delay += ["link.uplink.delay_ms=8", "link.downlink.delay_ms=8"]
+    summary = execute(load_setup("panda_motors", delay)).summary
+    assert max(summary["torque"]["share_above_50_hz"]) < 0.02
+    assert max(summary["tracking"]["rms_rad"]) < 5e-5
