@@ -39,6 +39,12 @@ def scenario_warnings(setup: Setup) -> list[str]:
                 f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
                 " limits.velocity_rad_s"
             )
+    actuator = scenario.plant.actuator
+    if actuator.gear_stiffness_nm_rad is not None and actuator.encoder_side == "link":
+        said.append(
+            "plant.actuator.encoder_side: link measures beyond elastic gears, where no shipped law"
+            " kept its bounds at a first resonance of 15 Hz; motor measures before them"
+        )
     if ESTIMATED in (data := scenario.robot.drive_data or ""):
         said.append(
             f"{data}: replace that in the scenario (funnel-hil robot --scenario writes one)"

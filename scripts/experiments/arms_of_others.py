@@ -1,7 +1,7 @@
 """A table of arms that nobody tuned for: do laws with derived gains keep their bounds there.
 
     python -m scripts.experiments.arms_of_others FILE.jsonl [--laws A,B] [--rows A,B] [--arms A,B]
-        [--plants N] [--random N] [--without-identification]
+        [--plants N] [--random N] [--without-identification] [--picture FILE.svg]
 
 Every arm gets its starter scenario (`deploy.scenario.starter`): rest to rest at 30 % of the joints'
 speeds, with rotors and friction of its file or, where that has none, estimated ones. Each row of
@@ -185,6 +185,7 @@ def main() -> None:
     parser.add_argument("--plants", type=int, default=4)
     parser.add_argument("--random", type=int, default=20)
     parser.add_argument("--without-identification", action="store_true")
+    parser.add_argument("--picture", type=Path)
     given = parser.parse_args()
     done = _read(given.file)
     with given.file.open("a", encoding="utf-8") as stream:
@@ -194,6 +195,8 @@ def main() -> None:
                 stream.write(json.dumps(done[case]) + "\n")
                 stream.flush()
     print("\n".join(table(done)))
+    if given.picture:
+        given.picture.write_text(picture(done, given.laws[0]), encoding="utf-8")
 
 
 def table(done: dict[Case, dict[str, Any]]) -> Iterator[str]:
@@ -217,6 +220,36 @@ def table(done: dict[Case, dict[str, Any]]) -> Iterator[str]:
             f" {'at random' if is_random else 'of others'} | {whole} of {len(arms)} |"
             f" {sum(own.values())} of {len(own)} | {named or '–'} |"
         )
+
+
+def picture(done: dict[Case, dict[str, Any]], law: str) -> str:
+    """An SVG of arms by rows of the table: how many of its simulations each arm kept."""
+    own = {case: each for case, each in done.items() if case.law == law and case.identify}
+    rows, arms = (list(dict.fromkeys(case[k] for case in own)) for k in (0, 2))
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{130 + 120 * len(rows)}"'
+        f' height="{50 + 18 * len(arms)}" font-family="sans-serif" font-size="11">',
+        '<rect width="100%" height="100%" fill="white"/>',
+    ]
+    for column, row in enumerate(rows):
+        x = 120 + 120 * column
+        parts += [
+            f'<text x="{x}" y="{14 + 13 * line}">{" ".join(words)}</text>'
+            for line, words in enumerate((row.split()[:2], row.split()[2:]))
+        ]
+        for line, arm in enumerate(arms):
+            y = 36 + 18 * line
+            kept = [e["verdict"] == "kept" for c, e in own.items() if (c.row, c.arm) == (row, arm)]
+            if column == 0:
+                parts.append(f'<text x="4" y="{y + 12}">{arm}</text>')
+            if kept:
+                colour = "#3a9" if all(kept) else "#e90" if any(kept) else "#c33"
+                text = f"{sum(kept)} of {len(kept)}"
+                parts += [
+                    f'<rect x="{x}" y="{y}" width="112" height="16" fill="{colour}"/>',
+                    f'<text x="{x + 6}" y="{y + 12}" fill="white">{text}</text>',
+                ]
+    return "\n".join([*parts, "</svg>"])
 
 
 def _is_random(case: Case) -> bool:
