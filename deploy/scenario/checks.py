@@ -139,7 +139,8 @@ def _gear_stiffness(
     root = np.sqrt(np.broadcast_to(rated, robot.joints))
     slowest_s2 = eigenvalues(model.mass_matrix(start) / np.outer(root, root))[0].max()
     wanted = root**2 * (2.0 * math.pi * first_hz) ** 2 * slowest_s2
-    return np.minimum(wanted, 0.2 * model.governing_inertia(start[None]) / grid.substep_s**2)
+    most = 0.2 * model.governing_inertia(start[None]) / grid.substep_s**2
+    return np.asarray(np.minimum(wanted, most))
 
 
 def _check_sides(setup: Setup) -> None:

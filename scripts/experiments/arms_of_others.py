@@ -225,7 +225,8 @@ def table(done: dict[Case, dict[str, Any]]) -> Iterator[str]:
 def picture(done: dict[Case, dict[str, Any]], law: str) -> str:
     """An SVG of arms by rows of the table: how many of its simulations each arm kept."""
     own = {case: each for case, each in done.items() if case.law == law and case.identify}
-    rows, arms = (list(dict.fromkeys(case[k] for case in own)) for k in (0, 2))
+    rows = list(dict.fromkeys(case.row for case in own))
+    arms = list(dict.fromkeys(case.arm for case in own))
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{130 + 120 * len(rows)}"'
         f' height="{50 + 18 * len(arms)}" font-family="sans-serif" font-size="11">',
