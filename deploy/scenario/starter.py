@@ -126,7 +126,10 @@ def drives_of(robot: RobotDescription) -> Drives:
         ("rotor inertia", own.rotor_inertia_kg_m2, f"{ROTOR_INERTIA_S2_RAD} kg m² per N m"),
         ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
     )
-    return Drives(rated, rotors, friction, ", ".join(_source(*each) for each in sources))
+    data = [_source(*each) for each in sources]
+    if not np.isfinite(robot.effort_limits_nm).all():
+        data.insert(0, f"largest torques {ESTIMATED} from its weight where its file has none")
+    return Drives(rated, rotors, friction, ", ".join(data))
 
 
 def _believed(robot: RobotDescription, rated: Vector) -> DriveValues:

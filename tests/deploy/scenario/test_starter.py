@@ -133,6 +133,7 @@ def test_unknown_torques_are_estimated_from_the_arms_weight(two_links):
     robot = load_robot(file)
     # Three times the 22.07 N m that hold it out flat; 500 postures come close to that.
     np.testing.assert_allclose(torque_limits(robot), [66.2, 20.0], rtol=0.02)
+    assert "largest torques ESTIMATED" in starter_scenario(robot)["robot"]["drive_data"]
 
 
 @pytest.mark.parametrize("stiffness", [1e7, [100.0, 1e7]])
