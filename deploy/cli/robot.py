@@ -22,13 +22,13 @@ from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import starter_scenario
+from deploy.scenario.starter import drives_of, starter_scenario
 from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
 STARTER_COMMENT = """\
-# A first scenario: rest to rest at 30 % of the joints' speeds. Rotors and friction are ESTIMATES in
-# proportion to the largest torques (see the documentation of plant.actuator): put in your own.
+# A first scenario: rest to rest at 30 % of the joints' speeds. robot.drive_data names what is
+# ESTIMATED (see the documentation of plant.actuator): put in your own.
 """
 
 
@@ -70,6 +70,7 @@ def robot(
     if arm.followers or arm.held:
         print_table(console, _other_joints_table(setup))
     print_table(console, _gains_table(setup))
+    print_table(console, _drives_table(arm))
     console.print(_funnel_line(setup), markup=False, highlight=False)
     for said in scenario_warnings(setup):
         console.print(f"warning: {said}", style="yellow", markup=False, highlight=False)
@@ -172,6 +173,15 @@ def _gains_table(setup: Setup) -> Table:
     rows = [[name, _values(value)] for name, value in setup.gains._asdict().items()]
     columns = [Column("Gain", is_text=True), Column("Per joint", is_text=True)]
     return Table(f"Gains of {setup.scenario.controller.law}", columns, rows)
+
+
+def _drives_table(arm: RobotDescription) -> Table:
+    """Motors and friction that a first scenario gives the arm, and where they come from."""
+    drives = drives_of(arm)
+    values = {"rotor_inertia_kg_m2": drives.rotors, **drives.friction}
+    rows: list[list[Value]] = [[name, _values(value)] for name, value in values.items()]
+    columns = [Column("Value", is_text=True), Column("Per joint", is_text=True)]
+    return Table(f"Motors and friction: {drives.data}", columns, rows)
 
 
 def _funnel_line(setup: Setup) -> str:

@@ -34,6 +34,7 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         "scenario": scenario.name,
         "law": ", ".join(laws),
         "physics": _physics_of(setups),
+        **drives_of(setups),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"joints off by {start} rad",
         "seeds": str(scenario.seed),
@@ -64,6 +65,12 @@ def _physics_of(setups: Sequence[Setup]) -> str:
     """Engine and integrator of the plants."""
     plants = [setup.scenario.plant for setup in setups]
     return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
+
+
+def drives_of(setups: Sequence[Setup]) -> Conditions:
+    """Where the numbers of motors and friction come from, where scenarios say so."""
+    said = dict.fromkeys(setup.scenario.robot.drive_data for setup in setups)
+    return {"drives": "; ".join(filter(None, said))} if any(said) else {}
 
 
 def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:

@@ -28,7 +28,7 @@ def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
             "mixed",
             f"{tables.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
             " kept",
-            [*(_best(summary, arm) for arm in arms), *tables.held_again(summary)],
+            [*tables.headlines(summary), *tables.held_again(summary)],
         ),
         facts=[
             Fact("Resolution", tables.value_text(summary["resolution"], summary)),
@@ -160,17 +160,6 @@ def _bars(study: DrawnStudy, arm: str) -> Any:
     ]
     reruns = [study.rerun(probe["worst_point"]) if probe else "" for probe in probes]
     return study_figures.margin_bars(cases, reruns, tables.value_title(study.summary))
-
-
-def _best(summary: Summary, arm: str) -> str:
-    """Who takes the most on an arm."""
-    known = [case for case in _cases_by_arm(summary)[arm] if case["margin"] is not None]
-    if not known:
-        return f"{arm}: no law keeps its bounds at all."
-    best = max(known, key=lambda case: case["growth"] * case["margin"])
-    others = [tables.case_name(case) for case in known if case["margin"] == best["margin"]]
-    margin = f"{tables.furthest(summary)} margin is {tables.margin_text(best, summary)}"
-    return f"{arm}: the {margin}, of {' and '.join(others)}."
 
 
 def _there(case: Summary) -> str:

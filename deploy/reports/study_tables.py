@@ -117,6 +117,29 @@ def probe_at(case: Summary, value: float | None) -> Summary | None:
     return next((probe for probe in case["probes"] if probe["value"] == value), None)
 
 
+def headlines(summary: Summary) -> list[str]:
+    """Who takes the most on each arm: first of loops that run, then of those that start so."""
+    arms = dict.fromkeys(case["arm"] for case in summary["cases"])
+    return [
+        _best(summary, own, arm)
+        for arm in arms
+        for running in (True, False)
+        if (own := [c for c in summary["cases"] if (c["arm"], c["running"]) == (arm, running)])
+    ]
+
+
+def _best(summary: Summary, cases: list[Summary], arm: str) -> str:
+    """Who takes the most of the cases of an arm."""
+    known = [case for case in cases if case["margin"] is not None]
+    where = f"{arm}, a loop that already runs" if cases[0]["running"] else arm
+    if not known:
+        return f"{where}: no law keeps its bounds at all."
+    best = max(known, key=lambda case: case["growth"] * case["margin"])
+    others = [case_name(case) for case in known if case["margin"] == best["margin"]]
+    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
+    return f"{where}: the {margin}, of {' and '.join(others)}."
+
+
 def held_again(summary: Summary) -> list[str]:
     """A sentence for each case that kept its bounds once more beyond its first failure."""
     return [

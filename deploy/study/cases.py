@@ -39,7 +39,8 @@ class CasesDefinition(StudyDefinition):
             has it if none is given.
         drive_feedback: values of ``controller.drive_feedback.enabled`` to try, likewise.
         running: false where the quantity is there from the start, true where a loop that already
-            runs meets it gradually, from 1 s to 3 s.
+            runs meets it gradually, from 1 s to 3 s; null for the first alone, and for both where
+            an arm has motors and the quantity can come gradually.
         quantity: what grows: ``delay`` (round trip, half each way), ``jitter`` or ``loss`` (each
             way), or the dotted key of any number of the scenario.
         direction: of the link, where it is to be one alone; the other is as the scenario has it.
@@ -51,7 +52,7 @@ class CasesDefinition(StudyDefinition):
     laws: Different[str] | None = None
     compensation: Different[bool] | None = None
     drive_feedback: Different[bool] | None = None
-    running: Different[bool] = Field(default=[False])
+    running: Different[bool] | None = None
     quantity: str = "delay"
     direction: Direction = "both"
     duration_s: Positive | None = None
@@ -100,26 +101,37 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
     unasked: Sequence[bool | None] = [None]
     chosen = itertools.product(
         [(scenario, law) for scenario in wanted.scenarios for law in _laws(wanted, scenario)],
-        wanted.compensation or unasked, wanted.drive_feedback or unasked, wanted.running,
+        wanted.compensation or unasked, wanted.drive_feedback or unasked,
     )  # fmt: skip
-    for (scenario, law), compensation, drive_feedback, running in chosen:
+    for (scenario, law), compensation, drive_feedback in chosen:
         asked = {study_keys.LAW: law, COMPENSATION: compensation, DRIVE_FEEDBACK: drive_feedback}
         given = (override(key, value) for key, value in asked.items() if value is not None)
         overrides = (*fixed, *given)
         base = load_setup(scenario, overrides)
-        quantity = build_quantity(wanted.quantity, wanted.direction, running, base)
-        if quantity.is_of_link:
-            study_keys.require_effect(
-                wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
-            )
-        tags = {
-            "law": base.scenario.controller.name,
-            "arm": base.scenario.name,
-            "compensation": compensation,
-            "drive_feedback": drive_feedback,
-            "running": running,
-        }
-        yield Setting(scenario, base, tags, overrides, quantity)
+        for running, quantity in _loops(wanted, base):
+            if quantity.is_of_link:
+                study_keys.require_effect(
+                    wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
+                )
+            tags = {
+                "law": base.scenario.controller.name,
+                "arm": base.scenario.name,
+                "compensation": compensation,
+                "drive_feedback": drive_feedback,
+                "running": running,
+            }
+            yield Setting(scenario, base, tags, overrides, quantity)
+
+
+def _loops(wanted: CasesDefinition, base: Setup) -> Iterator[tuple[bool, Quantity]]:
+    """The quantity as it comes to a loop that starts, to one that runs, or both."""
+    has_motors = base.scenario.plant.actuator.has_rotors
+    for running in wanted.running or ([False, True] if has_motors else [False]):
+        try:
+            yield running, build_quantity(wanted.quantity, wanted.direction, running, base)
+        except ConfigurationError:
+            if not running or wanted.running is not None:  # else nobody asked for it
+                raise
 
 
 def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study_results
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import (
+    headlines,
     held_again,
     losses_table,
     margin_table,
@@ -176,7 +177,7 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     """The result as a table."""
     if summary["kind"] == "margin":
         print_table(console, margin_table(summary))
-        for sentence in held_again(summary):
+        for sentence in [*headlines(summary), *held_again(summary)]:
             console.print(sentence, markup=False)
     elif summary["kind"] == "robustness":
         for table in (robustness_table(summary), losses_table(summary)):

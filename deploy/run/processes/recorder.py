@@ -54,7 +54,7 @@ _CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
 _MOST_COMMANDS = 1 << 40
 _FROZEN_S, _RETURN_S = 2.0, 12.0
-"""After the recorder stood still for so long, peers whose connections failed have time to return."""
+"""A recorder that stood still for so long gives its peers time to connect again."""
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 

@@ -20,8 +20,7 @@ from bus_schema.zenoh.bundle_order import _AGAIN_S, _MOST_ASKED, _MOST_WAITING, 
 from bus_schema.zenoh.bundles import MOST_AT_ONCE, Bundler, Span
 from bus_schema.zenoh.link import ZenohControllerLink
 from bus_schema.zenoh.session import ZenohSession
-from deploy.run.network.delay_relay import DelayRelay
-from deploy.run.processes.relay import tcp_address
+from deploy.run.processes.relay import DelayRelay, tcp_address
 from tests.bus_schema.zenoh.recorder_ear import Ear, assert_heard, ear_on, exchange
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,

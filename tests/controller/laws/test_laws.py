@@ -268,8 +268,8 @@ def test_lyapunov_function_of_the_model_based_law_never_grows(seed):
 
 def test_the_adaptive_law_is_the_network_beside_the_model():
     order, model = (0, 1, 2), DecoupledModel((0, 1, 2))
-    adaptive, neural = law_of("fixed_time_adaptive", order), law_of("fixed_time_neural", order)
-    gains = gains_of("fixed_time_neural")
+    gains, neural = gains_of("fixed_time_neural"), law_of("fixed_time_neural", order)
+    adaptive = LAWS["fixed_time_adaptive"].build(gains, model, NO_LIMITS)
     none = np.zeros(JOINTS)
     shared = {
         name: getattr(gains, name) for name in ("alpha_1", "alpha_2", "phi_1", "phi_2", "eta")

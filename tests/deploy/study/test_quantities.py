@@ -187,3 +187,14 @@ def test_what_the_other_direction_has_counts_against_one():
     assert held_arm_ceiling_ms(setup, "both") == pytest.approx(122.7)
     assert held_arm_ceiling_ms(setup, "uplink") == pytest.approx(102.7)
     assert held_arm_ceiling_ms(setup, "downlink") == pytest.approx(122.7)
+
+
+def test_an_arm_with_motors_has_a_margin_from_the_start_and_one_of_a_running_loop():
+    def loops(**values):
+        own = margin_of(scenarios=["ur5e_motors"], **values)
+        return [case.setting.running for case in own.cases]
+
+    assert loops() == [False, True]
+    assert loops(running=[True]) == [True]
+    assert loops(duration_s=2) == [False]  # too short for a ramp
+    assert loops(quantity="plant.payload_kg", limit=3, resolution=1) == [False]

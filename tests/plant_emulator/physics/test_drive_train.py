@@ -117,7 +117,7 @@ def test_a_current_loop_is_a_lag():
     "actuator",
     [
         {"lag_ms": 1.0, "current_loop_hz": 100.0}, {"rated_speed_rad_s": 1.0},
-        {"encoder_side": "motor"}, {"gear_damping_nm_s": 1.0},
+        {"gear_damping_nm_s": 1.0},
     ],
 )  # fmt: skip
 def test_what_does_not_go_together_is_refused(actuator):
