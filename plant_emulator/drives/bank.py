@@ -41,7 +41,6 @@ class DriveBank:
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
         self._drives = [protocol(each, send) for each in settings]
-        self._targets_taken = [0] * len(self._drives)
         self.node_ids = tuple(each.node_id for each in settings)
         self._torque_nm: Vector = np.zeros(len(self._drives))
         self._loops: list[Loop | None] = [None] * len(self._drives)
@@ -77,18 +76,13 @@ class DriveBank:
 
     def take_targets(self) -> bool:
         """Whether every drive still on the bus got a target since the last time it was so."""
-        listening = False
-        for drive, taken in zip(self._drives, self._targets_taken, strict=True):
-            if not drive.is_silent:
-                if drive.targets <= taken:
-                    return False
-                listening = True
-        if listening:
-            self._targets_taken = [
-                taken if drive.is_silent else drive.targets
-                for drive, taken in zip(self._drives, self._targets_taken, strict=True)
-            ]
-        return listening
+        for drive in self._drives:  # asked after every frame, too
+            if not drive.is_silent and drive.targets <= drive.targets_taken:
+                return False
+        listening = [drive for drive in self._drives if not drive.is_silent]
+        for drive in listening:
+            drive.targets_taken = drive.targets
+        return bool(listening)
 
     def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
         """Show the drives their joints, shape (joints,) each."""

@@ -49,7 +49,7 @@ class Cia402Drive(Drive):
 
     @property
     def targets(self) -> int:
-        return self._motor.targets
+        return self._node.targets
 
     @property
     def samplings(self) -> int:

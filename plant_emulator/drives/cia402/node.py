@@ -125,6 +125,7 @@ class DriveNode(canopen.LocalNode):
     Attributes:
         node_id: its address.
         now_ns: the time of what is being done.
+        targets: target torques and, in position mode, target positions taken so far.
         values: of the numeric objects that are stored, by index and sub-index, such as 0x1018_01.
         readers: where the values of objects come from that are not stored, by index.
         writers: what checks values that are written to objects, by index, before they are stored.
@@ -136,7 +137,7 @@ class DriveNode(canopen.LocalNode):
         self.network = CanopenNetwork(send)
         self.sdo.network = self.emcy.network = self.network
         self.node_id = node_id
-        self.now_ns = 0
+        self.now_ns = self.targets = 0
         self.readers: dict[int, Reader] = {}
         self.writers: dict[int, Writer] = {}
         self._read_callbacks = [self._read_number]
