@@ -8,7 +8,7 @@ has given every axis a new target.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from bus_schema.arrays import Vector
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.rejections import Rejections
+from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Loop, Send
 
 logger = logging.getLogger(__name__)
@@ -41,11 +42,10 @@ class DriveBank:
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
         self._drives = [protocol(each, send) for each in settings]
-        self._targets_taken = [0] * len(self._drives)
         self.node_ids = tuple(each.node_id for each in settings)
         self._torque_nm: Vector = np.zeros(len(self._drives))
         self._loops: list[Loop | None] = [None] * len(self._drives)
-        self._no_loops, self._closes_loops = self._loops.copy(), False
+        self._no_loops = self._loops.copy()
         self._braked: NDArray[np.bool_] = np.ones(len(self._drives), dtype=np.bool_)
         self._is_stale = True
         self._reads_fd = any(each.fd_process_data for each in settings)
@@ -77,18 +77,13 @@ class DriveBank:
 
     def take_targets(self) -> bool:
         """Whether every drive still on the bus got a target since the last time it was so."""
-        listening = False
-        for drive, taken in zip(self._drives, self._targets_taken, strict=True):
-            if not drive.is_silent:
-                if drive.targets <= taken:
-                    return False
-                listening = True
-        if listening:
-            self._targets_taken = [
-                taken if drive.is_silent else drive.targets
-                for drive, taken in zip(self._drives, self._targets_taken, strict=True)
-            ]
-        return listening
+        for drive in self._drives:  # asked after every frame, too
+            if not drive.is_silent and drive.targets <= drive.targets_taken:
+                return False
+        listening = [drive for drive in self._drives if not drive.is_silent]
+        for drive in listening:
+            drive.targets_taken = drive.targets
+        return bool(listening)
 
     def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
         """Show the drives their joints, shape (joints,) each."""
@@ -111,16 +106,26 @@ class DriveBank:
 
     @property
     def closes_loops(self) -> bool:
-        """Whether the torque of any drive follows its joint's motion, see `close_loops`."""
+        """Whether the torque of any drive follows its joint's motion."""
         self._refresh()
-        return self._closes_loops
+        return self._loops != self._no_loops
 
-    def close_loops(self, position_rad: Vector, velocity_rad_s: Vector, step_s: float) -> None:
-        """Give the torques that follow the joints' motion, shape (joints,) each, for a step."""
-        for joint, (drive, loop) in enumerate(zip(self._drives, self._loops, strict=True)):
-            if loop is not None:
-                motion = float(position_rad[joint]), float(velocity_rad_s[joint])
-                self._torque_nm[joint] = loop.torque_nm(*drive.seen(*motion), step_s)
+    def stretches(
+        self, arm: ArmPlant, first: int, end: int, substep_s: float
+    ) -> Iterator[tuple[int, int]]:
+        """Stretches of substeps through which `torque_nm` holds, as the arm gets to each.
+
+        Where a drive's torque follows its joint's motion, each substep is one.
+        """
+        if not self.closes_loops:
+            yield first, end
+            return
+        for number in range(first, end):
+            for joint, (drive, loop) in enumerate(zip(self._drives, self._loops, strict=True)):
+                if loop is not None:
+                    motion = float(arm.position[joint]), float(arm.velocity[joint])
+                    self._torque_nm[joint] = loop.torque_nm(*drive.seen(*motion), substep_s)
+            yield number, number + 1
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
@@ -184,4 +189,3 @@ class DriveBank:
         for joint, drive in enumerate(self._drives):
             self._torque_nm[joint], is_released, self._loops[joint] = drive.demand()
             self._braked[joint] = not is_released
-        self._closes_loops = self._loops != self._no_loops

@@ -172,12 +172,14 @@ class Drive(ABC):
 
     Attributes:
         is_silent: its bus connection is cut.
+        targets_taken: targets that the bank has counted.
     """
 
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         self._settings, self._send = settings, send
         self._reading = JointReading()
         self._is_hot = self._is_off_bus = self._is_frozen = self.is_silent = False
+        self.targets_taken = 0
 
     @property
     @abstractmethod

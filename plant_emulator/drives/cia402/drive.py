@@ -11,7 +11,7 @@ from plant_emulator.drives.cia402.describe import describe
 from plant_emulator.drives.cia402.errors import SENTENCES, ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.motor import Motor
 from plant_emulator.drives.cia402.network_state import HEARTBEAT, NetworkState, NmtCommand, NmtState
-from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
+from plant_emulator.drives.cia402.node import LAST_COMMUNICATION, SDO_BYTES, DriveNode
 from plant_emulator.drives.cia402.pdo import Pdo
 from plant_emulator.drives.cia402.process_data import ProcessData
 from plant_emulator.drives.cia402.state_machine import State
@@ -27,7 +27,7 @@ from plant_emulator.drives.drive import (
 _NMT = 0x000
 _NMT_BYTES = 2
 _ALL_NODES = 0
-_LAST_COMMUNICATION, _LAST_OBJECT = 0x1FFF, 0xFFFF
+_LAST_OBJECT = 0xFFFF
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
 
 
@@ -49,7 +49,7 @@ class Cia402Drive(Drive):
 
     @property
     def targets(self) -> int:
-        return self._motor.targets
+        return self._node.targets
 
     @property
     def samplings(self) -> int:
@@ -148,6 +148,7 @@ class Cia402Drive(Drive):
 
     def _set_up(self) -> None:
         """Note who takes the data of which identifier, as the dictionary has it now."""
+        self._node.is_set_up_anew = False
         self._process_data.note_set_up()
         self._network.note_set_up()
         takers: dict[int, Callable[[bytes], None]] = {
@@ -185,7 +186,8 @@ class Cia402Drive(Drive):
             raise InvalidMessageError("sdo_length", f"an SDO request has 8 bytes: {data!r}")
         if self._network.has_sdo:
             self._node.sdo.on_request(self._node.sdo.rx_cobid, data, 0.0)
-            self._set_up()
+            if self._node.is_set_up_anew:
+                self._set_up()
 
     def _obey_master(self, data: bytes) -> None:
         if len(data) != _NMT_BYTES:
@@ -199,7 +201,7 @@ class Cia402Drive(Drive):
             self._restart()
         elif command is NmtCommand.RESET_COMMUNICATION:
             self._motor.abort_connection(ErrorCode.STOPPED)
-            self._reset(_LAST_COMMUNICATION)
+            self._reset(LAST_COMMUNICATION)
         else:
             if command is NmtCommand.STOP:
                 self._motor.abort_connection(ErrorCode.STOPPED)

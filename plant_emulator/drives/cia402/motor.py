@@ -54,14 +54,9 @@ class Motor:
         self._position_mode = PositionMode(node, settings)
         self._position = self._position_mode.measure(self._reading)
         self.automaton = Automaton(node, self._is_still, errors.reset)
-        self._torques, self._mode = 0, NO_MODE
+        self._mode = NO_MODE
         self._fit()
         self._serve()
-
-    @property
-    def targets(self) -> int:
-        """Target torques and, in position mode, target positions taken so far."""
-        return self._torques + self._position_mode.targets
 
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
@@ -121,7 +116,8 @@ class Motor:
             word |= Statusword.WARNING
         if self._follows():
             word |= Statusword.FOLLOWS_COMMAND
-            if self._is_limited():
+            in_position_mode = self._mode == CYCLIC_SYNCHRONOUS_POSITION
+            if self._is_loop_limited() if in_position_mode else self._limited()[1]:
                 word |= Statusword.INTERNAL_LIMIT_ACTIVE
         if self._position_mode.has_following_error:
             word |= Statusword.FOLLOWING_ERROR
@@ -139,10 +135,8 @@ class Motor:
         most = min(self._node.values[_MAX_TORQUE], self._hard_limit)
         return self._position_mode.loop(self._nm(self._node.values[_OFFSET]), self._nm(most))
 
-    def _is_limited(self) -> bool:
-        """Whether a limit has a say in the torque, while the motor follows."""
-        if self._mode != CYCLIC_SYNCHRONOUS_POSITION:
-            return self._limited()[1]
+    def _is_loop_limited(self) -> bool:
+        """Whether a limit has a say in the torque, while the motor closes its loop."""
         loop = self._loop()
         is_torque_limited = abs(loop.torque_nm(*self._reading[:2])) >= loop.most_nm
         return self._position_mode.is_target_limited or is_torque_limited
@@ -193,4 +187,4 @@ class Motor:
         self._mode = value
 
     def _count_target(self, _subindex: int, _value: int) -> None:
-        self._torques += self._mode != CYCLIC_SYNCHRONOUS_POSITION
+        self._node.targets += self._mode != CYCLIC_SYNCHRONOUS_POSITION

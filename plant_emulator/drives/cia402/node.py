@@ -21,6 +21,7 @@ from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.drive import Send
 
 SDO_BYTES = 8
+LAST_COMMUNICATION = 0x1FFF
 _COMMAND_MASK, _ABORTED = 0xE0, 0x80
 _DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT = 0x00, 0x60
 _EXPEDITED, _SIZED, _LAST_SEGMENT = 0x02, 0x01, 0x01
@@ -125,6 +126,8 @@ class DriveNode(canopen.LocalNode):
     Attributes:
         node_id: its address.
         now_ns: the time of what is being done.
+        targets: target torques and, in position mode, target positions taken so far.
+        is_set_up_anew: an object of the communication profile was written.
         values: of the numeric objects that are stored, by index and sub-index, such as 0x1018_01.
         readers: where the values of objects come from that are not stored, by index.
         writers: what checks values that are written to objects, by index, before they are stored.
@@ -136,7 +139,8 @@ class DriveNode(canopen.LocalNode):
         self.network = CanopenNetwork(send)
         self.sdo.network = self.emcy.network = self.network
         self.node_id = node_id
-        self.now_ns = 0
+        self.now_ns = self.targets = 0
+        self.is_set_up_anew = False
         self.readers: dict[int, Reader] = {}
         self.writers: dict[int, Writer] = {}
         self._read_callbacks = [self._read_number]
@@ -188,6 +192,7 @@ class DriveNode(canopen.LocalNode):
         if write is not None:
             write(subindex, value)
         self.values[index << 8 | subindex] = value
+        self.is_set_up_anew |= index <= LAST_COMMUNICATION
 
 
 def _defaults(dictionary: ObjectDictionary) -> Iterator[tuple[int, int]]:

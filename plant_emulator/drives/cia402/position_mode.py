@@ -37,7 +37,6 @@ class PositionMode:
         settings: how it is commissioned.
 
     Attributes:
-        targets: target positions taken so far.
         has_following_error: the joint has been outside the window for its time.
     """
 
@@ -45,7 +44,6 @@ class PositionMode:
         self._node, self._settings = node, settings
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
         self._counts = 0
-        self.targets = 0
         self._fit()
         self.restore()
         node.readers[0x6062] = lambda _: self.demanded
@@ -145,7 +143,7 @@ class PositionMode:
 
     def _set_target(self, _subindex: int, value: int) -> None:
         self._target = value
-        self.targets += 1
+        self._node.targets += 1
 
     def _check_limit(self, subindex: int, value: int) -> None:
         lowest, highest = self.limits
