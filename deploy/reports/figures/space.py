@@ -27,11 +27,9 @@ _MARK = {"size": 5, "color": style.INK}
 _GHOST = {"color": style.MUTED, "width": 18}
 _ROOM = 0.05
 """On every side, as a share of the longest one."""
-_CAMERA = {"eye": {"x": 1.5, "y": 1.3, "z": 0.6}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}}
-"""It looks a little below the middle of the box: most ticks and titles are at its foot."""
-_DIAGONAL = 1.4
-"""Of the box, in plotly's unit: such a box is whole in the picture, whatever its form, as plotly
-looks through 45°."""
+_CAMERA = {"eye": {"x": 1.86, "y": 1.61, "z": 0.74}, "center": {"x": 0, "y": 0, "z": -0.12}}
+"""It looks through 45° at all of a box with the diagonal of a cube of side 1, whatever its form, a
+little below its middle: most ticks and titles are at its foot."""
 
 
 def show_in_space(figure: go.Figure, points: NDArray[np.float64], **more: object) -> None:
@@ -48,7 +46,8 @@ def show_in_space(figure: go.Figure, points: NDArray[np.float64], **more: object
     lower, upper = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
     room = _ROOM * max(float((upper - lower).max()), 1e-3)
     lower, upper = lower - room, upper + room
-    sides = _DIAGONAL * (upper - lower) / np.linalg.norm(upper - lower)
+    spans = upper - lower
+    sides = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, whatever its form
     axes = {
         f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 6, "range": [low, high]}
         for name, low, high in zip("xyz", lower.tolist(), upper.tolist(), strict=True)
