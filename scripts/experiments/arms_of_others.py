@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -224,7 +225,7 @@ def table(done: dict[Case, dict[str, Any]]) -> Iterator[str]:
 
 
 def picture(done: dict[Case, dict[str, Any]], law: str) -> str:
-    """An SVG of arms by rows of the table: how many of its simulations each arm kept."""
+    """An SVG of arms by rows of the table: how many simulations were kept, and the worst RMS."""
     own = {case: each for case, each in done.items() if case.law == law and case.identify}
     rows = list(dict.fromkeys(case.row for case in own))
     arms = list(dict.fromkeys(case.arm for case in own))
@@ -241,12 +242,14 @@ def picture(done: dict[Case, dict[str, Any]], law: str) -> str:
         ]
         for line, arm in enumerate(arms):
             y = 36 + 18 * line
-            kept = [e["verdict"] == "kept" for c, e in own.items() if (c.row, c.arm) == (row, arm)]
+            there = [each for c, each in own.items() if (c.row, c.arm) == (row, arm)]
+            kept = [each["verdict"] == "kept" for each in there]
             if column == 0:
                 parts.append(f'<text x="4" y="{y + 12}">{arm}</text>')
             if kept:
                 colour = "#3a9" if all(kept) else "#e90" if any(kept) else "#c33"
-                text = f"{sum(kept)} of {len(kept)}"
+                worst = max(each["rms_mrad"] or math.nan for each in there)
+                text = f"{sum(kept)} of {len(kept)}, {worst:.2g} mrad"
                 parts += [
                     f'<rect x="{x}" y="{y}" width="112" height="16" fill="{colour}"/>',
                     f'<text x="{x + 6}" y="{y + 12}" fill="white">{text}</text>',
