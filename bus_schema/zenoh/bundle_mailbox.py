@@ -102,6 +102,8 @@ class BundleMailbox:
         most_bytes: of messages to keep, in bundles and by themselves each.
         lossless: once there are more, senders wait; or else the oldest make room.
         graph: who is on the bus.
+        by_role: believe events of the loops in their bundles alone, where keys of a role are needed
+            to send them; by themselves, anyone with a key of the domain can send them.
 
     Attributes:
         rejected: what was left out, by reason: bundles that their senders cannot have sent
@@ -117,8 +119,9 @@ class BundleMailbox:
         *,
         lossless: bool,
         graph: RosGraph,
+        by_role: bool,
     ) -> None:
-        self._domain = domain
+        self._domain, self._by_role = domain, by_role
         self._mailbox = partial(Mailbox, session, most_bytes=most_bytes, lossless=lossless)
         self._graph = graph
         self.rejected: Counter[str] = Counter()
@@ -215,7 +218,9 @@ class BundleMailbox:
             source = RunEvent.decode(event).source
         except InvalidMessageError:
             return True  # nobody reads it
-        return source not in self._have_bundled if role is None else source == role
+        if role is not None:
+            return source == role
+        return not ((source in BUNDLED and self._by_role) or source in self._have_bundled)
 
     def _is_bundled(self, message: Received) -> bool:
         """Whether a message that has come by itself comes in a bundle too."""

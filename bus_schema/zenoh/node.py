@@ -132,8 +132,9 @@ class ZenohNode:
     def listen_to_all(self, most_bytes: int, *, lossless: bool) -> BundleMailbox:
         """Subscribe to everything in the domain, in one mailbox."""
         mailbox = BundleMailbox(
-            self._session, self._domain, most_bytes, lossless=lossless, graph=self._graph
-        )
+            self._session, self._domain, most_bytes, lossless=lossless, graph=self._graph,
+            by_role=self._link.security.enabled,
+        )  # fmt: skip
         for topic in topics.TOPICS:
             self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
         return mailbox

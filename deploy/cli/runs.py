@@ -12,7 +12,7 @@ from rich.table import Table
 
 from deploy.reports.terminal import fitted, width_of
 from deploy.run.new_folder import remove_results
-from deploy.run.run_index import INCOMPLETE, IndexedResults, results_in, tag
+from deploy.run.run_index import INCOMPLETE, INTERRUPTED, IndexedResults, results_in, tag
 from deploy.scenario.scenario import SHIPPED
 from deploy.scenario.yaml_files import FAULTS, ScenarioError
 from deploy.study.study import SHIPPED as SHIPPED_STUDIES
@@ -85,7 +85,7 @@ def prune(
         each for each in results_in(folder)
         if not each.tags
         and (older_than is None or _is_older(each, older_than))
-        and (not incomplete or each.result == INCOMPLETE)
+        and (not incomplete or each.result in (INCOMPLETE, INTERRUPTED))
     ]  # fmt: skip
     _show(chosen, Console())
     if not yes:

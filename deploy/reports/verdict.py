@@ -33,8 +33,8 @@ _HEADLINES: Mapping[Verdict, tuple[Level, str]] = {
     Verdict.LOST: ("bad", "Bounds not kept"),
     Verdict.UNKNOWN: ("broken", "Not known whether bounds were kept"),
     Verdict.FAULTED: ("broken", "Run faulted"),
-    Verdict.INTERRUPTED: ("broken", "Run incomplete"),
-    Verdict.NOTHING: ("broken", "Run incomplete"),
+    Verdict.INTERRUPTED: ("broken", "Run interrupted"),
+    Verdict.NOTHING: ("broken", "Nothing to judge"),
 }
 _GOES_FIRST = {SCHEDULER: "other programs", AFFINITY: "another loop on its CPU"}
 """Who holds up a loop that lacks a setting."""

@@ -15,13 +15,15 @@ from deploy.run.new_folder import holds_results
 from deploy.run.run_folder import read_json, read_manifest, read_summary
 from deploy.scenario.yaml_files import ScenarioError
 
-INCOMPLETE = "incomplete"
+INTERRUPTED, INCOMPLETE = "interrupted", "incomplete"
+"""Results of what came to no end, unless by a fault; of what left nothing to judge."""
+_OLDER = "older version"
 _RESULTS = {
     Verdict.KEPT: "bounds kept",
     Verdict.LOST: "bounds not kept",
     Verdict.UNKNOWN: "unknown",
     Verdict.FAULTED: "faulted",
-    Verdict.INTERRUPTED: INCOMPLETE,
+    Verdict.INTERRUPTED: INTERRUPTED,
     Verdict.NOTHING: INCOMPLETE,
 }
 _TAGS = "tags.json"
@@ -37,7 +39,7 @@ class IndexedResults:
         kind: ``run``, ``comparison``, ``sweep``, ``margin`` or ``robustness``.
         what: name of the scenario or study, and the law of a run.
         started: when it was begun; None where nothing says so.
-        result: the verdict on a run; ``complete``, ``faulted`` or ``incomplete`` for all else.
+        result: the verdict on a run; of several, ``complete`` or the worst verdict but lost.
         tags: in alphabetical order.
     """
 
@@ -114,11 +116,18 @@ def _result(kind: str, summary: dict[str, Any]) -> str:
     """The verdict on a run; of several runs, whether they came to their end, or to a fault."""
     laws = summary.get("laws")
     if kind == "comparison" and isinstance(laws, dict):
-        found = {_RESULTS[verdict_of(law)] for law in laws.values() if isinstance(law, dict)}
-        return next((each for each in (INCOMPLETE, "faulted") if each in found), "complete")
+        found = {_verdict(law) for law in laws.values() if isinstance(law, dict)}
+        worst = (_OLDER, INTERRUPTED, INCOMPLETE, "faulted")
+        return next((each for each in worst if each in found), "complete")
     if kind == "run" or not summary.get("completed"):
-        return _RESULTS[verdict_of(summary)]
+        return _verdict(summary)
     return "complete"
+
+
+def _verdict(summary: dict[str, Any]) -> str:
+    """The verdict in a summary; older versions did not decide it there."""
+    is_older = "ticks" in summary and "verdict" not in summary
+    return _OLDER if is_older else _RESULTS[verdict_of(summary)]
 
 
 def _scenario_of(manifest: dict[str, Any]) -> Any:

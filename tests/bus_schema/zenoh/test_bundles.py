@@ -183,3 +183,23 @@ def test_an_event_in_another_loops_name_is_counted_and_not_believed() -> None:
         ear.await_heard(topics.RUN_EVENTS, 4)
         assert ear.mailbox.rejected == {"wrong_role": 1}
         assert forged not in [payload for _, payload in ear.heard[topics.RUN_EVENTS.name]]
+
+
+@pytest.mark.parametrize("by_role", [False, True])
+def test_with_keys_no_event_of_a_loop_is_believed_by_itself(by_role: bool) -> None:
+    """Even before the loop is known: any key of the domain is enough to send one."""
+    link = fresh_link()
+    forged = RunEvent(5, "plant", EventKind.ENDED, '{"ticks": 1000, "completed": true}').encode()
+    with plant_on(link), ear_on(link) as ear:
+        ear.mailbox._by_role = by_role
+        ear.mailbox._have_bundled.clear()  # as if it had not announced itself yet
+        client = {"mode": "client"}
+        stranger = ZenohSession([], [link.plant_endpoint], low_latency=False, security=client)
+        publisher = stranger.publisher(topics.RUN_EVENTS.key_expression(0))
+        await_true(publisher.has_subscribers)
+        publisher.put(forged, FOREIGN.encode())
+        heard = ear.heard[topics.RUN_EVENTS.name]
+        ear.await_true(lambda: bool(heard or ear.mailbox.rejected))
+        stranger.close()
+        assert [payload for _, payload in heard] == ([] if by_role else [forged])
+        assert ear.mailbox.rejected == ({"wrong_role": 1} if by_role else {})

@@ -158,7 +158,7 @@ def test_joint_names_are_plain_text_in_figures(run):
 def test_a_run_without_any_data_still_has_a_report(run, page_of):
     empty = build_run_data(run.setup, {}, clock="realtime", link="zenoh", complete=False)
     page = page_of(empty)
-    assert "<h1>Run incomplete</h1>" in page
+    assert "<h1>Nothing to judge</h1>" in page
     assert "No tick was recorded" in page
     assert "Nothing was recorded that could be drawn" in page
 
