@@ -20,6 +20,7 @@ import numpy as np
 import typer
 import yaml
 from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
 from pydantic import BaseModel
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
@@ -132,7 +133,7 @@ def _section(section: type, path: str, seen: dict[type, str]) -> Iterator[str]:
         places = [seen.get(each) or _place(each, f"{path}.{key}".strip(".")) for each in found]
         inner += [(e, place) for e, place in zip(found, places, strict=True) if e not in seen]
         seen |= dict(zip(found, places, strict=True))
-        links = ", ".join(f"[`{place}`](#{_anchor(place)})" for place in dict.fromkeys(places))
+        links = ", ".join(f"[`{_kind(p)}`](#{_anchor(p)})" for p in dict.fromkeys(places))
         kinds = [values_of(hint), unit_of(key)] if not links else [links]
         if name not in words and not links:
             raise ValueError(
@@ -140,8 +141,7 @@ def _section(section: type, path: str, seen: dict[type, str]) -> Iterator[str]:
             )
         meaning = words[name] if not links else attributes_of(section).get(name, "")
         rows.append([f"`{key}`", ", ".join(filter(None, kinds)), _default(section, name), meaning])
-    if path:
-        yield f"({_anchor(path)})=\n## {path}\n"
+    yield f"({_anchor(path)})=\n## {path or 'The file itself'}\n"
     about = inspect.cleandoc(section.__doc__ or "").partition("Attributes:")[0]
     if about and "(" not in about.partition("\n")[0].partition(" ")[0]:  # not NamedTuple's own
         yield about.replace("``", "`") + "\n"
@@ -154,6 +154,11 @@ def _place(section: type, key: str) -> str:
     """Where a section is: beside its key stands its kind, where there are several."""
     kind = get_args(get_type_hints(section, include_extras=True).get("kind"))
     return f"{key} ({kind[0]})" if len(kind) == 1 else key
+
+
+def _kind(place: str) -> str:
+    """How links call a section: by its kind, if it has one."""
+    return re.sub(r"[^(]*\((\w+)\)$", r"\1", place)
 
 
 def _anchor(path: str) -> str:
@@ -259,7 +264,7 @@ def topics() -> str:
     found = {each.name: each for each in vars(known).values() if isinstance(each, known.Topic)}
     rows = [[f"`{name}`", f"`{t.type_name}`", t.sender or "controller, plant", t.rate, names[name]]
             for name, t in found.items()]  # fmt: skip
-    lines = [table(["topic", "type", "sent by", "when", "content"], rows)]
+    lines = ["## Topics\n", table(["topic", "type", "sent by", "when", "content"], rows)]
     files = sorted(Path(inspect.getfile(known)).parent.rglob("*.msg"))
     heading = "## funnel_hil_msgs/msg/{}\n\n```text\n{}```\n"
     return "\n".join(lines + [heading.format(file.stem, file.read_text()) for file in files])
@@ -282,7 +287,15 @@ class Generated(SphinxDirective):
         return found
 
 
+def _write_math(writer: Any, node: nodes.math | nodes.math_block) -> None:
+    """Formulas as MathML: browsers show it without scripts, and offline."""
+    is_block = isinstance(node, nodes.math_block)
+    writer.body.append(tex2mathml(node.astext(), as_block=is_block))
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Called by Sphinx."""
     app.add_directive("generated", Generated)
+    app.add_html_math_renderer("mathml", (_write_math, None), (_write_math, None))
     return {"parallel_read_safe": True}

@@ -1,8 +1,4 @@
-"""Every code block of the tutorials runs as it stands there, with shorter runs.
-
-A comment before a block changes how the test runs it: ``test adds: OPTIONS`` (to each command of
-funnel-hil), ``test runs in the background, adds: OPTIONS``, ``test exits: CODE``, ``test skips: REASON``.
-"""
+"""Every code block of the tutorials runs as it stands there, with shorter runs."""
 
 from __future__ import annotations
 
@@ -12,30 +8,12 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
+from tests.deploy.docs.pages import DOCS, Block, blocks, commands
 from tests.warm_process import HANG_S, ROOT, WITHOUT_REPORT, WarmProcess
-
-TUTORIALS = ROOT / "deploy" / "docs" / "tutorials"
-_BLOCK = re.compile(r"((?:<!-- test [^>]*-->\n)*)```([^\n]*)\n(.*?)```", re.DOTALL)
-_NOTE = re.compile(r"<!-- test (runs in the background|adds|exits|skips)(?:, adds)?: (.*?) -->")
-
-
-class Block(NamedTuple):
-    """A code block: its language or directive, its text, and what comments say about it."""
-
-    language: str
-    text: str
-    notes: dict[str, str]
-
-
-def blocks(page: Path) -> Iterator[Block]:
-    for notes, language, text in _BLOCK.findall(page.read_text()):
-        yield Block(language.strip(), text, dict(_NOTE.findall(notes)))
 
 
 def save(block: Block, page: Path, folder: Path) -> None:
@@ -50,13 +28,6 @@ def save(block: Block, page: Path, folder: Path) -> None:
         (folder / caption[1]).write_text(block.text.partition("\n\n")[2])
 
 
-def commands(text: str) -> Iterator[list[str]]:
-    """The words of each command of a shell block."""
-    for line in text.replace("\\\n", " ").splitlines():
-        if words := shlex.split(line, comments=True):
-            yield words
-
-
 class Shell:
     """Runs commands in a folder; those of funnel-hil in processes that have their libraries."""
 
@@ -64,7 +35,12 @@ class Shell:
         self.folder = folder
         scripts = Path(sys.executable).parent
         path = os.pathsep.join([str(scripts), os.environ["PATH"]])
-        self.environment = {**os.environ, "PATH": path, "PYTHONPATH": f"{ROOT}:{folder}", "COLUMNS": "100"}
+        self.environment = {
+            **os.environ,
+            "PATH": path,
+            "PYTHONPATH": f"{ROOT}:{folder}",
+            "COLUMNS": "100",
+        }
         self.in_background: list[WarmProcess] = []
 
     def run(self, words: list[str], notes: dict[str, str]) -> None:
@@ -74,7 +50,9 @@ class Shell:
             return
         is_background = words[-1] == "&"
         words = [*words[1 : len(words) - is_background], *more]
-        process = WarmProcess(*words, cwd=self.folder, environment=self.environment, main=WITHOUT_REPORT)
+        process = WarmProcess(
+            *words, cwd=self.folder, environment=self.environment, main=WITHOUT_REPORT
+        )
         if is_background:
             self.in_background.append(process)
             return
@@ -86,7 +64,9 @@ class Shell:
             process.kill()
 
 
-@pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", sorted((DOCS / "tutorials").glob("*.md")), ids=lambda page: page.stem
+)
 def test_code_blocks_of_a_tutorial_run(page: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

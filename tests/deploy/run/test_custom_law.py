@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import controller
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.deploy.docs.pages import block
 
 SOURCE = """
 import numpy as np
@@ -105,9 +103,9 @@ def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(returns, told
     assert str(failure) == f"law my_laws:ComputedTorque returned {told} at tick 7"
 
 
-def test_law_in_the_readme_runs_as_shown(folder):
-    readme = Path(controller.__file__).with_name("README.md").read_text()
-    (folder / "law_of_the_readme.py").write_text(readme.partition("```python\n")[2].split("```")[0])
+def test_law_of_the_tutorial_runs_as_shown(folder):
+    law = block("tutorials/your-law.md", "python", "class ComputedTorque")
+    (folder / "law_of_the_tutorial.py").write_text(law)
     custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
-    simulation = simulate(setup_of("law_of_the_readme:ComputedTorque", custom, duration_s=2))
+    simulation = simulate(setup_of("law_of_the_tutorial:ComputedTorque", custom, duration_s=2))
     assert np.abs(simulation.data().true_errors_rad[-1]).max() < 0.05
