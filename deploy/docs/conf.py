@@ -28,6 +28,8 @@ autodoc_typehints = "signature"
 napoleon_use_ivar = True
 
 html_math_renderer = "mathml"  # of generated_reference
+smartquotes = False  # "--out" stays as it is
+
 html_theme = "furo"
 html_title = "funnel-hil"
 html_static_path = ["static"]

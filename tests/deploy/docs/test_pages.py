@@ -81,6 +81,24 @@ def test_study_of_uncertain_plants_of_the_page_can_be_run(tmp_path):
     assert margin_study(values, tmp_path / "study.yaml").expected == 2 * 4 * 40
 
 
+def test_parts_of_scenarios_on_pages_can_be_used(tmp_path):
+    delays = "".join(f"{delay_ms}\n" for delay_ms in range(1, 5))
+    (tmp_path / "measured_delays.csv").write_text(delays)
+    joints = ",".join(f"{name}.position_rad" for name in load_setup("paper_arm").robot.joint_names)
+    rows = "".join(f"{time_s},0,0,0\n" for time_s in range(30))
+    (tmp_path / "ref.csv").write_text(f"time_s,{joints}\n{rows}")
+    found = 0
+    for page in PAGES:
+        for each in blocks(page):
+            part = yaml.safe_load(each.text) if each.language == "yaml" else {}
+            if part and part.keys() <= ScenarioConfiguration.model_fields.keys() - {"name"}:
+                values = {"extends": "paper_arm", "name": "part", **part}
+                (tmp_path / "part.yaml").write_text(yaml.safe_dump(values))
+                load_setup(str(tmp_path / "part.yaml"))
+                found += 1
+    assert found >= 5
+
+
 def test_python_of_the_readme_runs(capsys):
     for each in blocks(ROOT / "README.md"):
         if each.language == "python":
