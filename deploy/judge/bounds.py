@@ -69,6 +69,17 @@ def disagreement(run: RunData, bounds: Mapping[str, Any], known: KnownTicks) -> 
     return [] if is_same else [f"it shows {ours}, but the plant counted {theirs}"]
 
 
+def lacks_end(run: RunData) -> list[str]:
+    """What is wrong with a recording that shows a plant at work, but not how it ended.
+
+    Where a process failed, its failure says that already.
+    """
+    is_ended = "ticks" in run.last_values(Role.PLANT, EventKind.ENDED)
+    if is_ended or run.faults() or not len(run.tables[topics.PLANT_TRUTH.name]):
+        return []
+    return ["it lacks the plant's end, so the run may have gone on"]
+
+
 def plant_count(run: RunData) -> dict[str, Any]:
     """What the plant counted against the funnel itself; {} of older versions and other plants."""
     return dict(run.last_values(Role.PLANT, EventKind.ENDED).get("bounds", {}))

@@ -12,7 +12,7 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
-from deploy.judge.bounds import disagreement, judge_bounds, plant_count
+from deploy.judge.bounds import disagreement, judge_bounds, lacks_end, plant_count
 from deploy.judge.chattering import chatter_shares
 from deploy.judge.identified import identified
 from deploy.judge.recorded_ticks import (
@@ -45,7 +45,7 @@ def summarise(run: RunData) -> dict[str, Any]:
     wall_s = float(outcome.get("wall_s", 0.0))
     faults, bounds = run.faults(), judge_bounds(run)
     is_ended = bool(outcome.get("completed", False)) and known.ticks >= setup.ticks
-    damage = [*run.damage, *disagreement(run, bounds, known)]
+    damage = [*run.damage, *disagreement(run, bounds, known), *lacks_end(run)]
     verdict = decide(
         faults,
         is_judged=bounds["violation_fraction"] is not None,

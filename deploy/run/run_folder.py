@@ -169,8 +169,8 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
     if not file.is_file():
         raise RunFolderError(missing_recording(path, str(read_summary(path).get("kind", ""))))
     contents = read_log(file)
+    damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""
     if not {SCENARIO_ATTACHMENT, ROBOT_ATTACHMENT} <= contents.attachments.keys():
-        damage = f"; it is damaged: {'; '.join(contents.damage)}" if contents.damage else ""
         raise RunFolderError(
             f"{file}: is no recording of funnel-hil (no scenario and arm inside){damage}"
         )
@@ -187,7 +187,7 @@ def load_run(path: Path) -> tuple[RunData, LogContents]:
             with custom_laws_left_out():
                 setup = load_setup(str(scenario), overrides)
         except ScenarioError as error:
-            raise RunFolderError(f"{file}: its scenario cannot be used: {error}") from error
+            raise RunFolderError(f"{file}: its scenario cannot be used: {error}{damage}") from error
     run = contents.metadata.get(RUN_METADATA, {})
     rejected = _counts(contents.metadata.get(REJECTED_METADATA)) or {}
     data = build_run_data(

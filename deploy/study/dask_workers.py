@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import logging
 import os
 import queue
@@ -11,11 +12,12 @@ import sys
 import sysconfig
 import tempfile
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
+from typing import Any
 
 import cloudpickle
 import dask
@@ -234,13 +236,32 @@ def _packed(make: Maker) -> bytes | None:
     if by_value:
         cloudpickle.register_pickle_by_value(module)
     try:
-        code: bytes = cloudpickle.dumps(make)
-        return code
+        code = io.BytesIO()
+        _Packer(code).dump(make)
+        return code.getvalue()
     except Exception:  # noqa: BLE001 - an object may refuse to be pickled in any way
         return None
     finally:
         if by_value:
             cloudpickle.unregister_pickle_by_value(module)
+
+
+def _code_of_file(file: str, make: Callable[..., CodeType], parts: tuple[Any, ...]) -> CodeType:
+    return make(*parts).replace(co_filename=file)
+
+
+def _reduced(code: CodeType) -> tuple[Any, ...]:
+    make, parts = cloudpickle.Pickler.dispatch_table[CodeType](code)
+    return _code_of_file, (code.co_filename, make, parts)
+
+
+class _Packer(cloudpickle.Pickler):  # type: ignore[misc]  # it has no types
+    """Packs functions with the names of their files, which `cloudpickle` leaves out.
+
+    So an error of a law reports its place in the user's own file.
+    """
+
+    dispatch_table = cloudpickle.Pickler.dispatch_table.new_child({CodeType: _reduced})
 
 
 def _is_of_the_user(module: ModuleType) -> bool:

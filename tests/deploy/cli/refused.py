@@ -268,8 +268,9 @@ NO_YAML = [
     ("[!!bool z]", "seed.0 = 'z': must be a valid bool"),
     ("9" * 5000, r"seed = '9+\.\.\.: must be a whole number"),
     ("0x" + "f" * 5000, r"seed = '0xf+\.\.\.: must be a whole number"),
-    ("[" * 3000 + "]" * 3000, f"seed = 'line .*{DEEPER}"),
-    ("[" * 100_000, f"seed = 'line .*{DEEPER}"),
+    ("[" * 500 + "]" * 500, f"seed = 'line .*{DEEPER}"),
+    # libyaml reads 1024 characters ahead, and some versions have a limit of their own
+    ("[" * 100_000, f"(seed = 'line .*{DEEPER}|cannot be read as YAML: .*nesting depth)"),
     ("&a [*a]", r"seed = '\*a': must not contain itself"),
     ("true", "seed = True: must be a number, not true or false"),
 ]

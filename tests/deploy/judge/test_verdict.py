@@ -53,6 +53,10 @@ def with_end(run, **changes):
     return replace(run, events=[*others, end])
 
 
+def without_end(run):
+    return replace(run, events=[e for e in run.events if e.kind != EventKind.ENDED])
+
+
 def with_truth(run, change):
     truth = change(run.tables[topics.PLANT_TRUTH.name].copy())
     return replace(run, tables={**run.tables, topics.PLANT_TRUTH.name: truth})
@@ -102,6 +106,9 @@ CASES = {
             with_truth(run, without(101, None)), ticks=100,
             bounds={**plant_count(run), "ticks": 101},
         ),
+    ),
+    "the recording ends before the plant": (
+        "unknown", lambda run: without_end(with_truth(run, without(101, None)))
     ),
     "nothing was recorded": ("nothing", lambda run: with_truth(run, without(0, None))),
 }  # fmt: skip

@@ -12,6 +12,8 @@ from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 LAWS = """\
+import gc
+
 import numpy as np
 from controller.control_law import Diagnostics
 
@@ -33,6 +35,19 @@ class Widening:
         for values in tracking._reference._parameters:
             if isinstance(values, np.ndarray):
                 values[:] = 0.0
+        return self.none
+
+
+class Searching(Widening):
+    \"\"\"Widens every funnel in the process, those of plant and judge too.\"\"\"
+
+    def torque(self, tracking):
+        for found in gc.get_objects():
+            if type(found).__name__ == "Funnel":
+                for bound in vars(found).values():
+                    if isinstance(bound, np.ndarray):
+                        bound.setflags(write=True)
+                        bound[:] = 100.0
         return self.none
 
 
@@ -69,6 +84,13 @@ def test_a_law_that_widens_its_funnel_is_judged_by_the_scenarios(folder):
     assert [summary["verdict"] for summary in found] == ["lost", "lost"]
     assert found[0]["bounds"] == found[1]["bounds"]
     assert replay(setup, contents).is_identical
+
+
+def test_law_that_widens_all_funnels_of_its_process_is_lost_and_its_run_damaged():
+    summary = summarise(simulate(setup_of("Searching", "duration_s=1")).data())
+    assert summary["verdict"] == "lost"
+    assert summary["bounds"]["violation_fraction"] > 0.5
+    assert "but the plant counted 0 of 1001" in summary["recording"]["damage"][0]
 
 
 def test_a_run_whose_law_raises_at_its_last_tick_is_not_completed():

@@ -2,7 +2,8 @@ import pytest
 
 from deploy.run.execute import InProcess, InProcesses, execute, lockstep_setup
 from deploy.run.new_folder import new_folder
-from deploy.run.run_folder import RunFolder
+from deploy.run.run_folder import RunFolder, RunFolderError, load_run
+from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 
 
@@ -43,3 +44,15 @@ def test_a_run_in_processes_without_a_folder_is_read_before_its_own_goes():
     run = execute(setup, InProcesses())
     assert run.summary["verdict"] == "kept"
     assert run.path is None
+
+
+def test_damaged_scenario_is_reported_as_damage(tmp_path):
+    """Zeros over a checksum switch it off: then only the checksum of the whole file is left."""
+    file = tmp_path / "run.mcap"
+    simulate(load_setup("paper_arm", ["duration_s=0.02"])).write_log(file)
+    data = bytearray(file.read_bytes())
+    end = data.index(b"</robot>") + len(b"</robot>\n")
+    data[end - 50 : end + 4] = bytes(54)  # the checksum of an attachment stands behind it
+    file.write_bytes(data)
+    with pytest.raises(RunFolderError, match=r"scenario cannot be used: .*; it is damaged: "):
+        load_run(file)

@@ -107,7 +107,7 @@ def test_torques_that_frames_cannot_say_are_told_before_the_run() -> None:
     wider = [*mit, "link.can.mit.torque_nm=[400, 700, 300]"]
     assert scenario_warnings(load_setup("paper_arm_can", wider)) == []
     (weak,) = scenario_warnings(load_setup("paper_arm_can", [*mit, "limits.torque_nm=18"]))
-    assert weak.startswith("the reference asks shoulder for ")  # nothing is cut off, but it is little
+    assert weak.startswith("the reference asks shoulder for ")
     (told,) = scenario_warnings(
         load_setup("paper_arm_mit", [*VIRTUAL, "link.can.mit.torque_nm=400"])
     )
