@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import controller
 from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from tests.deploy.docs.pages import block
 
 SOURCE = """
 import numpy as np
@@ -104,7 +106,8 @@ def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(returns, told
 
 
 def test_law_of_the_tutorial_runs_as_shown(folder):
-    law = block("tutorials/your-law.md", "python", "class ComputedTorque")
+    page = Path(controller.__file__).parents[1] / "deploy/docs/tutorials/your-law.md"
+    law = page.read_text().partition(":caption: my_laws.py\n\n")[2].split("```")[0]
     (folder / "law_of_the_tutorial.py").write_text(law)
     custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
     simulation = simulate(setup_of("law_of_the_tutorial:ComputedTorque", custom, duration_s=2))
