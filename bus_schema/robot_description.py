@@ -14,6 +14,7 @@ import numpy as np
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.urdf.checks import MOVING_TYPES, check_urdf, finite_number, joint_ends
+from bus_schema.urdf.drive_values import DriveValues, drive_values
 from bus_schema.urdf.inertia import check_moved_masses, judge_inertias, massless_inertias
 from bus_schema.urdf.joints import Follower, HeldJoint, joint_roles
 from bus_schema.urdf.resolved import (
@@ -48,6 +49,7 @@ class RobotDescription:
         upper_rad: upper end of each joint's range (inf for continuous joints).
         tip_link: the last link of the longest chain, which carries the payload.
         slides: whether each joint is prismatic.
+        drives: what the file says of motors and gears.
         followers: mimic joints, each moved along by a driven joint.
         held: joints that could move but do not, and why.
         warnings: what is odd about the file but was taken, a sentence each.
@@ -62,6 +64,7 @@ class RobotDescription:
     upper_rad: Vector
     tip_link: str
     slides: tuple[bool, ...]
+    drives: DriveValues
     followers: tuple[Follower, ...] = ()
     held: tuple[HeldJoint, ...] = ()
     warnings: tuple[str, ...] = field(default=(), compare=False)
@@ -155,6 +158,7 @@ def _described(
         upper_rad=upper,
         tip_link=_tip_link(root),
         slides=tuple(joint.get("type") == "prismatic" for joint in joints),
+        drives=drive_values(root, roles.driven),
         followers=roles.followers,
         held=roles.held,
         warnings=tuple(warnings),

@@ -67,19 +67,17 @@ class JointPlaces:
             return np.asarray(np.bincount(self._leader, full * self._factor, self._joints), float)
         return full[self.order]
 
-    def square(self, full: Matrix) -> Matrix:
-        """A matrix between velocities and torques, shape (joints, joints)."""
-        if self.couples:
-            felt = self._factor[:, None] * full * self._factor
-            total = np.bincount(self._pairs, felt.ravel(), self._joints**2)
-            return np.asarray(total, float).reshape(self._joints, self._joints)
-        return np.ascontiguousarray(full[np.ix_(self.order, self.order)])
-
     def symmetric(self, full: Matrix) -> Matrix:
-        """The same for a symmetric one of which the upper triangle is filled."""
-        if self.couples:
-            return self.square(np.triu(full) + np.triu(full, 1).T)
-        return np.asarray(full[self._upper])
+        """A matrix between velocities and torques, of which the upper triangle is filled.
+
+        Shape (joints, joints).
+        """
+        if not self.couples:
+            return np.asarray(full[self._upper])
+        full = np.triu(full) + np.triu(full, 1).T
+        felt = self._factor[:, None] * full * self._factor
+        total = np.bincount(self._pairs, felt.ravel(), self._joints**2)
+        return np.asarray(total, float).reshape(self._joints, self._joints)
 
 
 _fault = ""
@@ -157,23 +155,20 @@ class ManipulatorModel:
         if self._places.couples:
             allowed = "must be false for an arm with mimic joints (robot.joints may leave them out)"
             raise ConfigurationError("controller.delay_compensation.enabled", True, allowed)
-        zero, joints = np.zeros(self.joints), range(self.joints)
         numbers = [int(self._model.getJointId(name)) for name in self._names]
-        axes = np.empty((self.joints, 3))
-        for i in joints:
-            velocity = np.zeros(self.joints)
-            velocity[self._places.order[i]] = 1.0
-            pinocchio.forwardKinematics(self._model, self._data, zero, velocity)
-            twist = self._data.v[numbers[i]]
-            axes[i] = twist.linear if self._slides[i] else twist.angular
+        twists = [np.ravel(self._model.joints[number].createData().S) for number in numbers]
+        axes = [
+            twist[:3] if slides else twist[3:]
+            for twist, slides in zip(twists, self._slides, strict=True)
+        ]
         carriers = [int(self._model.parents[number]) for number in numbers]
         placements = [self._model.jointPlacements[number] for number in numbers]
         return RigidBodies(
-            outwards=np.array(sorted(joints, key=numbers.__getitem__), dtype=np.int64),
+            outwards=np.argsort(numbers).astype(np.int64),
             parents=np.array([numbers.index(c) if c else -1 for c in carriers], dtype=np.int64),
             rotations=np.array([placement.rotation for placement in placements]),
             origins=np.array([placement.translation for placement in placements]),
-            axes=axes,
+            axes=np.array(axes),
             slides=self._slides,
             gravity=np.array(self._model.gravity.linear),
         )
@@ -220,13 +215,6 @@ class ManipulatorModel:
         """
         return _largest_eigenvalue(map(self.mass_matrix, positions), weights)
 
-    def coriolis_matrix(self, position: Vector, velocity: Vector) -> Matrix:
-        """C(q, q̇), shape (joints, joints), with Ṁ − 2C skew-symmetric."""
-        full = pinocchio.computeCoriolisMatrix(
-            self._model, self._data, self._places.positions(position), self._places.rates(velocity)
-        )
-        return self._places.square(full)
-
     def gravity(self, position: Vector) -> Vector:
         """G(q), shape (joints,), N m."""
         full = pinocchio.computeGeneralizedGravity(
@@ -264,30 +252,11 @@ class ManipulatorModel:
         change = places.rates(along_velocity) - velocity
         return places.torques(torque + product(coriolis, change))
 
-    def forward_dynamics(self, position: Vector, velocity: Vector, torque: Vector) -> Vector:
-        """Acceleration under a torque, shape (joints,), rad/s²."""
-        places = self._places
-        if places.couples:
-            load = self.inverse_dynamics(position, velocity, np.zeros(self.joints))
-            inverse = np.empty((self.joints, self.joints))
-            invert(self.mass_matrix(position), inverse)
-            return product(inverse, torque - load)
-        full = pinocchio.aba(
-            self._model, self._data,
-            places.positions(position), places.rates(velocity), places.rates(torque),
-        )  # fmt: skip
-        return places.torques(full)
-
     def energy(self, position: Vector, velocity: Vector) -> float:
         """Kinetic plus potential energy, J."""
-        return float(
-            pinocchio.computeMechanicalEnergy(
-                self._model,
-                self._data,
-                self._places.positions(position),
-                self._places.rates(velocity),
-            )
-        )
+        places = self._places
+        motion = places.positions(position), places.rates(velocity)
+        return float(pinocchio.computeMechanicalEnergy(self._model, self._data, *motion))
 
     def tip_position(self, position: Vector) -> Vector:
         """Origin of the tip link in the base frame, shape (3,), m."""

@@ -91,8 +91,9 @@ class ArmPlant:
         self.position: Vector = self._arm.position
         self.velocity: Vector = self._arm.velocity
         self.motion: Matrix = self._arm.motion
-        sees_motors = configuration.actuator.encoder_side == "motor"
-        seen = self.torques.tables.trains.rotors if sees_motors else self.motion
+        trains = self.torques.tables.trains
+        sees_motors = trains.is_elastic and configuration.actuator.encoder_side == "motor"
+        seen = trains.rotors if sees_motors else self.motion
         self._encoders = Encoders(configuration.encoder, seen, randoms[1])
         self.measured: Matrix = self._encoders.shown
         self._set_brakes(engaged=True)

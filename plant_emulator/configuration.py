@@ -153,9 +153,13 @@ class ActuatorConfiguration(StrictModel):
         rotor_inertia_kg_m2: inertia of the rotor times the gear ratio squared; 0 for none. The
             controller's nominal model knows it, see controller.rotor_scale.
         gear_stiffness_nm_rad: of the gear between rotor and link; by default it is rigid.
+        gear_resonance_hz: another way to write it, for an arm of any size: stiffness in proportion
+            to the largest torques, such that the arm at its start, its rotors held, has this first
+            resonance.
         gear_damping_nm_s: of an elastic gear.
-        encoder_side: where positions and velocities are measured, at the ``link`` or, before an
-            elastic gear, at the ``motor``.
+        encoder_side: where positions and velocities are measured where the gear is elastic: before
+            it, at the ``motor``, as drives do, or at the ``link``, through which no law can damp
+            what swings between the two.
         cogging_nm: amplitude of the torque that pulls the rotor to its poles.
         cogging_periods: of that torque, in a turn of the joint.
     """
@@ -167,8 +171,9 @@ class ActuatorConfiguration(StrictModel):
     no_load_speed_rad_s: PerJointPositive | None = None
     rotor_inertia_kg_m2: PerJointNonNegative = Field(default_factory=_zero)
     gear_stiffness_nm_rad: PerJointPositive | None = None
+    gear_resonance_hz: Positive | None = None
     gear_damping_nm_s: PerJointNonNegative = Field(default_factory=_zero)
-    encoder_side: Literal["link", "motor"] = "link"
+    encoder_side: Literal["link", "motor"] = "motor"
     cogging_nm: PerJointNonNegative = Field(default_factory=_zero)
     cogging_periods: Positive = 100.0
 
@@ -178,11 +183,13 @@ class ActuatorConfiguration(StrictModel):
             raise ValueError("with lag_ms or current_loop_hz, not both: they are the same")
         if self.rated_speed_rad_s is not None and self.no_load_speed_rad_s is None:
             raise ValueError("with no_load_speed_rad_s where rated_speed_rad_s is given")
-        is_rigid = self.gear_stiffness_nm_rad is None
-        if is_rigid and (self.gear_damping_nm_s.any() or self.encoder_side == "motor"):
-            raise ValueError(
-                "with gear_stiffness_nm_rad where gear_damping_nm_s or encoder_side: motor is given"
-            )
+        has_stiffness, has_resonance = (
+            each is not None for each in (self.gear_stiffness_nm_rad, self.gear_resonance_hz)
+        )
+        if has_stiffness and has_resonance:
+            raise ValueError("with gear_stiffness_nm_rad or gear_resonance_hz, not both")
+        if self.gear_damping_nm_s.any() and not (has_stiffness or has_resonance):
+            raise ValueError("with gear_stiffness_nm_rad where gear_damping_nm_s is given")
         return self
 
     @property

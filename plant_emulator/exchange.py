@@ -1,23 +1,47 @@
-"""The plant's exchange with a controller: states that fall due go out, commands are taken in."""
+"""The plant's exchange with a controller: states that fall due go out, commands come into force."""
 
 from __future__ import annotations
 
 import time
+from collections import Counter
 
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.interface import PlantLink
+from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.runtime.clock import Clock
 from bus_schema.runtime.modes import COMMANDABLE
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
-from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_path import CommandPath
+from plant_emulator.channel.playout import PlayoutBuffer
+from plant_emulator.command_gate import Command, CommandGate
 from plant_emulator.measurement import Measurement
 from plant_emulator.supervisor import Supervisor
 from plant_emulator.telemetry import PlantTelemetry
 
 _POLL_S = 0.1
+
+
+class Watchdog:
+    """Knows when the arm must stop: some time after the last valid command took effect.
+
+    `PlantLoop` looks at it before each physics substep.
+
+    Args:
+        timeout_ns: longest silence during a run.
+        first_command_ns: instant by which the first command must have taken effect.
+
+    Attributes:
+        expires_ns: the arm must stop after this instant, unless a command comes before.
+    """
+
+    def __init__(self, timeout_ns: int, first_command_ns: int) -> None:
+        self._timeout_ns = timeout_ns
+        self.expires_ns = first_command_ns
+
+    def feed(self, now_ns: int) -> None:
+        """A valid command took effect."""
+        self.expires_ns = now_ns + self._timeout_ns
 
 
 class Exchange:
@@ -27,13 +51,19 @@ class Exchange:
         link: the bus.
         clock: the clock of the run, which the plant owns.
         uplink: states on their way.
-        gate: what commands have to pass.
-        commands: where commands go.
-        arm: what is stopped where the link says so.
+        downlink: commands on their way to the joints.
+        gate: what commands have to pass before.
+        watchdog: fed with what comes into force.
+        arm: what is commanded, and stopped where the link says so.
         telemetry: sent where there is time for it.
-        supervisor: told of what goes wrong.
+        supervisor: told of what happens and of what goes wrong.
         reply_timeout_s: in lockstep, how long to wait for the reply to a state, wall time; None
             where nobody waits.
+
+    Attributes:
+        sequence: number of the command in force; 0 before the first.
+        delay_ns: age of the state that the command in force answers, when it came into force; -1
+            before the first.
     """
 
     def __init__(
@@ -41,20 +71,32 @@ class Exchange:
         link: PlantLink,
         clock: Clock,
         uplink: Channel[Measurement],
+        downlink: Channel[Command] | PlayoutBuffer,
         gate: CommandGate,
-        commands: CommandPath,
+        watchdog: Watchdog,
         arm: ArmPlant,
         telemetry: PlantTelemetry,
         supervisor: Supervisor,
         reply_timeout_s: float | None,
     ) -> None:
-        self._link, self._clock, self._uplink = link, clock, uplink
-        self._gate, self._commands, self._arm = gate, commands, arm
+        self._link, self._clock, self._uplink, self._downlink = link, clock, uplink, downlink
+        self._gate, self._watchdog, self._arm = gate, watchdog, arm
         self._telemetry, self._supervisor = telemetry, supervisor
         self._reply_timeout_s = reply_timeout_s
         self._controller_is_lost = False
         self._second_source_is_told = False
-        self._newest_state_ns = -1
+        self._newest_state_ns = self._stamp_ns = self.delay_ns = -1
+        self._unused: Counter[str] = Counter()
+        self.sequence = 0
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """How many commands changed nothing, by reason."""
+        return self._gate.rejections.counts + self._unused
+
+    def age_ns(self, now_ns: int) -> int:
+        """Age of the state that the command in force answers; -1 before the first."""
+        return now_ns - self._stamp_ns if self._stamp_ns >= 0 else -1
 
     def run_until(self, until_ns: int) -> int:
         """Deliver the states that fall due, and take in the commands that arrive, until then.
@@ -79,25 +121,38 @@ class Exchange:
             while uplink.next_due_ns <= now_ns:
                 self._deliver_next()
 
+    def put_into_force(self, now_ns: int) -> None:
+        """Let the newest of the commands that have come through act."""
+        for effective_ns, command in self._downlink.take_due(now_ns):
+            if command.stamp_ns <= self._stamp_ns:
+                self._unused["overtaken"] += 1
+                continue
+            mode = self._arm.mode
+            if mode not in COMMANDABLE:
+                self._unused["after_stop"] += 1
+                continue
+            self._watchdog.feed(effective_ns)
+            self._telemetry.round_trip_ns = effective_ns - command.stamp_ns
+            self._stamp_ns, self.sequence = command.stamp_ns, command.sequence
+            self.delay_ns = now_ns - command.stamp_ns
+            self._arm.command(command.torque_nm, command.target, command.stamp_ns)
+            if self._arm.mode is not mode:
+                self._supervisor.announce_mode("first valid command, brakes released")
+
     def _deliver_next(self) -> None:
         due_ns, measurement = self._uplink.receive()
         self._link.wait_until(self._clock, due_ns)
         self._newest_state_ns = max(self._newest_state_ns, measurement.stamp_ns)
-        self._telemetry.note_delivered(self._clock.now_ns() - measurement.stamp_ns)
+        self._telemetry.state_age_ns = self._clock.now_ns() - measurement.stamp_ns
         self._link.send_state(measurement.state, measurement.status)
         self._telemetry.send(self._link)
         if self._reply_timeout_s is not None and not self._controller_is_lost:
             self._await_reply(measurement, self._reply_timeout_s)
 
     def _await_reply(self, measurement: Measurement, timeout_s: float) -> None:
-        """Take the reply to one state, at once or when it comes."""
+        """Take the reply to one state; if it stays out, go on alone until the watchdog acts."""
         self._gate.await_answer(measurement.stamp_ns)
         self._collect_commands()
-        if self._gate.is_waiting:
-            self._wait_for_reply(measurement, timeout_s)
-
-    def _wait_for_reply(self, measurement: Measurement, timeout_s: float) -> None:
-        """If the reply to a state stays out, go on alone until the watchdog acts."""
         give_up_s = time.monotonic() + timeout_s
         while self._gate.is_waiting and not self._supervisor.stop_requested:
             if self._link.await_command(_POLL_S):
@@ -124,12 +179,27 @@ class Exchange:
         return self._gate.lacks_commander()
 
     def _collect_commands(self) -> None:
+        """Send what passes the gate on its way to the joints."""
         arrivals = self._link.take_commands()
         if self._controller_is_lost:
-            self._commands.reject(arrivals)
-        elif arrivals:
-            self._commands.take_in(arrivals, self._newest_state_ns)
-            if self._gate.second_source is not None and not self._second_source_is_told:
-                self._second_source_is_told = True
-                source = self._gate.second_source
-                self._supervisor.fail(f"two sources send as the one commander: {source}")
+            self._unused["after_loss"] += len(arrivals)
+            return
+        for arrival in arrivals:
+            former = self._gate.commander
+            command = self._gate.admit(arrival, self._newest_state_ns)
+            if command is not None:
+                if arrival.sender != former:
+                    words = _commander(arrival.sender, former)
+                    self._supervisor.announce(EventKind.COMMANDER, words)
+                self._downlink.send(command, arrival.arrival_ns, len(arrival.payload))
+        if arrivals and not self._second_source_is_told and (source := self._gate.second_source):
+            self._second_source_is_told = True
+            self._supervisor.fail(f"two sources send as the one commander: {source}")
+
+
+def _commander(sender: bytes, former: bytes | None) -> str:
+    """Who commands from now on, in words."""
+    name = f"session {sender.hex()}" if sender else "a controller without an id"
+    if former is None:
+        return f"commanded by {name}"
+    return f"commanded by {name}, after {former.hex() or 'one without an id'} left"

@@ -8,7 +8,6 @@ from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.compiled import copying
 from plant_emulator.arm_plant import ArmPlant
-from plant_emulator.command_path import CommandPath
 
 
 class Measurement(NamedTuple):
@@ -25,11 +24,10 @@ class Instruments:
     Args:
         joint_names: names of the joints.
         arm: the arm.
-        commands: where the command in force came from.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, commands: CommandPath) -> None:
-        self._arm, self._commands = arm, commands
+    def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant) -> None:
+        self._arm = arm
         self._state = Record(topics.layout(topics.JOINT_STATES, joint_names))
         self._status = Record(topics.layout(topics.PLANT_STATUS, joint_names))
         # A third of what NumPy's copies would take, at every tick.
@@ -45,18 +43,22 @@ class Instruments:
         self._take_effort()
         self._payload = self._state.payload()
 
-    def measure(self, stamp_ns: int, command_age_ns: int) -> Measurement:
+    def measure(
+        self, stamp_ns: int, command_sequence: int, command_age_ns: int, command_delay_ns: int
+    ) -> Measurement:
         """What was read last, with what is in force now.
 
         Args:
             stamp_ns: instant that was read for.
-            command_age_ns: age of the state that the command in force answers; -1 without one.
+            command_sequence: number of the command in force, 0 without one.
+            command_age_ns: age of the state that it answers; -1 without one.
+            command_delay_ns: the same when it came into force.
         """
-        status, commands = self._status, self._commands
+        status = self._status
         status.stamp[:] = self._state.stamp
         scalars = status.scalars  # the run starts at 0 on its own clock
         scalars.mode = self._arm.mode
-        scalars.command_sequence = commands.sequence
+        scalars.command_sequence = command_sequence
         scalars.command_age_ns = command_age_ns
-        scalars.command_delay_ns = commands.delay_ns
+        scalars.command_delay_ns = command_delay_ns
         return Measurement(stamp_ns, self._payload, status.payload())

@@ -23,8 +23,7 @@ from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.channel.channel import Channel
 from plant_emulator.channel.impairment import open_downlink, open_uplink
 from plant_emulator.command_gate import CommandGate
-from plant_emulator.command_path import CommandPath, Watchdog
-from plant_emulator.exchange import Exchange
+from plant_emulator.exchange import Exchange, Watchdog
 from plant_emulator.faults.faulty_link import FaultyLink
 from plant_emulator.faults.message_faults import channel_faults
 from plant_emulator.measurement import Instruments, Measurement
@@ -47,11 +46,13 @@ class PlantLoop:
         self._uplink: Channel[Measurement] = open_uplink(
             task.link, task.seed, channel_faults(task.faults, "uplink")
         )
-        downlink = open_downlink(task.link, task.seed, channel_faults(task.faults, "downlink"))
+        self._downlink = open_downlink(
+            task.link, task.seed, channel_faults(task.faults, "downlink")
+        )
         gate = CommandGate(names, link.sender_has_left, takes_targets=task.takes_targets)
         self._link = _with_faults(task, link, clock, gate)
         timeout_ns = round(task.plant.command_timeout_ms * 1e6)
-        mean_ns = self._uplink.mean_delay_ns + downlink.mean_delay_ns
+        mean_ns = self._uplink.mean_delay_ns + self._downlink.mean_delay_ns
         round_trip_ns = max(mean_ns, task.link.playout_ns)
         self._watchdog = Watchdog(timeout_ns, timeout_ns + round_trip_ns)
         self._telemetry = PlantTelemetry(
@@ -60,13 +61,10 @@ class PlantLoop:
         self._supervisor = Supervisor(
             arm, self._telemetry, task.plant, task.grid, task.ticks, lambda: self.tick
         )
-        self._commands = CommandPath(
-            gate, downlink, self._watchdog, arm, self._telemetry, self._supervisor.announce
-        )
-        self._instruments = Instruments(names, arm, self._commands)
+        self._instruments = Instruments(names, arm)
         self._exchange = Exchange(
-            self._link, clock, self._uplink, gate, self._commands, arm, self._telemetry,
-            self._supervisor, task.link.reply_timeout_s if task.lockstep else None,
+            self._link, clock, self._uplink, self._downlink, gate, self._watchdog, arm,
+            self._telemetry, self._supervisor, task.link.reply_timeout_s if task.lockstep else None,
         )  # fmt: skip
         self._watch = None if task.watch is None else task.watch(arm.motion[0])
         self.tick = 0
@@ -116,7 +114,7 @@ class PlantLoop:
         self._react()
         self._note_truth(was_skipped=False)
         self._instruments.read(0)
-        self._exchange.send(self._instruments.measure(self._tick_ns, self._command_age_ns))
+        self._send_state()
         supervisor = self._supervisor
         while self.tick < supervisor.end_tick and not supervisor.stop_requested:
             self._cycle()
@@ -127,9 +125,14 @@ class PlantLoop:
         self._telemetry.begin_cycle(lateness_ns)
         self._reach_next_tick()
         if self.tick < self._supervisor.end_tick:
-            self._exchange.send(self._instruments.measure(self._tick_ns, self._command_age_ns))
+            self._send_state()
         self._note_truth(was_skipped=False)
         self._telemetry.end_cycle()
+
+    def _send_state(self) -> None:
+        sequence, delay_ns = self._exchange.sequence, self._exchange.delay_ns
+        measure = self._instruments.measure
+        self._exchange.send(measure(self._tick_ns, sequence, self._command_age_ns, delay_ns))
 
     def _go_to_next_tick(self) -> int:
         """Reach the next tick in virtual time; how late, in ns."""
@@ -163,7 +166,7 @@ class PlantLoop:
         reached = self._grid.tick_at_or_before(self._clock.now_ns())
         if reached > tick:
             reached = min(reached, self._supervisor.end_tick)
-            self._telemetry.note_skipped(reached - tick)
+            self._telemetry.skipped += reached - tick
             tick = reached
         return tick
 
@@ -178,12 +181,12 @@ class PlantLoop:
     def _advance(self, first: int, end: int) -> None:
         """Let the physics go through substeps of this tick, by their numbers in the run."""
         started_ns = time.perf_counter_ns()
-        downlink, watchdog, grid = self._commands.downlink, self._watchdog, self._grid
+        downlink, watchdog, grid = self._downlink, self._watchdog, self._grid
         last_ns = grid.substep_ns(end - 1)
         while first < end:
             now_ns = grid.substep_ns(first)
             if downlink.next_due_ns <= now_ns:
-                self._commands.put_into_force(now_ns)
+                self._exchange.put_into_force(now_ns)
             if watchdog.expires_ns < now_ns and self._arm.mode in COMMANDABLE:
                 timeout_ms = self._task.plant.command_timeout_ms
                 self._supervisor.stop_safely(f"no valid command for {timeout_ms:g} ms")
@@ -192,32 +195,32 @@ class PlantLoop:
             following = end if stays_so else first + 1
             self._arm.advance(first, following)
             first = following
-        self._telemetry.note_physics(time.perf_counter_ns() - started_ns)
+        self._telemetry.physics_ns += time.perf_counter_ns() - started_ns
 
     def _reach_next_tick(self) -> None:
         self.tick += 1
         self._tick_ns = now_ns = self._grid.tick_ns(self.tick)
-        if self._commands.downlink.next_due_ns <= now_ns:
-            self._commands.put_into_force(now_ns)
+        if self._downlink.next_due_ns <= now_ns:
+            self._exchange.put_into_force(now_ns)
         self._react()
 
     def _react(self) -> None:
         """Stop where a limit asks for it, and see how old the command in force is."""
         if self._arm.torques.limit_hits:
             self._supervisor.handle_limit_hits()
-        self._command_age_ns = self._commands.age_ns(self._tick_ns)
+        self._command_age_ns = self._exchange.age_ns(self._tick_ns)
 
     def _note_truth(self, *, was_skipped: bool) -> None:
         if self._watch is not None:
             self._watch.look(self._tick_ns)
         self._telemetry.note_truth(
-            self._tick_ns, self.tick, self._commands.sequence, self._command_age_ns,
+            self._tick_ns, self.tick, self._exchange.sequence, self._command_age_ns,
             was_skipped=was_skipped,
         )  # fmt: skip
 
     def _report_end(self, outcome: PlantOutcome) -> None:
-        supervisor, downlink = self._supervisor, self._commands.downlink
-        rejected = self._commands.rejected + Counter(overflow=self._link.overflow())
+        supervisor, downlink = self._supervisor, self._downlink
+        rejected = self._exchange.rejected + Counter(overflow=self._link.overflow())
         counts = {
             "uplink": self._uplink.statistics().summary() | {"rejected": {}},
             "downlink": downlink.statistics().summary() | {"rejected": rejected},

@@ -28,6 +28,10 @@ class PlantTelemetry:
 
     Attributes:
         deadline_misses: ticks at which the command in force was too old.
+        skipped: ticks so far for which the loop came too late: nothing is measured there.
+        physics_ns: what the physics has taken since the last cycle, outside of one.
+        state_age_ns: age of the state that was delivered since the last tick; -1 for none.
+        round_trip_ns: from a state to the command that answered it since then; -1 for none.
     """
 
     def __init__(self, joint_names: tuple[str, ...], arm: ArmPlant, deadline_ns: int) -> None:
@@ -44,10 +48,10 @@ class PlantTelemetry:
         self._period_ns = 0
         self._lateness_ns = 0
         self._step_ns = 0
-        self._round_trip_ns = -1
-        self._state_age_ns = -1
-        self._skipped = 0
-        self._physics_ns = 0
+        self.round_trip_ns = -1
+        self.state_age_ns = -1
+        self.skipped = 0
+        self.physics_ns = 0
         self.deadline_misses = 0
 
     def begin_cycle(self, lateness_ns: int) -> None:
@@ -59,24 +63,8 @@ class PlantTelemetry:
 
     def end_cycle(self) -> None:
         """The work of the cycle is done."""
-        self._step_ns = self._physics_ns + time.perf_counter_ns() - self._cycle_started_ns
-        self._physics_ns = 0
-
-    def note_physics(self, took_ns: int) -> None:
-        """The physics took so long, outside of a cycle."""
-        self._physics_ns += took_ns
-
-    def note_skipped(self, ticks: int) -> None:
-        """The loop came too late for some ticks: nothing is measured there."""
-        self._skipped += ticks
-
-    def note_delivered(self, state_age_ns: int) -> None:
-        """A state of this age was delivered."""
-        self._state_age_ns = state_age_ns
-
-    def note_round_trip(self, round_trip_ns: int) -> None:
-        """A command arrived, so long after the state it answers was measured."""
-        self._round_trip_ns = round_trip_ns
+        self._step_ns = self.physics_ns + time.perf_counter_ns() - self._cycle_started_ns
+        self.physics_ns = 0
 
     def note_truth(
         self,
@@ -107,18 +95,18 @@ class PlantTelemetry:
         scalars.timing_period_ns = self._period_ns
         scalars.timing_lateness_ns = _NO_CYCLE_NS if was_skipped else self._lateness_ns
         scalars.timing_step_ns = self._step_ns
-        scalars.timing_skipped = self._skipped
+        scalars.timing_skipped = self.skipped
         scalars.command_sequence = command_sequence
         scalars.command_age_ns = command_age_ns
-        scalars.round_trip_ns = self._round_trip_ns
-        scalars.state_age_ns = self._state_age_ns
+        scalars.round_trip_ns = self.round_trip_ns
+        scalars.state_age_ns = self.state_age_ns
         scalars.mode = self._arm.mode
         scalars.deadline_met = is_in_time
         scalars.saturated = self._arm.torques.saturated
         self._take_motion()
         self._take_torques()
         self._entries.append((topics.PLANT_TRUTH, truth.payload()))
-        self._round_trip_ns = self._state_age_ns = -1
+        self.round_trip_ns = self.state_age_ns = -1
 
     def note_event(self, stamp_ns: int, kind: EventKind, detail: str) -> None:
         """Note that something happened."""

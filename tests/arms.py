@@ -36,6 +36,24 @@ def shipped_arm(name: str) -> RobotDescription:
 PAPER_ARM = shipped_arm("paper_arm")
 
 
+def forward_dynamics(model, position, velocity, torque):
+    """Acceleration of an arm under a torque, shape (joints,)."""
+    load = model.inverse_dynamics(position, velocity, np.zeros(model.joints))
+    return np.linalg.solve(model.mass_matrix(position), torque - load)
+
+
+def runge_kutta(rate, state, step_s, steps):
+    """States before each of so many steps of classical Runge-Kutta along rate(time, state)."""
+    for index in range(steps):
+        yield state
+        time_s = index * step_s
+        k_1 = rate(time_s, state)
+        k_2 = rate(time_s + 0.5 * step_s, state + 0.5 * step_s * k_1)
+        k_3 = rate(time_s + 0.5 * step_s, state + 0.5 * step_s * k_2)
+        k_4 = rate(time_s + step_s, state + step_s * k_3)
+        state = state + step_s / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
+
+
 def torques_of(
     plant: PlantConfiguration, robot: RobotDescription = PAPER_ARM, *,
     step_s: float = 2.5e-4, seed: int = 0, gains: DriveGains | None = None,

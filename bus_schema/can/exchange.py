@@ -22,12 +22,12 @@ class FrameExchange:
 
     Attributes:
         nodes: who is on it.
-        guest: turns that a node leaves to the others.
+        guest: a node that leaves its turns to the others.
     """
 
     def __init__(self) -> None:
         self.nodes: list[ExchangeNode] = []
-        self.guest: _Guest | None = None
+        self.guest: ExchangeNode | None = None
 
     def join(self) -> ExchangeNode:
         """A new node, which hears what others send from now on."""
@@ -47,6 +47,10 @@ class ExchangeNode:
         self._exchange = exchange
         self._received: deque[CanFrame] = deque()
         self.inbox: SimpleQueue[Sequence[CanFrame]] = SimpleQueue()
+        self._turns: Iterator[None] = iter(())  # those that it leaves to the others
+        self._turning = threading.Lock()
+        self._has_turned = threading.Event()  # set once there are no more turns
+        self._failure: Exception | None = None
 
     def send(self, frame: CanFrame) -> None:
         self.send_all((frame,))
@@ -60,9 +64,9 @@ class ExchangeNode:
     def receive(self, timeout_s: float) -> CanFrame | None:
         if not self._received:
             guest = self._exchange.guest
-            if guest is not None and guest.node is not self and timeout_s > 0.0:
-                guest.run_until_heard(self.inbox, timeout_s)
-                timeout_s = 0.0 if not guest.is_over.is_set() else timeout_s
+            if guest is not None and guest is not self and timeout_s > 0.0:
+                self._turn_until_heard(guest, timeout_s)
+                timeout_s = timeout_s if guest._has_turned.is_set() else 0.0
             try:
                 self._received.extend(self.inbox.get(timeout=timeout_s))
             except Empty:
@@ -86,48 +90,31 @@ class ExchangeNode:
         Raises:
             Exception: whatever the turns raise.
         """
-        guest = _Guest(self, turns)
-        guest.step()
-        self._exchange.guest = guest
-        while not guest.is_over.wait(_POLL_S):
-            if self._exchange.nodes in ([self], []):
-                guest.step()
-        self._exchange.guest = None
-        if guest.failure is not None:
-            raise guest.failure
-
-
-class _Guest:
-    """A node whose turns another thread makes.
-
-    Attributes:
-        node: the node.
-        is_over: set once there are no more turns.
-        failure: what was raised in the last one.
-    """
-
-    def __init__(self, node: ExchangeNode, turns: Iterator[None]) -> None:
-        self.node = node
-        self.is_over = threading.Event()
-        self.failure: Exception | None = None
         self._turns = turns
-        self._lock = threading.Lock()
+        self._turn()
+        self._exchange.guest = self
+        while not self._has_turned.wait(_POLL_S):
+            if self._exchange.nodes in ([self], []):
+                self._turn()
+        self._exchange.guest = None
+        if self._failure is not None:
+            raise self._failure
 
-    def step(self) -> None:
-        """Make one turn; what it raises is for the owner of the turns."""
-        with self._lock:
+    def _turn(self) -> None:
+        """Make one turn; what it raises is for the node that left its turns."""
+        with self._turning:
             try:
                 next(self._turns)
             except StopIteration:
-                self.is_over.set()
+                self._has_turned.set()
             except Exception as error:  # noqa: BLE001 (raised again by `leave_turns`)
-                self.failure = error
-                self.is_over.set()
+                self._failure = error
+                self._has_turned.set()
 
-    def run_until_heard(self, inbox: SimpleQueue[Sequence[CanFrame]], timeout_s: float) -> None:
-        """Make a turn, and more until one of them sends something or it takes too long."""
+    def _turn_until_heard(self, guest: ExchangeNode, timeout_s: float) -> None:
+        """Make turns of a guest until one of them sends something or it takes too long."""
         give_up_s = time.monotonic() + timeout_s
-        while inbox.empty() and not self.is_over.is_set():
-            self.step()
+        while self.inbox.empty() and not guest._has_turned.is_set():
+            guest._turn()
             if time.monotonic() > give_up_s:
                 break

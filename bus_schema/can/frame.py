@@ -33,16 +33,10 @@ class CanFrame(NamedTuple):
     is_fd: bool = False
 
 
-def is_data(frame: CanFrame, data_bytes: int, *, is_fd: bool) -> bool:
+def is_data(frame: CanFrame, data_bytes: int, *, is_fd: bool = False) -> bool:
     """Whether it is a data frame of this format with an 11-bit identifier and so many bytes."""
     is_plain = not (frame.is_extended or frame.is_remote or frame.is_error)
     return is_plain and frame.is_fd == is_fd and len(frame.data) == data_bytes
-
-
-def is_classical_data(frame: CanFrame, data_bytes: int) -> bool:
-    """Whether it is a classical data frame with an 11-bit identifier and so many bytes."""
-    is_plain = not (frame.is_extended or frame.is_remote or frame.is_error or frame.is_fd)
-    return is_plain and len(frame.data) == data_bytes
 
 
 class CanBus(Protocol):

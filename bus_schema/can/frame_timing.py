@@ -46,9 +46,9 @@ _LARGEST_CRC17_BYTES = 16
 
 _CRC15, _CRC15_MASK = 0x4599, 0x7FFF
 _STUFFED_RUN = 5
-_LONGEST_CLASSICAL_BYTES, _LONGEST_FD_BYTES = 8, 64
+_LONGEST_CLASSICAL_BYTES = 8
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-_MOST_BITS = 1 + 11 + 2 + 18 + 1 + 3 + 5 + 8 * _LONGEST_FD_BYTES
+_MOST_BITS = 1 + 11 + 2 + 18 + 1 + 3 + 5 + 8 * _MOST_BYTES
 # Start of frame, identifier, RRS, IDE, FDF, res, BRS; then ESI and DLC.
 _FD_HEAD_BITS, _FD_CONTROL_BITS = 1 + 11 + 5, 5
 _RATES_HZ = (10_000, 8000, 5000, 4000, 2500, 2000, 1000, 800, 500, 400, 250, 200, 125, 100)
@@ -98,10 +98,10 @@ class CycleFrames(NamedTuple):
     is_fd: bool = False
 
 
-def longest_classical_bits(data_bytes: int) -> int:
+def longest_classical_bits(data_bytes: int) -> WireBits:
     """Bits of a classical frame with a standard identifier and the most stuff bits possible."""
     stuffable = 34 + 8 * data_bytes
-    return stuffable + (stuffable - 1) // 4 + _CLASSICAL_TAIL_BITS
+    return WireBits(stuffable + (stuffable - 1) // 4 + _CLASSICAL_TAIL_BITS, 0)
 
 
 def longest_fd_bits(data_bytes: int) -> WireBits:
@@ -118,12 +118,9 @@ def longest_fd_bits(data_bytes: int) -> WireBits:
 
 def cycle_bits(cycle: CycleFrames, joints: int) -> WireBits:
     """Most bits that the frames of one cycle can have, stuff bits included."""
-    nominal, fast = sum(map(longest_classical_bits, cycle.shared)), 0
-    for data_bytes in joints * cycle.per_drive:
-        longest = WireBits(longest_classical_bits(data_bytes), 0)
-        longest = longest_fd_bits(data_bytes) if cycle.is_fd else longest
-        nominal, fast = nominal + longest.nominal, fast + longest.fast
-    return WireBits(nominal, fast)
+    longest = longest_fd_bits if cycle.is_fd else longest_classical_bits
+    frames = [*map(longest_classical_bits, cycle.shared), *map(longest, joints * cycle.per_drive)]
+    return WireBits(sum(each.nominal for each in frames), sum(each.fast for each in frames))
 
 
 def check_cycle_fits(

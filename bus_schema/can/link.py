@@ -168,7 +168,7 @@ class CanControllerLink(ControllerLink):
     def _cycle(self, tick: int, is_stop_requested: Callable[[], bool]) -> Iterator[None]:
         self.cycle_ns = self._run.grid.tick_ns(tick)
         self._sample(tick)
-        is_complete = yield from self._await_state(tick, is_stop_requested)
+        is_complete = yield from self._read(tick, is_stop_requested)
         if not is_complete:
             return
         self._state.stamp_ns = self.cycle_ns
@@ -184,23 +184,33 @@ class CanControllerLink(ControllerLink):
             self._master.skip_late()
         self._master.sample(self._run.grid.tick_ns(tick))
 
-    def _await_state(
-        self, tick: int, is_stop_requested: Callable[[], bool]
+    def _read(
+        self, tick: int, is_stop_requested: Callable[[], bool], *, stopping: bool = False
     ) -> Generator[None, None, bool]:
-        """Read what all drives answer; false if this tick has to do without."""
+        """Read what all drives answer; false if this tick has to do without.
+
+        In lockstep those that do not in time end the run; while drives are `stopping`, they are
+        given up. One that only takes longer than a poll is waited for, else it would be left while
+        it moves. In real time nobody is waited for beyond the tick: the others need their torques.
+        """
         position, velocity = self._state.fields["position"], self._state.fields["velocity"]
         yield
         if not self._run.lockstep:
             return self._master.read(self._patience_s(tick), position, velocity)
-        waited_s = 0.0
+        waited_s, longest_s = 0.0, self._run.link.can.answer_timeout_s
         while not self._master.read(_POLL_S, position, velocity):
             waited_s += _POLL_S
-            if is_stop_requested():
+            if stopping and self._master.is_stopped():
                 return False
-            if waited_s >= self._run.link.can.answer_timeout_s:
+            if is_stop_requested():
+                if not stopping:
+                    return False
+                longest_s = min(longest_s, _LONGEST_STOP_S)  # there may be nobody left to answer
+            if waited_s >= longest_s:
                 nodes = self._master.missing()
                 self._master.give_up()
-                raise DriveError(f"no answer from drive {nodes} within {waited_s:g} s")
+                if not stopping:
+                    raise DriveError(f"no answer from drive {nodes} within {waited_s:g} s")
             yield
         return True
 
@@ -225,36 +235,13 @@ class CanControllerLink(ControllerLink):
             self._master.begin_stop()
             self._torque[:] = 0.0
             last = tick + max(1, int(_LONGEST_STOP_S * 1e9 / self._run.grid.period_ns))
-            yield from self._read_while_stopping(
-                tick, is_stop_requested
-            )  # what the last tick still owes
+            # What the last tick still owes.
+            yield from self._read(tick, is_stop_requested, stopping=True)
             while not self._master.is_stopped() and tick < last:
                 self._master.command(self._torque)
                 tick = self._next(tick)
                 self._sample(tick)
-                yield from self._read_while_stopping(tick, is_stop_requested)
+                yield from self._read(tick, is_stop_requested, stopping=True)
             self._master.leave()
         except Exception as error:  # noqa: BLE001 (what led here matters more)
             logger.error("the drives may not have been commanded to stop: %s", error)
-
-    def _read_while_stopping(
-        self, tick: int, is_stop_requested: Callable[[], bool]
-    ) -> Iterator[None]:
-        """Read what the drives answer; in lockstep, those that do not in time are given up.
-
-        One that only takes longer than a poll is waited for, else it would be left while it moves.
-        In real time nobody is waited for beyond the tick: the others need their torques.
-        """
-        position, velocity = self._state.fields["position"], self._state.fields["velocity"]
-        yield
-        if not self._run.lockstep:
-            self._master.read(self._patience_s(tick), position, velocity)
-            return
-        waited_s, answer_timeout_s = 0.0, self._run.link.can.answer_timeout_s
-        while not self._master.read(_POLL_S, position, velocity) and not self._master.is_stopped():
-            waited_s += _POLL_S
-            # Where a stop was requested, there may be nobody left to answer.
-            longest_s = _LONGEST_STOP_S if is_stop_requested() else answer_timeout_s
-            if waited_s >= min(longest_s, answer_timeout_s):
-                self._master.give_up()
-            yield

@@ -17,6 +17,8 @@ from bus_schema.link.can_configuration import CanConfiguration
 
 _MOST_LATE = 100
 _NEARLY = 0.8
+POLL_S = 0.05
+"""How long a master that enables drives waits for a frame."""
 
 
 class DriveError(BusError):
@@ -37,7 +39,12 @@ class CanMaster(ABC):
         can: section ``link.can`` of the scenario.
         node_ids: addresses of the drives, one for each joint.
         codec: the frames of a cycle.
+
+    Attributes:
+        ask_again_s: time that drives have to answer before they are asked again.
     """
+
+    ask_again_s = 0.3
 
     def __init__(
         self, bus: CanBus, can: CanConfiguration, node_ids: tuple[int, ...], codec: CanCodec
@@ -49,6 +56,7 @@ class CanMaster(ABC):
         # are no longer waited for.
         self._awaited: set[int] = set()
         self._silent: set[int] = set()
+        self._absent: set[int] = set()  # joints whose drives have not turned up yet
         self._is_powered = [False] * len(node_ids)
         self._faults: list[str] = []
         self._is_stopping = False
@@ -72,6 +80,36 @@ class CanMaster(ABC):
             DriveError: a drive does not come, is another than expected, or does not follow.
             BusError: the bus itself was lost.
         """
+
+    def _await_drives(self, timeout_s: float, must_end: Callable[[], bool]) -> bool:
+        """Ask the drives until all have turned up; false if it must end before.
+
+        Raises:
+            DriveError: some have not within `timeout_s`.
+        """
+        give_up_s = time.monotonic() + timeout_s
+        self._absent = set(self._joint_of.values())
+        while self._absent and not must_end():
+            self._ask()
+            again_s = time.monotonic() + self.ask_again_s
+            while self._absent and time.monotonic() < again_s and not must_end():
+                self._listen()
+            if self._absent and time.monotonic() > give_up_s:
+                raise DriveError(self._who_is_absent(timeout_s))
+        return not self._absent
+
+    def _ask(self) -> None:  # noqa: B027 (a protocol may enable drives in another way)
+        """Send what drives answer that have not turned up yet."""
+
+    def _listen(self) -> None:
+        """Wait a moment for answers, and note who has turned up: here, those with power on."""
+        frame = self._bus.receive(POLL_S)
+        if frame is not None:
+            self._handle(frame)
+        self._absent = {joint for joint, is_on in enumerate(self._is_powered) if not is_on}
+
+    def _who_is_absent(self, timeout_s: float) -> str:
+        return f"no answer from drive {self._addresses(self._absent)} within {timeout_s:g} s"
 
     def skip_late(self) -> None:
         """Take in what has come meanwhile; states among it answer a sampling that is past.
@@ -139,7 +177,10 @@ class CanMaster(ABC):
 
     def missing(self) -> str:
         """Addresses of the drives that have not answered yet, in words."""
-        return ", ".join(str(self._node_ids[joint]) for joint in sorted(self._awaited))
+        return self._addresses(self._awaited)
+
+    def _addresses(self, joints: set[int]) -> str:
+        return ", ".join(str(self._node_ids[joint]) for joint in sorted(joints))
 
     def strangers(self) -> str:
         """Who else is on the bus and acts as master or as one of the drives; empty if nobody is."""

@@ -33,31 +33,11 @@ _ERROR_FLAG, _IDENTIFIER = 0x2000_0000, 0x1FFF_FFFF
 _MOST_BYTES = 64
 
 
-def candump_lines(times_ns: NDArray[np.int64], channel: str, frames: Iterable[CanFrame]) -> str:
-    """Frames as ``candump -L`` writes them: ``(seconds.microseconds) channel identifier#data``.
-
-    python-can's own writer makes the same lines, at several times the cost of each.
-
-    Args:
-        times_ns: when each was on the bus, shape (frames,).
-        channel: name of the bus.
-        frames: the frames.
-    """
-    lines = []
-    times_us = (times_ns // 1000).tolist()
-    for time_us, frame in zip(times_us, frames, strict=True):
-        identifier, data, is_extended, is_remote, is_error, is_fd = frame
-        number = identifier & _IDENTIFIER | is_error * _ERROR_FLAG
-        digits = 8 if is_extended or is_error else 3
-        flags = "#1" if is_fd else ""  # the bit rate was switched
-        content = "R" if is_remote else data[:_MOST_BYTES].hex().upper()
-        time = f"{time_us // 1_000_000}.{time_us % 1_000_000:06}"
-        lines.append(f"({time}) {channel} {number:0{digits}X}#{flags}{content}\n")
-    return "".join(lines)
-
-
 class CandumpLog:
-    """A file of frames in the format of ``candump -L``, which every CAN tool reads.
+    """A file of frames as ``candump -L`` writes them, which every CAN tool reads.
+
+    Its lines are ``(seconds.microseconds) channel identifier#data``. python-can's own writer makes
+    the same, at several times the cost of each.
 
     Args:
         path: the file; overwritten.
@@ -69,8 +49,18 @@ class CandumpLog:
         self._channel = channel
 
     def write(self, times_ns: NDArray[np.int64], frames: Iterable[CanFrame]) -> None:
-        """Append frames, see `candump_lines`."""
-        self._file.write(candump_lines(times_ns, self._channel, frames))
+        """Append frames that were on the bus at these times, shape (frames,)."""
+        lines = []
+        times_us = (times_ns // 1000).tolist()
+        for time_us, frame in zip(times_us, frames, strict=True):
+            identifier, data, is_extended, is_remote, is_error, is_fd = frame
+            number = identifier & _IDENTIFIER | is_error * _ERROR_FLAG
+            digits = 8 if is_extended or is_error else 3
+            flags = "#1" if is_fd else ""  # the bit rate was switched
+            content = "R" if is_remote else data[:_MOST_BYTES].hex().upper()
+            time = f"{time_us // 1_000_000}.{time_us % 1_000_000:06}"
+            lines.append(f"({time}) {self._channel} {number:0{digits}X}#{flags}{content}\n")
+        self._file.write("".join(lines))
 
     def close(self) -> None:
         """Finish the file."""

@@ -102,14 +102,6 @@ def _frame(message: can.Message) -> CanFrame:
     )
 
 
-def _has_types_of_a_frame(message: can.Message) -> bool:
-    """Whether fields have the types of a frame's: python-can takes any that compare as numbers."""
-    flags = (
-        message.is_extended_id, message.is_remote_frame, message.is_error_frame, message.is_fd
-    )  # fmt: skip
-    return type(message.arbitration_id) is int and all(type(flag) is bool for flag in flags)
-
-
 def open_can_bus(configuration: CanConfiguration) -> CanBus:
     """Join the bus that section ``link.can`` describes.
 
@@ -147,12 +139,12 @@ def _over_socket_of(bus: can.BusABC, configuration: CanConfiguration) -> CanBus:
 
     def unpack(datagram: bytes) -> CanFrame | None:
         try:
-            message = unpack_message(datagram, check=True)
+            frame = _frame(unpack_message(datagram, check=True))
         except Exception:  # noqa: BLE001 (the group may carry anything; msgpack raises anything)
             return None
-        if not (_has_types_of_a_frame(message) and message.is_fd <= configuration.fd):
-            return None
-        return _frame(message)
+        # python-can takes anything that compares as a number.
+        has_types = type(frame.identifier) is int and all(type(flag) is bool for flag in frame[2:])
+        return frame if has_types and frame.is_fd <= configuration.fd else None
 
     try:
         receiver = socket.socket(fileno=os.dup(bus.fileno()))

@@ -9,12 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bus_schema.configuration import (
-    NonNegative,
-    Number,
-    Positive,
-    StrictModel,
-)
+from bus_schema.configuration import NonNegative, Number, Positive, StrictModel
 
 Probability = Annotated[Number, Field(ge=0, le=1)]
 Distribution = Literal["uniform", "normal", "pareto", "empirical"]

@@ -7,12 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
-from bus_schema.configuration import (
-    NonNegative,
-    Positive,
-    StrictModel,
-    Whole,
-)
+from bus_schema.configuration import NonNegative, Positive, StrictModel, Whole
 from bus_schema.link.can_configuration import CanConfiguration
 from bus_schema.link.channel_configuration import ChannelConfiguration
 from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder

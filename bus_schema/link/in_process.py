@@ -50,15 +50,6 @@ class InProcessBus:
         self.has_left = {role: threading.Event() for role in Role}
         self.is_over = threading.Event()
 
-    def connect(self, on_state: StateHandler) -> None:
-        """Have the controller answer states from now on."""
-        self.on_state = on_state
-
-    def fail(self, error: Exception) -> None:
-        """The controller failed: it answers no more states."""
-        self.on_state, self.failure = None, error
-        self.is_over.set()
-
     def leave(self, role: Role) -> None:
         """One side leaves; without its controller, states are not answered any longer."""
         if role is Role.CONTROLLER:
@@ -126,7 +117,8 @@ class InProcessPlantLink(InProcessNode, PlantLink):
         try:
             bus.on_state(state, status)
         except Exception as error:  # noqa: BLE001 (as on any bus, it ends the controller alone)
-            bus.fail(error)
+            bus.on_state, bus.failure = None, error
+            bus.is_over.set()
 
     def await_command(self, timeout_s: float) -> bool:  # noqa: ARG002 (the interface)
         return bool(self._bus.commands)
@@ -157,7 +149,7 @@ class InProcessControllerLink(InProcessNode, ControllerLink):
         super().__init__(bus, Role.CONTROLLER)
 
     def serve(self, on_state: StateHandler) -> None:
-        self._bus.connect(on_state)
+        self._bus.on_state = on_state
 
     def activate(self) -> None:
         """Nobody waits for it: whoever serves states has announced it."""

@@ -4,10 +4,8 @@ Once the strings and the array lengths of a message are known (the joints of a r
 during a run), the CDR encoding of its type is a constant byte layout. A `MessageLayout` is that
 layout as a NumPy structured type of the *whole payload*: writing a field writes the wire bytes, so
 encoding is a memory copy and decoding a copy and a comparison. rosbags remains the reference: the
-template comes from it, and payloads of another layout (a foreign sender) are parsed by it.
-
-Byte order and alignment: OMG Data Distribution Service, RTPS 2.5 clause 10 (encapsulation
-``CDR_LE``) and CORBA 3.3 part 2 clause 9.3.1 (alignment relative to the end of the encapsulation).
+template and the places of all fields come from it, and payloads of another layout (a foreign
+sender) are parsed by it.
 """
 
 from __future__ import annotations
@@ -21,25 +19,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.cdr_types import NUMPY_TYPES, Cursor, fields_of, zero_message
-from bus_schema.messages.header import (
-    ENCAPSULATION_BYTES,
-    NANOSEC,
-    NANOSECONDS,
-)
+from bus_schema.messages.header import ENCAPSULATION_BYTES, NANOSEC, NANOSECONDS
 from bus_schema.messages.types import TYPESTORE
+from bus_schema.messages.zero_messages import numeric_fields, zero_message
 
 MAX_PAYLOAD_BYTES = 64 * 1024
 """Nothing on our topics comes near this; larger payloads are refused before they are parsed."""
-
-_C_TYPES: dict[str, Any] = {
-    "u1": ctypes.c_uint8, "i1": ctypes.c_int8, "u2": ctypes.c_uint16, "i2": ctypes.c_int16,
-    "u4": ctypes.c_uint32, "i4": ctypes.c_int32, "u8": ctypes.c_uint64, "i8": ctypes.c_int64,
-    "f4": ctypes.c_float, "f8": ctypes.c_double,
-}  # fmt: skip
 
 
 class Record:
@@ -129,7 +116,7 @@ class MessageLayout:
         message = zero_message(type_name, self._lengths, self._strings)
         self.template = bytes(TYPESTORE.serialize_cdr(message, type_name))
         self.size = len(self.template)
-        self.dtype = self._numpy_type()
+        self.dtype = self._numpy_type(message)
         self.scalars = self._scalar_type()
         self._is_fixed = self._fixed_bytes()
         self._fixed_parts = _parts(self._is_fixed)
@@ -194,39 +181,21 @@ class MessageLayout:
             else:
                 view[:] = value if order is None else value[order]
 
-    def _numpy_type(self) -> np.dtype[np.void]:
-        cursor = Cursor()
-        fields = list(self._walk(self.type_name, "", cursor))
+    def _numpy_type(self, message: Any) -> np.dtype[np.void]:
+        """All numeric fields, each where rosbags' bytes change with its value."""
+        template = np.frombuffer(self.template, np.uint8)
+        fields: dict[str, tuple[np.dtype[Any], int]] = {}
+        for path, kind, owner, name in numeric_fields(message):
+            zero, ones = getattr(owner, name), np.frombuffer(b"\1" * kind.itemsize, kind.base)
+            setattr(owner, name, ones if kind.shape else ones[0].item())
+            encoded = TYPESTORE.serialize_cdr(message, self.type_name)
+            setattr(owner, name, zero)
+            offset = np.flatnonzero(np.frombuffer(encoded, np.uint8) != template)[0]
+            fields[path] = kind, int(offset)
+        kinds, offsets = zip(*fields.values(), strict=True)
         return np.dtype(
-            {
-                "names": [path for path, _, _ in fields],
-                "formats": [kind for _, kind, _ in fields],
-                "offsets": [offset for _, _, offset in fields],
-                "itemsize": self.size,
-            }
+            {"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": self.size}
         )
-
-    def _walk(self, type_name: str, prefix: str, cursor: Cursor) -> Iterator[tuple[str, Any, int]]:
-        """Path, NumPy format and offset of each numeric field, in wire order."""
-        for field, kind, argument in fields_of(type_name):
-            path = prefix + field
-            if kind == Nodetype.NAME:
-                yield from self._walk(argument, path + ".", cursor)
-                continue
-            is_array = kind in (Nodetype.SEQUENCE, Nodetype.ARRAY)
-            base = argument[0][1][0] if is_array else argument[0]
-            if base == "string":
-                values = self._strings.get(path, []) if is_array else [""]
-                cursor.skip_strings(values, counted=is_array)
-                continue
-            if kind == Nodetype.SEQUENCE:
-                cursor.take(4, 4)
-            scalar = np.dtype(NUMPY_TYPES[base])
-            if not is_array:
-                yield path, scalar, cursor.take(scalar.itemsize, scalar.itemsize)
-            elif count := self._lengths[path] if kind == Nodetype.SEQUENCE else argument[1]:
-                start = cursor.take(scalar.itemsize * count, scalar.itemsize)
-                yield path, (scalar, (count,)), start
 
     def _scalar_type(self) -> type[ctypes.LittleEndianStructure]:
         """The single values of a payload as a C structure, what lies between them as padding."""
@@ -236,7 +205,7 @@ class MessageLayout:
         for name, (kind, offset, *_) in fields.items():
             if not kind.shape:
                 members.append((f"_{offset}", ctypes.c_char * (offset - end)))
-                members.append((name.replace(".", "_"), _C_TYPES[kind.str[1:]]))
+                members.append((name.replace(".", "_"), np.ctypeslib.as_ctypes_type(kind)))
                 end = offset + kind.itemsize
         body = {"__slots__": (), "_pack_": 1, "_fields_": members}
         return type("Scalars", (ctypes.LittleEndianStructure,), body)

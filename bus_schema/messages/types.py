@@ -63,3 +63,15 @@ def type_hash(type_name: str) -> str:
 def schema_text(type_name: str) -> str:
     """The type with all it depends on, in MCAP's ``ros2msg`` encoding."""
     return TYPESTORE.generate_msgdef(type_name, ros_version=2)[0]
+
+
+def has_todays_form(type_name: str, text: bytes) -> bool:
+    """Whether messages that were recorded with a schema are today's; only our own types change."""
+    if not type_name.startswith(PACKAGE):
+        return True
+    try:
+        recorded = get_types_from_msg(text.decode(), type_name)
+    except Exception:  # noqa: BLE001 (what rosbags trips over in a text that is no schema)
+        return False
+    todays = TYPESTORE.fielddefs
+    return all(name in todays and todays[name][1] == recorded[name][1] for name in recorded)

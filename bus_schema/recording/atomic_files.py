@@ -132,8 +132,5 @@ class RecordFile:
     def tell(self) -> int:
         return self.size
 
-    def flush(self) -> None:
-        """Nothing is held back."""
-
     def close(self) -> None:
         self._raw.close()

@@ -14,19 +14,10 @@ from io import BytesIO
 from typing import IO, Any, NamedTuple
 
 import zstandard
+from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    McapRecord,
-    Message,
-    Metadata,
-    Schema,
-    Statistics,
-)
 from mcap.stream_reader import get_chunk_data_stream
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -45,12 +36,12 @@ _DAMAGED = (
 """What reading damaged bytes ends in: lengths in them may be anything, too."""
 
 _PARSERS: dict[int, Callable[[ReadDataStream], Any]] = {
-    Opcode.SCHEMA: Schema.read,
-    Opcode.CHANNEL: Channel.read,
-    Opcode.CHUNK: Chunk.read,
-    Opcode.ATTACHMENT: Attachment.read,
-    Opcode.METADATA: Metadata.read,
-    Opcode.STATISTICS: Statistics.read,
+    Opcode.SCHEMA: records.Schema.read,
+    Opcode.CHANNEL: records.Channel.read,
+    Opcode.CHUNK: records.Chunk.read,
+    Opcode.ATTACHMENT: records.Attachment.read,
+    Opcode.METADATA: records.Metadata.read,
+    Opcode.STATISTICS: records.Statistics.read,
 }
 _CALLED = {Opcode.CHUNK: "chunk", Opcode.ATTACHMENT: "attachment"}
 
@@ -87,7 +78,7 @@ class CheckedRecords:
         self.is_finished = False
         self.lacks_checksums = False
 
-    def __iter__(self) -> Iterator[McapRecord]:
+    def __iter__(self) -> Iterator[records.McapRecord]:
         if not MAGIC.startswith(self._take(len(MAGIC))):
             self.damage.append("it does not begin as an MCAP file does")
         while (raw := self._next()) is not None:
@@ -115,18 +106,18 @@ class CheckedRecords:
         self.cut_off_at = start
         return None
 
-    def _parsed(self, raw: _Raw) -> list[McapRecord]:
+    def _parsed(self, raw: _Raw) -> list[records.McapRecord]:
         """The records in a record: those of a chunk, itself, or none if nobody needs it."""
         try:
             if raw.opcode == Opcode.MESSAGE:
-                return [Message.read(_stream(raw.content), len(raw.content))]
+                return [records.Message.read(_stream(raw.content), len(raw.content))]
             parse = _PARSERS.get(raw.opcode)
             if parse is None:
                 return []
             if raw.opcode == Opcode.ATTACHMENT:
                 _check(raw.content[-_CRC.size :], zlib.crc32(raw.content[: -_CRC.size]))
             record = parse(_stream(raw.content))
-            return _inner_records(record) if isinstance(record, Chunk) else [record]
+            return _inner_records(record) if isinstance(record, records.Chunk) else [record]
         except _DAMAGED:
             name = _CALLED.get(Opcode(raw.opcode), "record")
             self.damage.append(f"the {name} at byte {raw.start} cannot be read")
@@ -174,7 +165,7 @@ def _check(expected: bytes, actual: int) -> None:
         raise ValueError("wrong checksum")
 
 
-def _inner_records(chunk: Chunk) -> list[McapRecord]:
+def _inner_records(chunk: records.Chunk) -> list[records.McapRecord]:
     """The records of a chunk, whose size is checked before memory is taken for it."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) not in (-1, size):
@@ -185,7 +176,7 @@ def _inner_records(chunk: Chunk) -> list[McapRecord]:
     return list(_records_in(stream.read(unpacked)))
 
 
-def _records_in(content: bytes) -> Iterator[McapRecord]:
+def _records_in(content: bytes) -> Iterator[records.McapRecord]:
     """The records of an unpacked chunk: ten times as fast for messages as mcap's own reader.
 
     Raises:
@@ -200,6 +191,6 @@ def _records_in(content: bytes) -> Iterator[McapRecord]:
         if opcode == Opcode.MESSAGE:
             channel, sequence, log_ns, sent_ns = _MESSAGE.unpack_from(content, start)
             data = content[start + _MESSAGE.size : place]
-            yield Message(channel, log_ns, data, sent_ns, sequence)
+            yield records.Message(channel, log_ns, data, sent_ns, sequence)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             yield _PARSERS[opcode](_stream(content[start:place]))

@@ -18,11 +18,10 @@ from typing import IO, cast
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema, Statistics
 
 from bus_schema.messages.topics import Topic
-from bus_schema.messages.types import schema_text
+from bus_schema.messages.types import has_todays_form, schema_text
 from bus_schema.recording.atomic_files import RecordFile, complete, is_partial, new_partial
 from bus_schema.recording.checked_records import CheckedRecords
 from bus_schema.recording.mcap_writer import McapWriter, append_metadata
-from bus_schema.recording.older_messages import Translate, translation
 
 logger = logging.getLogger(__name__)
 
@@ -191,10 +190,13 @@ class LogContents:
 
 
 class _Sorter:
-    """Sorts records into the contents of a recording; messages of older versions in today's form.
+    """Sorts records into the contents of a recording.
 
     A message whose channel was described in a damaged chunk waits for the summary, which describes
-    all channels again.
+    all channels again. Messages of our own types in the form of another version are left out.
+
+    Attributes:
+        foreign_types: names of these types.
     """
 
     def __init__(self) -> None:
@@ -202,8 +204,8 @@ class _Sorter:
         self.messages = 0
         self.expected: int | None = None
         self._topics: dict[int, str] = {}
-        self._translations: dict[int, Translate | None] = {}  # by schema
-        self._translate: dict[int, Translate | None] = {}  # by channel
+        self._is_todays: dict[int, bool] = {}  # by schema
+        self.foreign_types: set[str] = set()
         self._waiting: list[Message] = []
 
     def take(self, record: McapRecord) -> None:
@@ -213,12 +215,12 @@ class _Sorter:
                 self._take_message(record)
             case Message():
                 self._waiting.append(record)
-            case Schema() if record.id not in self._translations:
-                text = record.data.decode(errors="replace")
-                self._translations[record.id] = translation(record.name, text)
-            case Channel() if record.id not in self._topics:
-                self._topics[record.id] = record.topic.strip("/")
-                self._translate[record.id] = self._translations.get(record.schema_id)
+            case Schema() if record.id not in self._is_todays:
+                self._is_todays[record.id] = has_todays_form(record.name, record.data)
+                if not self._is_todays[record.id]:
+                    self.foreign_types.add(record.name)
+            case Channel() if self._is_todays.get(record.schema_id, True):
+                self._topics.setdefault(record.id, record.topic.strip("/"))
             case Attachment():
                 self.contents.attachments[record.name] = record.data
             case Metadata():
@@ -233,10 +235,8 @@ class _Sorter:
                 self._take_message(message)
 
     def _take_message(self, message: Message) -> None:
-        update = self._translate[message.channel_id]
-        data = message.data if update is None else update(message.data)
         topic = self._topics[message.channel_id]
-        self.contents.payloads[topic].append(data)
+        self.contents.payloads[topic].append(message.data)
         self.contents.sequences[topic].append(message.sequence)
         self.messages += 1
 
@@ -273,6 +273,10 @@ def read_log(path: Path) -> LogContents:
     contents, damage = sorter.contents, records.damage
     if records.cut_off_at is not None and not is_partial(path):
         damage.append(f"nothing from byte {records.cut_off_at} of {size} on can be read")
+    damage += [
+        f"its messages of {name} are those of another version of funnel-hil, which can read them"
+        for name in sorted(sorter.foreign_types)
+    ]
     if damage:
         shown = damage[:_SHOWN_DAMAGE]
         if len(damage) > _SHOWN_DAMAGE:

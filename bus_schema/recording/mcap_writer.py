@@ -13,25 +13,10 @@ from collections import defaultdict
 from typing import IO
 
 import zstandard
+from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from bus_schema.recording.checked_records import HEAD, MAGIC
 
@@ -61,12 +46,12 @@ class McapWriter:
         self._chunk = bytearray()
         self._entries: defaultdict[int, list[int]] = defaultdict(list)
         """Log time and place of each message in turn, by channel."""
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
-        self._counts = Statistics(
+        self._schemas: list[records.Schema] = []
+        self._channels: list[records.Channel] = []
+        self._chunks: list[records.ChunkIndex] = []
+        self._attachments: list[records.AttachmentIndex] = []
+        self._metadata: list[records.MetadataIndex] = []
+        self._counts = records.Statistics(
             attachment_count=0, channel_count=0, channel_message_counts={}, chunk_count=0,
             message_count=0, message_end_time=0, message_start_time=0, metadata_count=0,
             schema_count=0,
@@ -85,20 +70,20 @@ class McapWriter:
         )
         writer._chunks, writer._attachments = summary.chunk_indexes, summary.attachment_indexes
         writer._metadata, writer._counts = summary.metadata_indexes, summary.statistics
-        file.seek(-len(MAGIC) - len(_encoded(Footer(0, 0, 0))) + HEAD.size, 2)
-        data_end_at = Footer.read(ReadDataStream(file)).summary_start - _DATA_END_BYTES
+        file.seek(-len(MAGIC) - len(_encoded(records.Footer(0, 0, 0))) + HEAD.size, 2)
+        data_end_at = records.Footer.read(ReadDataStream(file)).summary_start - _DATA_END_BYTES
         file.seek(data_end_at + HEAD.size)
-        writer._crc = DataEnd.read(ReadDataStream(file)).data_section_crc
+        writer._crc = records.DataEnd.read(ReadDataStream(file)).data_section_crc
         file.seek(data_end_at)
         return writer
 
     def start(self, profile: str, library: str) -> None:
         """Write what a file begins with."""
-        self._write(MAGIC + _encoded(Header(profile, library)))
+        self._write(MAGIC + _encoded(records.Header(profile, library)))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Describe a type of messages; its id."""
-        self._schemas.append(Schema(len(self._schemas) + 1, data, encoding, name))
+        self._schemas.append(records.Schema(len(self._schemas) + 1, data, encoding, name))
         self._counts.schema_count += 1
         self._chunk += _encoded(self._schemas[-1])
         return self._schemas[-1].id
@@ -108,7 +93,7 @@ class McapWriter:
     ) -> int:
         """Describe a channel; its id."""
         number = len(self._channels) + 1
-        self._channels.append(Channel(number, topic, message_encoding, metadata, schema_id))
+        self._channels.append(records.Channel(number, topic, message_encoding, metadata, schema_id))
         self._counts.channel_count += 1
         self._chunk += _encoded(self._channels[-1])
         return number
@@ -138,7 +123,7 @@ class McapWriter:
         if not self._entries:
             return
         times_ns = [entries[::2] for entries in self._entries.values()]
-        chunk = Chunk(
+        chunk = records.Chunk(
             compression="zstd",
             data=zstandard.compress(self._chunk),
             message_start_time=min(map(min, times_ns)),
@@ -155,7 +140,7 @@ class McapWriter:
             indices += struct.pack(f"<{len(entries)}Q", *entries)
         self._write(record + indices)
         self._chunks.append(
-            ChunkIndex(
+            records.ChunkIndex(
                 chunk_length=len(record),
                 chunk_start_offset=start,
                 compression=chunk.compression,
@@ -173,34 +158,34 @@ class McapWriter:
     def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attached file."""
         start = self._file.tell()
-        record = _encoded(Attachment(0, 0, name, media_type, data))
+        record = _encoded(records.Attachment(0, 0, name, media_type, data))
         self._write(record)
-        index = AttachmentIndex(start, len(record), 0, 0, len(data), name, media_type)
+        index = records.AttachmentIndex(start, len(record), 0, 0, len(data), name, media_type)
         self._attachments.append(index)
         self._counts.attachment_count += 1
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a table of metadata."""
-        start, record = self._file.tell(), _encoded(Metadata(name, values))
+        start, record = self._file.tell(), _encoded(records.Metadata(name, values))
         self._write(record)
-        self._metadata.append(MetadataIndex(start, len(record), name))
+        self._metadata.append(records.MetadataIndex(start, len(record), name))
         self._counts.metadata_count += 1
 
     def finish(self) -> None:
         """Write the summary, and the end of the file."""
         self.flush()
-        self._write(_encoded(DataEnd(self._crc)))
+        self._write(_encoded(records.DataEnd(self._crc)))
         start, summary, offsets = self._file.tell(), RecordBuilder(), []
-        for opcode, records in (
+        for opcode, group in (
             (Opcode.SCHEMA, self._schemas), (Opcode.CHANNEL, self._channels),
             (Opcode.STATISTICS, [self._counts]), (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.ATTACHMENT_INDEX, self._attachments), (Opcode.METADATA_INDEX, self._metadata),
         ):  # fmt: skip
             place = summary.count
-            for record in records:
+            for record in group:
                 record.write(summary)
-            offsets.append(SummaryOffset(opcode, start + place, summary.count - place))
-        footer = _encoded(Footer(start, start + summary.count, 0))[: -_CRC.size]
+            offsets.append(records.SummaryOffset(opcode, start + place, summary.count - place))
+        footer = _encoded(records.Footer(start, start + summary.count, 0))[: -_CRC.size]
         for offset in offsets:
             offset.write(summary)
         end = bytes(summary.end()) + footer  # type: ignore[no-untyped-call]
@@ -210,7 +195,7 @@ class McapWriter:
         self._file.write(data)
         self._crc = zlib.crc32(data, self._crc)
 
-    def _count(self, chunk: Chunk) -> None:
+    def _count(self, chunk: records.Chunk) -> None:
         """Count a chunk that is in the file."""
         counts, is_first = self._counts, self._counts.message_count == 0
         start_ns = chunk.message_start_time if is_first else counts.message_start_time
@@ -238,11 +223,11 @@ def append_metadata(file: IO[bytes], at: int | None, name: str, values: dict[str
         writer.finish()
     else:
         file.seek(at)
-        file.write(_encoded(Metadata(name, values)))
+        file.write(_encoded(records.Metadata(name, values)))
     file.truncate()
 
 
-def _encoded(record: McapRecord) -> bytes:
+def _encoded(record: records.McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -26,8 +26,7 @@ def check_urdf(root: ET.Element) -> None:
         RobotDescriptionError: they are not; the element and what is allowed are named.
     """
     check_depth(root)
-    _check_expanded(root)
-    _check_printable(root)
+    _check_texts(root)
     _check_names("link", root.findall("link"))
     _check_names("joint", root.findall("joint"))
     for joint in root.findall("joint"):
@@ -75,25 +74,23 @@ def check_depth(root: ET.Element, deepest: int = _DEEPEST) -> None:
         raise RobotDescriptionError(f"must not be nested deeper than {deepest} elements")
 
 
-def _check_expanded(root: ET.Element) -> None:
-    """Refuse what xacro would have to put values in for."""
+def _check_texts(root: ET.Element) -> None:
+    """Refuse what xacro would have to put values in for, and what Bullet takes for a format.
+
+    It prints names as such: ``%s`` in one ends the process.
+    """
     for element in root.iter():
+        named = element.get("name", "")
+        where = f"<{element.tag}" + (f" name={shortened(named)!r}>" if named else ">")
         for name, text in element.attrib.items():
             if (found := _UNEXPANDED.search(text)) is not None:
-                named = element.get("name")
-                where = f"<{element.tag}" + (f" name={shortened(named)!r}>" if named else ">")
                 raise RobotDescriptionError(
                     f"{name} of {where} holds {shortened(found.group())!r}, which xacro has not"
                     " expanded: name the .xacro file itself, or run xacro on it first"
                 )
-
-
-def _check_printable(root: ET.Element) -> None:
-    """Bullet prints names as if they were formats: ``%s`` in one ends the process."""
-    for element in root.iter():
-        if "%" in (name := element.get("name", "")):
+        if "%" in named:
             raise RobotDescriptionError(
-                f"name={shortened(name)!r} of <{element.tag}> must have no %"
+                f"name={shortened(named)!r} of <{element.tag}> must have no %"
             )
 
 
@@ -111,8 +108,7 @@ def _check_names(kind: str, elements: list[ET.Element]) -> None:
 def _check_tree(root: ET.Element) -> None:
     """One link carries all others, each by one joint."""
     links = {link.get("name", "") for link in root.findall("link")}
-    children: dict[str, list[str]] = {}
-    carried: set[str] = set()
+    carriers: dict[str, str] = {}
     for joint in root.findall("joint"):
         ends = joint_ends(joint)
         for kind, link in zip(("parent", "child"), ends, strict=True):
@@ -126,19 +122,16 @@ def _check_tree(root: ET.Element) -> None:
             raise RobotDescriptionError(
                 f"{_owner(joint)} joins link {shortened(child)!r} to itself; {allowed}"
             )
-        if child in carried:
+        if child in carriers:
             raise RobotDescriptionError(f"link {child!r} is the child of more than one joint")
-        carried.add(child)
-        children.setdefault(parent, []).append(child)
-    bases = sorted(links - carried)
+        carriers[child] = parent
+    bases = sorted(links - carriers.keys())
     if len(bases) != 1:
         shown = shortened(", ".join(bases)) or "none"
         raise RobotDescriptionError(f"one link must be the child of no joint, not {shown}")
     reached = set(bases)
-    level = bases
-    while level:
-        level = [child for link in level for child in children.get(link, ())]
-        reached.update(level)
+    for _ in links:
+        reached |= {child for child, parent in carriers.items() if parent in reached}
     if reached != links:
         apart = shortened(", ".join(sorted(links - reached)))
         raise RobotDescriptionError(f"the joints of {apart} form a circle")

@@ -1,7 +1,7 @@
 """MJCF (MuJoCo's format) as URDF: MuJoCo compiles the file, and its numbers are written down.
 
 MuJoCo sees neither what opens files nor what is only seen. What a URDF has no place for is left
-out with a warning (springs, damping), or refused (loops, ball joints).
+out with a warning (springs), or refused (loops, ball joints).
 
 Importing this module imports MuJoCo, so import it where it is used.
 """
@@ -31,7 +31,6 @@ _ONLY_SEEN = {
     *("asset", "visual", "sensor", "contact", "keyframe", "size", "statistic", "custom"),
     *("site", "camera", "light", "mesh", "material", "skin", "pair", "tendon", "equality", "flag"),
 }
-_LEFT_OUT = ("armature", "damping", "frictionloss", "stiffness")
 _NOT_FINITE = re.compile(r"[+-]?(nan(\(.*\))?|inf(inity)?)", re.IGNORECASE)
 _GEOM, _JOINT, _TARGET = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtTrn
 _SHAPES = {
@@ -203,8 +202,8 @@ def _left_out(model: Any, efforts: dict[int, float]) -> Iterator[str]:
     if passive := ", ".join(joint.name for joint in joints if joint.id not in efforts):
         yield f"{passive}: no actuator drives them; they are held"
     driven = [joint for joint in joints if joint.id in efforts]
-    if names := ", ".join(k for k in _LEFT_OUT if any(getattr(j, k).any() for j in driven)):
-        yield f"{names} of its joints are left out (plant.friction has the arm's)"
+    if any(joint.stiffness.any() for joint in driven):
+        yield "stiffness of its joints is left out"
     if names := ", ".join(f"body {model.body(i).name}" for i in model.body_gravcomp.nonzero()[0]):
         yield f"gravcomp of {names} is left out: gravity pulls on all of it here"
     if (gravity := model.opt.gravity.tolist()) != [0.0, 0.0, -9.81]:
@@ -266,6 +265,12 @@ def _write_joint(
     if effort < math.inf:
         limit["effort"] = effort
     ET.SubElement(element, "limit", {key: _text(value) for key, value in limit.items()})
+    friction = {"damping": joint.damping, "friction": joint.frictionloss}
+    ET.SubElement(element, "dynamics", {key: _text(value) for key, value in friction.items()})
+    transmission = ET.SubElement(urdf, "transmission")
+    ET.SubElement(transmission, "joint", name=joint.name)
+    actuator = ET.SubElement(transmission, "actuator")
+    ET.SubElement(actuator, "rotor_inertia", value=_text(joint.armature))
 
 
 def _write_link(link: ET.Element, model: Any, body: int, origin: Vector) -> None:

@@ -9,10 +9,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schema.errors import InvalidMessageError
-from bus_schema.messages.cdr_types import Cursor
 from bus_schema.messages.header import NANOSECONDS, split_stamp
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import (
@@ -27,57 +25,25 @@ from bus_schema.messages.types import STRING, TF_MESSAGE, TYPESTORE
 from bus_schema.robot_description import RobotDescription
 from bus_schema.view.link_poses import CarriedLink, LinkPoses, Poses
 
-_STAMP, _POSE = np.dtype(("<u4", 2)), np.dtype(("<f8", 7))
 
-
-class TransformLayout:
-    """Wire layout of the transforms of these links.
+def encode_transforms(links: Sequence[CarriedLink], stamp_ns: int, poses: Poses) -> bytes:
+    """The message with these links.
 
     Args:
-        links: whose poses will be sent, in their order.
+        links: whose poses they are.
+        stamp_ns: when the links are there.
+        poses: shape (links, 7).
     """
-
-    def __init__(self, links: Sequence[CarriedLink]) -> None:
-        self._storage = np.frombuffer(_template(links), np.uint8).copy()
-        stamps, poses = _places(links)
-        self._stamps = stamps[:, None] + np.arange(_STAMP.itemsize)
-        self._poses = poses[:, None] + np.arange(_POSE.itemsize)
-
-    def encode(self, stamp_ns: int, poses: Poses) -> bytes:
-        """The message.
-
-        Args:
-            stamp_ns: when the links are there.
-            poses: shape (links, 7).
-        """
-        self._storage[self._stamps] = np.array(split_stamp(stamp_ns), "<u4").view(np.uint8)
-        self._storage[self._poses] = np.ascontiguousarray(poses, "<f8").view(np.uint8)
-        return self._storage.tobytes()
-
-
-def _template(links: Sequence[CarriedLink]) -> bytes:
-    """The message as rosbags writes it, with all links at their parents' origins."""
     types = TYPESTORE.types
-    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    header, transform = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Transform"]
     vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    pose = types["geometry_msgs/msg/Transform"](
-        vector(0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0)
-    )
     stamped = types["geometry_msgs/msg/TransformStamped"]
-    transforms = [stamped(header(time(0, 0), link.parent), link.child, pose) for link in links]
+    stamp = types["builtin_interfaces/msg/Time"](*split_stamp(stamp_ns))
+    transforms = []
+    for link, pose in zip(links, poses.tolist(), strict=True):
+        placed = transform(vector(*pose[:3]), quaternion(*pose[3:]))
+        transforms.append(stamped(header(stamp, link.parent), link.child, placed))
     return bytes(TYPESTORE.serialize_cdr(types[TF_MESSAGE](transforms), TF_MESSAGE))
-
-
-def _places(links: Sequence[CarriedLink]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where in the bytes the stamps and the poses are."""
-    cursor = Cursor()
-    cursor.take(4, 4)
-    stamps, poses = [], []
-    for link in links:
-        stamps.append(cursor.take(_STAMP.itemsize, 4))
-        cursor.skip_strings([link.parent, link.child], counted=False)
-        poses.append(cursor.take(_POSE.itemsize, 8))
-    return np.array(stamps, np.int64), np.array(poses, np.int64)
 
 
 PLUGIN = "joint_state_topic_hardware_interface/JointStateTopicSystem"
@@ -132,7 +98,6 @@ class ArmView:
     def __init__(self, robot: RobotDescription) -> None:
         self._robot = robot
         self._poses = LinkPoses(robot)
-        self._transforms = TransformLayout(self._poses.moving)
         self._layout = layout(JOINT_STATES, robot.joint_names)
         self._state = Record(self._layout)
         self._last_ns: int | None = None
@@ -140,10 +105,10 @@ class ArmView:
     def first(self) -> list[tuple[Topic, bytes]]:
         """What is sent once: the URDF, and where links are that do not move."""
         text = TYPESTORE.types[STRING](description(self._robot))
-        static = TransformLayout(self._poses.fixed)
+        static = encode_transforms(self._poses.fixed, 0, self._poses.fixed_poses)
         return [
             (ROBOT_DESCRIPTION, bytes(TYPESTORE.serialize_cdr(text, STRING))),
-            (TF_STATIC, static.encode(0, self._poses.fixed_poses)),
+            (TF_STATIC, static),
         ]
 
     def transforms(self, state: bytes, stamp_ns: int) -> bytes | None:
@@ -163,4 +128,5 @@ class ArmView:
         if not np.isfinite(position).all():
             return None
         self._last_ns = stamp_ns
-        return self._transforms.encode(stamp_ns, self._poses.moving_poses(position))
+        poses = self._poses.moving_poses(position)
+        return encode_transforms(self._poses.moving, stamp_ns, poses)

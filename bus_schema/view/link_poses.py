@@ -32,7 +32,6 @@ class LinkPoses:
         robot: the arm.
 
     Attributes:
-        root: the link that nothing carries, the arm's base.
         fixed: links that do not move against their parents.
         moving: links that do, in the order of the URDF.
         fixed_poses: shape (fixed, 7).
@@ -44,10 +43,6 @@ class LinkPoses:
         fixed = [joint for joint in joints if joint.get("type") not in MOVING_TYPES]
         self.fixed = tuple(CarriedLink(*joint_ends(joint)) for joint in fixed)
         self.moving = tuple(CarriedLink(*joint_ends(joint)) for joint in moving)
-        attached = {each.child for each in (*self.fixed, *self.moving)}
-        self.root = next(
-            each.parent for each in (*self.moving, *self.fixed) if each.parent not in attached
-        )
         self.fixed_poses = _origins(fixed)
         origins = _origins(moving)
         axes = np.array([_numbers(joint, "axis", "xyz", "1 0 0") for joint in moving])

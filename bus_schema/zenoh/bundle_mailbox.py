@@ -6,10 +6,11 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import partial
 
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.run_event import RunEvent
-from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS, TOPICS, Role
+from bus_schema.messages.topics import JOINT_COMMANDS, RUN_EVENTS, TOPICS, Role, Topic
 from bus_schema.zenoh.access import (
     bundle_key_expression,
     bundling_key_expression,
@@ -17,20 +18,19 @@ from bus_schema.zenoh.access import (
 )
 from bus_schema.zenoh.bundle_order import BundleOrder
 from bus_schema.zenoh.bundles import BUNDLED, UNKNOWN, Received, Span, unbundled
-from bus_schema.zenoh.ros_graph import (
-    Attachment,
-    Entity,
-    EntityKind,
-    endpoint_gid,
-    graph_key_expression,
-)
+from bus_schema.zenoh.ros_graph import Attachment, RosGraph
 from bus_schema.zenoh.session import Delivery, ZenohSession
 
 WRONG_ROLE = "wrong_role"
+_RECORDED: dict[str, dict[bytes, Topic]] = {
+    role: {topic.name.encode(): topic for topic in of_role if topic in TOPICS}
+    for role, of_role in BUNDLED.items()
+}
+"""Topics that a recorder takes from the bundles of each loop, by their names in bundles."""
 _OBJECT_BYTES = 300
 """Of Python around each delivery that is kept."""
-_MOST_SENDERS, _MOST_PUBLISHERS = 32, 10_000
-"""Whoever makes up an id for each message fills no memory."""
+_MOST_SENDERS = 32
+"""Whoever makes up an id for each bundle fills no memory."""
 
 
 class Mailbox:
@@ -44,7 +44,7 @@ class Mailbox:
         dropped: deliveries that made room for newer ones before they were taken.
     """
 
-    def __init__(self, session: ZenohSession, key: str, most_bytes: int, *, lossless: bool) -> None:
+    def __init__(self, session: ZenohSession, key: str, *, most_bytes: int, lossless: bool) -> None:
         self._most_bytes, self._lossless = most_bytes, lossless
         self._deliveries: deque[tuple[str, Delivery]] = deque()
         self._bytes = self.dropped = 0
@@ -101,7 +101,7 @@ class BundleMailbox:
         domain: ROS domain.
         most_bytes: of messages to keep, in bundles and by themselves each.
         lossless: once there are more, senders wait; or else the oldest make room.
-        speakers: gives the sessions that have announced that they send on our topics.
+        graph: who is on the bus.
 
     Attributes:
         rejected: what was left out, by reason: bundles that their senders cannot have sent
@@ -116,49 +116,39 @@ class BundleMailbox:
         most_bytes: int,
         *,
         lossless: bool,
-        speakers: Callable[[], set[str]],
+        graph: RosGraph,
     ) -> None:
-        self._session, self._domain = session, domain
-        self._most_bytes, self._lossless = most_bytes, lossless
-        self._speakers = speakers
+        self._domain = domain
+        self._mailbox = partial(Mailbox, session, most_bytes=most_bytes, lossless=lossless)
+        self._graph = graph
         self.rejected: Counter[str] = Counter()
         self._bundling: dict[str, str] = {}  # role by session
         self._have_bundled: set[str] = set()  # roles
         self._left: set[str] = set()  # of these sessions
-        self._publishers: dict[bytes, str] = {}  # session by id
         self._lock = threading.Lock()
         self._topics = {topic.key_expression(domain): topic for topic in TOPICS}
-        self._bundled_topics = {
-            bundle_key_expression(domain, role): {
-                topic.name.encode(): topic for topic in of_role if topic in TOPICS
-            }
-            for role, of_role in BUNDLED.items()
-        }
-        self._roles = {bundle_key_expression(domain, role): role for role in BUNDLED}
-        self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by key and sender
+        self._orders: dict[tuple[str, bytes], BundleOrder] = {}  # by role and sender
         self._waits = True
         self._missed = session.publisher(missed_key_expression(domain))
-        self._bundles = Mailbox(
-            session, bundle_key_expression(domain), most_bytes, lossless=lossless
-        )
+        self._bundles = self._mailbox(bundle_key_expression(domain))
         self._direct: Mailbox | None = None
         self._dropped = 0  # of mailboxes that are closed
         self._listen()
         session.watch_tokens(bundling_key_expression(domain), self._on_bundling)
-        session.watch_tokens(graph_key_expression(domain), self._on_publisher)
 
     def take(self) -> list[Received] | None:
         """The oldest messages not yet taken, as many as came at once; None if nothing has come."""
         bundle = self._bundles.take()
         if bundle is not None:
-            return self._unbundle(*bundle)
+            key, delivery = bundle
+            return self._unbundle(key.rpartition("/")[2], delivery)
         left = self._left.copy()
-        delivery = self._direct.take() if self._direct is not None else None
-        if delivery is None:
+        alone = self._direct.take() if self._direct is not None else None
+        if alone is None:
             self._forget(left)
             self._listen()
             return self._look_for_missed()
-        key, (payload, attachment) = delivery
+        key, (payload, attachment) = alone
         topic = self._topics.get(key)
         if topic is None:
             return []
@@ -174,24 +164,20 @@ class BundleMailbox:
     def let_go(self) -> list[Received]:
         """Wait for no missing bundle any more; the messages of those that have waited."""
         self._waits = False
-        return self._all_of(lambda order: order.rest())
+        return self._all_of(BundleOrder.rest)
 
-    def _unbundle(self, key: str, bundle: Delivery) -> list[Received]:
+    def _unbundle(self, role: str, bundle: Delivery) -> list[Received]:
         """The messages of a bundle and of those that waited for it; none before its turn."""
-        topics = self._bundled_topics.get(key, {})
         span = Span.decode(bundle.attachment)
         if span is None:
-            return self._believed(unbundled(bundle.payload, topics), key)
-        order = self._orders.get((key, span.sender))
+            return self._messages_in([bundle.payload], role)
+        order = self._orders.get((role, span.sender))
         if order is None:
             if len(self._orders) >= _MOST_SENDERS:
-                return self._believed(unbundled(bundle.payload, topics), key)
-            order = self._orders[key, span.sender] = BundleOrder(span.sender, self.rejected)
+                return self._messages_in([bundle.payload], role)
+            order = self._orders[role, span.sender] = BundleOrder(span.sender, self.rejected)
         ready = order.take_in(span, bundle.payload)
-        if not self._waits:
-            ready += order.rest()
-        messages = [message for payload in ready for message in unbundled(payload, topics)]
-        return self._believed(messages, key)
+        return self._messages_in(ready if self._waits else [*ready, *order.rest()], role)
 
     def _look_for_missed(self) -> list[Received] | None:
         """Ask for bundles that are missing, and wait no longer for those asked for in vain."""
@@ -200,51 +186,50 @@ class BundleMailbox:
             missed = order.missed(now_s)
             if missed is not None:
                 self._missed.put(missed.encode(), b"")
-        return self._all_of(lambda order: order.overdue()) or None
+        return self._all_of(BundleOrder.overdue) or None
 
     def _all_of(self, bundles_of: Callable[[BundleOrder], list[bytes]]) -> list[Received]:
         return [
             message
-            for (key, _), order in self._orders.items()
-            for bundle in bundles_of(order)
-            for message in self._believed(unbundled(bundle, self._bundled_topics.get(key, {})), key)
+            for (role, _), order in self._orders.items()
+            for message in self._messages_in(bundles_of(order), role)
         ]
 
-    def _believed(self, messages: list[Received], key: str | None) -> list[Received]:
-        """Messages that came with a bundle of this key, or alone; no event in another's name."""
+    def _messages_in(self, bundles: list[bytes], role: str) -> list[Received]:
+        topics = _RECORDED.get(role, {})
+        messages = [message for bundle in bundles for message in unbundled(bundle, topics)]
+        return self._believed(messages, role)
+
+    def _believed(self, messages: list[Received], role: str | None) -> list[Received]:
+        """Messages of a bundle of this role, or that came alone; no event in another's name."""
         believed = [
             message for message in messages
-            if message[0] is not RUN_EVENTS or self._may_say(message[1], key)
+            if message[0] is not RUN_EVENTS or self._may_say(message[1], role)
         ]  # fmt: skip
         if len(believed) < len(messages):
             self.rejected[WRONG_ROLE] += len(messages) - len(believed)
         return believed
 
-    def _may_say(self, event: bytes, key: str | None) -> bool:
+    def _may_say(self, event: bytes, role: str | None) -> bool:
         try:
             source = RunEvent.decode(event).source
         except InvalidMessageError:
             return True  # nobody reads it
-        return source not in self._have_bundled if key is None else source == self._roles.get(key)
+        return source not in self._have_bundled if role is None else source == role
 
     def _is_bundled(self, message: Received) -> bool:
         """Whether a message that has come by itself comes in a bundle too."""
         topic, _, _, _, gid = message
         if topic is JOINT_COMMANDS and Role.PLANT in self._bundling.values():
             return True
-        return self._publishers.get(gid) in self._bundling
+        return self._graph.sessions.get(gid) in self._bundling
 
     def _listen(self) -> None:
         """Listen to all that is sent, unless all of it comes in bundles."""
-        if (
-            set(self._bundling.values()) != set(BUNDLED)
-            or not self._speakers() <= self._bundling.keys()
-        ):
+        both_bundle = set(self._bundling.values()) == set(BUNDLED)
+        if not both_bundle or not self._graph.speakers() <= self._bundling.keys():
             if self._direct is None:
-                key = f"{self._domain}/**"
-                self._direct = Mailbox(
-                    self._session, key, self._most_bytes, lossless=self._lossless
-                )
+                self._direct = self._mailbox(f"{self._domain}/**")
         elif self._direct is not None:
             self._direct.close()
             self._dropped += self._direct.dropped
@@ -260,25 +245,12 @@ class BundleMailbox:
             else:
                 self._left.add(session)
 
-    def _on_publisher(self, token: str, alive: bool) -> None:
-        """Remember whose it is; of those who bundle until all that they said is taken."""
-        entity = Entity.from_token(token)
-        if entity is None or entity.kind != EntityKind.PUBLISHER:
-            return
-        with self._lock:
-            if alive and len(self._publishers) < _MOST_PUBLISHERS:
-                self._publishers[endpoint_gid(token)] = entity.session
-            elif not alive and entity.session not in self._bundling:
-                self._publishers.pop(endpoint_gid(token), None)
-
     def _forget(self, left: set[str]) -> None:
         """Sessions have left, and all that came by itself before was held against their bundles."""
         with self._lock:
             for session in left & self._left:
                 self._left.discard(session)
                 self._bundling.pop(session, None)
-                for gid in [gid for gid, of in self._publishers.items() if of == session]:
-                    del self._publishers[gid]
 
 
 def _size(kept: tuple[str, Delivery]) -> int:

@@ -79,7 +79,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         give_up_s = time.monotonic() + timeout_s
         stranger_since_s = None
         silence = self.watch_silence(Role.CONTROLLER)
-        while not self.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
+        while not self._graph.has_publisher(topics.JOINT_COMMANDS) and not is_stop_requested():
             silence.look()
             self.require_same_scenario(Role.CONTROLLER)  # which saw it first, and left
             now_s = time.monotonic()
@@ -96,11 +96,11 @@ class ZenohPlantLink(ZenohNode, PlantLink):
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
             time.sleep(LOOK_S)
         self.require_same_scenario(Role.CONTROLLER)
-        self._commander_was_seen = self.has_publisher(topics.JOINT_COMMANDS)
+        self._commander_was_seen = self._graph.has_publisher(topics.JOINT_COMMANDS)
 
     def _note_command(self, delivery: Delivery, arrival: CommandArrival) -> None:
         """Remember its sender, and tell recorders, whoever that is and whatever becomes of it."""
-        self._senders.note(arrival.sender)
+        self._graph.note_command(arrival.sender)
         if self._bundler is not None:
             self._bundler.add(_COMMANDS, delivery.attachment, arrival.payload)
 
@@ -108,7 +108,11 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         """A recorder subscribes to states too: beside one, a stranger has to be connected."""
         if self.sees(Role.CONTROLLER) or not self._states.has_subscribers():
             return False
-        return not self.sees(Role.RECORDER) or self.hears_a_stranger()
+        return not self.sees(Role.RECORDER) or self._hears_a_stranger()
+
+    def _hears_a_stranger(self) -> bool:
+        """Whether a session is connected that has announced nothing; routers do not count."""
+        return not self._graph.knows_all(self._session.connected())
 
     def _grace_s(self) -> float:
         return _GRACE_BESIDE_RECORDER_S if self.sees(Role.RECORDER) else _GRACE_S
@@ -139,7 +143,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         return {COMMANDS_RECEIVED: self._arrivals.received - self._arrivals.overflow}
 
     def controller_has_left(self) -> bool:
-        return self._commander_was_seen and not self.has_publisher(topics.JOINT_COMMANDS)
+        return self._commander_was_seen and not self._graph.has_publisher(topics.JOINT_COMMANDS)
 
     def close(self) -> None:
         self._arrivals.close()
@@ -190,9 +194,9 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
                 continue
             if not has_answered:
                 self.require_same_scenario(Role.PLANT)
-            if self.publishers_have_left(topics.JOINT_STATES):
+            if self._graph.publishers_have_left(topics.JOINT_STATES):
                 return
-            if not self.has_publisher(topics.JOINT_STATES) and not has_answered:
+            if not self._graph.has_publisher(topics.JOINT_STATES) and not has_answered:
                 silence.look()
             if time.monotonic() - last_s > allowed_s:
                 raise PeerSilentError(Role.PLANT, allowed_s, "joint state")

@@ -26,7 +26,7 @@ from bus_schema.zenoh.ros_graph import (
     Attachment,
     Entity,
     EntityKind,
-    Senders,
+    RosGraph,
     endpoint_gid,
     endpoint_token,
     graph_key_expression,
@@ -84,16 +84,13 @@ class ZenohNode:
         self._domain = link.domain
         self._role = role
         self._node = node_name(role)
-        self._entities: dict[str, Entity] = {}
+        self._graph = RosGraph(self._session.identifier)
         self._last_entity = 0
-        self._offered: set[str] = set()  # topics of which others announced publishers, ever
-        self._senders = Senders()
         self._acknowledged = threading.Event()
         self._flow = FlowControl() if lossless and is_loop else None
         self._progress: ZenohPublisher | None = None
         self._agreement = agreement
         self._differences: dict[str, dict[str, list[str]]] = {}  # by role and session
-        self._announced: set[str] = set()  # sessions of which a token of the graph came, ever
         # Before all other tokens: whoever sees this node knows which scenario it runs.
         self._session.watch_tokens(scenario_key_expression(link.domain), self._on_scenario)
         if agreement is not None:
@@ -135,7 +132,7 @@ class ZenohNode:
     def listen_to_all(self, most_bytes: int, *, lossless: bool) -> BundleMailbox:
         """Subscribe to everything in the domain, in one mailbox."""
         mailbox = BundleMailbox(
-            self._session, self._domain, most_bytes, lossless=lossless, speakers=self._speakers
+            self._session, self._domain, most_bytes, lossless=lossless, graph=self._graph
         )
         for topic in topics.TOPICS:
             self._session.announce(self._token(EntityKind.SUBSCRIBER, topic))
@@ -145,31 +142,15 @@ class ZenohNode:
         """Send a message; its sequence number. What goes `beside` it follows the attachment."""
         return self._outbox.send(topic, payload, beside)
 
-    def has_publisher(self, topic: Topic) -> bool:
-        """Whether another session has announced that it sends on a topic."""
-        return any(entity.topic == topic.name for entity in self._others(EntityKind.PUBLISHER))
-
-    def publishers_have_left(self, topic: Topic) -> bool:
-        """Whether others had announced that they send on a topic, and none does any more."""
-        return topic.name in self._offered and not self.has_publisher(topic)
-
     def sender_has_left(self, sender: bytes) -> bool:
-        """Whether a publisher had announced itself and is gone."""
-        return self._senders.has_left(sender)
+        return self._graph.has_left(sender)
+
+    def sees(self, role: Role) -> bool:
+        return self._graph.sees(role)
 
     def watch_silence(self, role: Role) -> SilenceWatch:
         """A watch that reports why one of our own processes may be missing."""
         return SilenceWatch(self._link, self._role, role)
-
-    def sees(self, role: Role) -> bool:
-        """Whether one of our own processes is on the bus."""
-        name = node_name(role)
-        return any(entity.node == name for entity in self._others(EntityKind.NODE))
-
-    def hears_a_stranger(self) -> bool:
-        """Whether a session is connected that has announced nothing; routers do not count."""
-        known = {entity.session for entity in list(self._entities.values())}
-        return not known.issuperset(self._session.connected())
 
     def require_same_scenario(self, role: Role) -> None:
         """Check what processes of a role announced; others announce nothing.
@@ -181,7 +162,7 @@ class ZenohNode:
             ScenarioMismatchError: it runs another scenario.
         """
         found = dict(self._differences.get(role.value, {}))
-        differing = [keys for session, keys in found.items() if session in self._announced]
+        differing = [keys for session, keys in found.items() if session in self._graph.announced]
         if differing and all(found.values()):
             raise ScenarioMismatchError(
                 role, differing[-1], may_be_forged=not self._link.security.enabled
@@ -223,16 +204,6 @@ class ZenohNode:
             self._bundler.send()
         self._session.close()
 
-    def _others(self, kind: EntityKind) -> list[Entity]:
-        own, known = self._session.identifier, list(self._entities.values())
-        return [entity for entity in known if entity.session != own and entity.kind == kind]
-
-    def _speakers(self) -> set[str]:
-        """Sessions that have announced that they send on our topics."""
-        names = {topic.name for topic in topics.TOPICS}
-        others = self._others(EntityKind.PUBLISHER)
-        return {entity.session for entity in others if entity.topic in names}
-
     def _token(self, kind: EntityKind, topic: Topic) -> str:
         self._last_entity += 1
         return endpoint_token(
@@ -248,15 +219,7 @@ class ZenohNode:
                 sessions[session] = self._agreement.differences(theirs)
 
     def _on_token(self, token: str, alive: bool) -> None:
-        entity = Entity.from_token(token)
-        if entity is not None and alive:
-            self._entities[token] = entity
-            self._announced.add(entity.session)
-            if entity.kind == EntityKind.PUBLISHER and entity.session != self._session.identifier:
-                self._offered.add(entity.topic)
-            self._senders.come(token, entity)
-        elif self._entities.pop(token, None) is not None:
-            self._senders.leave(token)
+        entity = self._graph.change(token, alive)
         if self._flow is not None and entity is not None and _is_recorder(entity):
             (self._flow.join if alive else self._flow.leave)(entity.session)
 

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections import deque
+from dataclasses import dataclass
 
 from bus_schema.messages.topics import Rate, Topic
 from bus_schema.zenoh.bundles import Bundler
@@ -30,25 +31,25 @@ _FIRST_PATIENCE_S = 15.0
 held up for seconds by a slow machine."""
 
 
+@dataclass(eq=False, slots=True)
 class Stream:
     """The messages of one topic.
 
-    Args:
+    Attributes:
         topic: their topic.
+        name: its name as bundles have it.
         publisher: sends them.
         gid: id of the publisher in the ROS graph.
         is_bundled: whether they go into bundles too.
+        sequence: number of the last one.
     """
 
-    def __init__(
-        self, topic: Topic, publisher: ZenohPublisher, gid: bytes, *, is_bundled: bool
-    ) -> None:
-        self.publisher, self.gid = publisher, gid
-        self.name = topic.name.encode()
-        self.is_urgent, self.paces = topic.urgent, topic.paces
-        self.is_event = topic.rate is Rate.EVENT
-        self.is_bundled = is_bundled
-        self.sequence = 0
+    topic: Topic
+    name: bytes
+    publisher: ZenohPublisher
+    gid: bytes
+    is_bundled: bool
+    sequence: int = 0
 
 
 class FlowControl:
@@ -148,7 +149,7 @@ class Outbox:
     def add(self, topic: Topic, publisher: ZenohPublisher, gid: bytes) -> None:
         """From now on send a topic too."""
         is_bundled = self._bundler is not None and topic in self._bundler.topics
-        self._streams[topic.name] = Stream(topic, publisher, gid, is_bundled=is_bundled)
+        self._streams[topic.name] = Stream(topic, topic.name.encode(), publisher, gid, is_bundled)
 
     def gids(self) -> set[bytes]:
         """Ids of the publishers."""
@@ -164,15 +165,15 @@ class Outbox:
         stream = self._streams[topic.name]
         stream.sequence = sequence = stream.sequence + 1
         attachment = Attachment(sequence, time.time_ns(), stream.gid).encode()
-        if stream.is_urgent:
+        if topic.urgent:
             stream.publisher.put(payload, attachment + beside)
         if self._bundler is not None and stream.is_bundled:
             self._bundler.add(stream.name, attachment, payload)
         if self._flow is not None:
             self._sent_bytes += len(payload) + len(beside) + OVERHEAD_BYTES
-            if stream.paces:
+            if topic.paces:
                 self._mark = sequence
-        if not stream.is_urgent:
+        if not topic.urgent:
             self._keep(stream, payload, attachment)
         return sequence
 
@@ -183,7 +184,7 @@ class Outbox:
                 self._since_ns = now_ns
             self._waiting.append((stream, payload, attachment))
             is_full = len(self._waiting) >= _BATCH or now_ns - self._since_ns > _LONGEST_WAIT_NS
-            if is_full or stream.is_event:
+            if is_full or stream.topic.rate is Rate.EVENT:
                 self._send_what_waits()
         if is_full and self._flow is not None:
             self._flow.await_recorders()
@@ -204,5 +205,5 @@ class Outbox:
         """What recorders have from bundles, and nobody else subscribes to."""
         if self._bundler is None:
             return set()
-        ticking = {stream for stream, _, _ in self._waiting if stream.paces}
+        ticking = {stream for stream, _, _ in self._waiting if stream.topic.paces}
         return {stream for stream in ticking if not stream.publisher.has_subscribers()}

@@ -6,14 +6,13 @@ Formats after rmw_zenoh_cpp's design document (sections "Topics" and "Graph Cach
 from __future__ import annotations
 
 import struct
-from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
 import xxhash
 
-from bus_schema.messages.topics import JOINT_COMMANDS, Role, Topic
+from bus_schema.messages.topics import JOINT_COMMANDS, TOPICS, Role, Topic
 from bus_schema.messages.types import type_hash
 
 GID_BYTES = 16
@@ -21,7 +20,7 @@ ATTACHMENT = struct.Struct(f"<qqB{GID_BYTES}s")
 """What an `Attachment` is on the wire; before its identifier stands how many bytes that has."""
 _ADMIN = "@ros2_lv"
 _FIELDS_BEFORE_NODE_NAME = 8
-_REMEMBERED = 1000
+_MOST_SENDERS, _MOST_PUBLISHERS = 1000, 10_000
 
 
 class Attachment(NamedTuple):
@@ -127,48 +126,101 @@ def endpoint_gid(token: str) -> bytes:
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(GID_BYTES, "little")
 
 
-class Senders:
-    """Follows publishers by their tokens, and senders of commands that no token gives the id of.
+class RosGraph:
+    """Who takes part in a ROS domain, by liveliness tokens; and which senders have left.
 
     An id made from a token, as rmw_zenoh makes it, is known by that token. Other ids are any bytes:
-    their sender is one of the publishers that were on the bus when it was first heard, and is gone
-    once all of those are.
+    the sender of a command is then one of the publishers of commands that were on the bus when it
+    was first heard, and is gone once all of those are.
+
+    Args:
+        own_session: identifier of this process's session.
+
+    Attributes:
+        announced: sessions of which a token came, ever.
+        sessions: session of each publisher by its id, also of those that are gone; of so many that
+            nobody fills memory by making up publishers.
     """
 
-    def __init__(self) -> None:
-        self._publishers: dict[str, bytes] = {}  # ids by token
+    def __init__(self, own_session: str) -> None:
+        self._own_session = own_session
+        self._entities: dict[str, Entity] = {}  # by token
+        self._publishers: set[bytes] = set()  # ids
         self._commanders: set[str] = set()  # tokens
-        self._departed: deque[bytes] = deque(maxlen=_REMEMBERED)
-        self._companions: dict[bytes, set[str]] = {}
+        self._offered: set[str] = set()  # topics of which others announced publishers, ever
+        self._companions: dict[bytes, set[str]] = {}  # commanders, by a sender heard with them
+        self.announced: set[str] = set()
+        self.sessions: dict[bytes, str] = {}
 
-    def come(self, token: str, entity: Entity) -> None:
-        """A token was announced."""
+    def change(self, token: str, alive: bool) -> Entity | None:
+        """A token was announced, or is gone; what it stands for, None for nothing in the graph."""
+        entity = Entity.from_token(token)
+        if entity is None:
+            return None
+        if alive:
+            self._entities[token] = entity
+            self.announced.add(entity.session)
+        else:
+            self._entities.pop(token, None)
         if entity.kind == EntityKind.PUBLISHER:
-            self._publishers[token] = endpoint_gid(token)
-            if entity.topic == JOINT_COMMANDS.name:
-                self._commanders.add(token)
+            self._change_publisher(token, entity, alive)
+        return entity
 
-    def leave(self, token: str) -> None:
-        """A token is gone."""
-        self._commanders.discard(token)
-        gid = self._publishers.pop(token, None)
-        if gid is not None:
-            self._departed.append(gid)
+    def others(self, kind: EntityKind) -> list[Entity]:
+        """What other sessions have announced of this kind, and is still there."""
+        known = list(self._entities.values())
+        return [each for each in known if each.session != self._own_session and each.kind == kind]
 
-    def note(self, sender: bytes) -> None:
+    def has_publisher(self, topic: Topic) -> bool:
+        """Whether another session has announced that it sends on a topic."""
+        return any(entity.topic == topic.name for entity in self.others(EntityKind.PUBLISHER))
+
+    def publishers_have_left(self, topic: Topic) -> bool:
+        """Whether others had announced that they send on a topic, and none does any more."""
+        return topic.name in self._offered and not self.has_publisher(topic)
+
+    def sees(self, role: Role) -> bool:
+        """Whether one of our own processes is on the bus."""
+        return any(entity.node == node_name(role) for entity in self.others(EntityKind.NODE))
+
+    def speakers(self) -> set[str]:
+        """Sessions that have announced that they send on our topics."""
+        names = {topic.name for topic in TOPICS}
+        others = self.others(EntityKind.PUBLISHER)
+        return {entity.session for entity in others if entity.topic in names}
+
+    def knows_all(self, sessions: set[str]) -> bool:
+        """Whether all of these sessions have announced something that is still there."""
+        return sessions <= {entity.session for entity in list(self._entities.values())}
+
+    def note_command(self, sender: bytes) -> None:
         """A command came from `sender`; b"" is whoever gives no id, and may come again as another.
 
         Until a publisher of commands is known, it may still be about to announce itself.
         """
         is_new = not sender or sender not in self._companions
-        if is_new and self._commanders and len(self._companions) < _REMEMBERED:
+        if is_new and self._commanders and len(self._companions) < _MOST_SENDERS:
             self._companions[sender] = set(self._commanders)
 
     def has_left(self, sender: bytes) -> bool:
         """Whether a sender was announced, and is gone."""
-        if sender in self._departed:
-            return True
-        if sender in self._publishers.values():
+        if sender in self._publishers:
             return False
         companions = self._companions.get(sender)
-        return companions is not None and companions.isdisjoint(self._commanders)
+        all_left = companions is not None and companions.isdisjoint(self._commanders)
+        return sender in self.sessions or all_left
+
+    def _change_publisher(self, token: str, entity: Entity, alive: bool) -> None:
+        gid = endpoint_gid(token)
+        if not alive:
+            self._publishers.discard(gid)
+            self._commanders.discard(token)
+            return
+        self._publishers.add(gid)
+        self.sessions[gid] = entity.session
+        if len(self.sessions) > _MOST_PUBLISHERS:
+            del self.sessions[next(iter(self.sessions))]
+        if entity.session != self._own_session:
+            self._offered.add(entity.topic)
+        if entity.topic == JOINT_COMMANDS.name:
+            self._commanders.add(token)

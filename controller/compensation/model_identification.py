@@ -27,35 +27,36 @@ INERTIA, PAYLOAD, LAG, PER_JOINT = range(4)
 """Places in θ; from `PER_JOINT` on, f, c, b and, where there are rotors, ρ of all joints."""
 WINDOW_S = 0.016
 
-# Standard deviations at the start, and how far each may walk in a second. Those of f, c and b are
-# per kg m² of the inertia that governs a joint. Ours, from three arms.
-_AT_START = {
-    "inertia": 0.3,
-    "rotors": 0.3,
-    "payload_kg": 2.0,
-    "lag_s": 2e-3,
-    "f": 1.0,
-    "c": 5.0,
-    "b": 3.0,
-}
-_PER_ROOT_S = {
-    "inertia": 0.01,
-    "rotors": 0.01,
-    "payload_kg": 0.1,
-    "lag_s": 1e-4,
-    "f": 0.5,
-    "c": 0.05,
-    "b": 0.05,
-}
+
+class _Entry(NamedTuple):
+    """What is known of an entry of θ beforehand. Ours, from three arms.
+
+    Attributes:
+        at_start: standard deviation at the start.
+        per_root_s: how far it may walk in a second.
+        lowest: it is never believed to be less.
+        highest: or more.
+    """
+
+    at_start: float
+    per_root_s: float
+    lowest: float
+    highest: float
+
+
+_FACTOR = _Entry(0.3, 0.01, -0.6, 1.5)
+_PAYLOAD_KG = _Entry(2.0, 0.1, 0.0, math.inf)
+_LAG_S = _Entry(2e-3, 1e-4, 0.0, 8e-3)
+# Per kg m² of the inertia that governs a joint:
+_DISTURBANCE = _Entry(1.0, 0.5, -math.inf, math.inf)
+_COULOMB = _Entry(5.0, 0.05, 0.0, 30.0)
+_VISCOUS = _Entry(3.0, 0.05, 0.0, 30.0)
+
 _NOISE_RAD_S2 = 1.0
 _SATURATED = 0.999
 """Share of its limit at which an actuator may give less than it was asked for."""
 _ROUNDS_TO_LIMITS = 3
 """To bring one entry back may push another out; what is left then is cut off."""
-_LEAST_FACTOR, _LARGEST_FACTOR = -0.6, 1.5
-"""Of α and ρ."""
-_LARGEST_FRICTION_RAD_S2 = 30.0
-"""No joint is believed to have more dry friction than this, nor more viscous friction per rad/s."""
 
 
 class Window(NamedTuple):
@@ -119,38 +120,24 @@ def identification(
         friction: learn Coulomb friction.
         rotors: whether the nominal model has rotors, of which inertia is learned too.
     """
-    i, one = inertia_kg_m2, np.ones_like(inertia_kg_m2)
-    of_rotors = [one] if rotors else []
-
-    def entries(inertia: float, payload: float, lag: float, per_joint: list[Vector]) -> Vector:
-        return np.concatenate([[inertia, payload, lag], *per_joint])
-
-    def deviations(values: dict[str, float]) -> Vector:
-        every = entries(
-            values["inertia"], values["payload_kg"], values["lag_s"],
-            [values["f"] * i, values["c"] * i, values["b"] * i,
-             *(values["rotors"] * each for each in of_rotors)],
-        )  # fmt: skip
-        wanted = entries(
-            model, model, model,
-            [(model or friction) * one, friction * one, model * one,
-             *(model * each for each in of_rotors)],
-        )  # fmt: skip
-        return every * wanted
-
-    lowest = [-np.inf * one, 0.0 * one, 0.0 * one, *(_LEAST_FACTOR * each for each in of_rotors)]
-    highest = [
-        np.inf * one, _LARGEST_FRICTION_RAD_S2 * i, _LARGEST_FRICTION_RAD_S2 * i,
-        *(_LARGEST_FACTOR * each for each in of_rotors),
-    ]  # fmt: skip
-    at_start = deviations(_AT_START)
-    window = Window(np.zeros(1), *(np.zeros(i.size) for _ in Window._fields[1:]))
+    joints, one = inertia_kg_m2.size, np.ones_like(inertia_kg_m2)
+    # Each entry with the scale of its numbers, and whether it is to be learned.
+    scalars = [(entry, np.ones(1), model) for entry in (_FACTOR, _PAYLOAD_KG, _LAG_S)]
+    of_joints = [
+        (_DISTURBANCE, inertia_kg_m2, model or friction),
+        (_COULOMB, inertia_kg_m2, friction),
+        (_VISCOUS, inertia_kg_m2, model),
+        (_FACTOR, one, model),
+    ]
+    entries = scalars + of_joints[: None if rotors else -1]
+    table = np.concatenate([np.outer(entry, scale) for entry, scale, _ in entries], axis=1)
+    learned = np.concatenate([np.full(scale.size, wanted) for _, scale, wanted in entries])
+    at_start, per_root_s = table[:2] * learned
+    lowest, highest = table[2:].copy()
+    window = Window(np.zeros(1), *(np.zeros(joints) for _ in Window._fields[1:]))
     return Identification(
         bool(at_start.any()), np.zeros(at_start.size), np.diag(at_start**2),
-        at_start, deviations(_PER_ROOT_S),
-        entries(_LEAST_FACTOR, 0.0, 0.0, lowest),
-        entries(_LARGEST_FACTOR, np.inf, 8e-3, highest),
-        _NOISE_RAD_S2 * i, window,
+        at_start, per_root_s, lowest, highest, _NOISE_RAD_S2 * inertia_kg_m2, window,
     )  # fmt: skip
 
 

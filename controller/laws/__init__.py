@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from bus_schema.arrays import Vector
 from bus_schema.errors import did_you_mean
 from controller.control_law import ControlLaw, Dynamics
-from controller.laws.fixed_time_adaptive import FixedTimeAdaptive
+from controller.laws.fixed_time_adaptive import FixedTimeAdaptive, FixedTimeAdaptiveGains
 from controller.laws.fixed_time_model_based import FixedTimeModelBased, FixedTimeModelBasedGains
 from controller.laws.fixed_time_neural import FixedTimeNeural, FixedTimeNeuralGains
 from controller.laws.pid import Pid, PidGains
@@ -37,7 +37,7 @@ LAWS = {
     "fixed_time_model_based": LawEntry(
         FixedTimeModelBased, FixedTimeModelBasedGains, settling_bound_s
     ),
-    "fixed_time_adaptive": LawEntry(FixedTimeAdaptive, FixedTimeNeuralGains, settling_bound_s),
+    "fixed_time_adaptive": LawEntry(FixedTimeAdaptive, FixedTimeAdaptiveGains, settling_bound_s),
     "pid": LawEntry(Pid, PidGains),
     "smc": LawEntry(SlidingMode, SmcGains),
     "tsmc": LawEntry(SlidingMode, TsmcGains),

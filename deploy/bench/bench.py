@@ -6,7 +6,6 @@ candidates of a section are measured by turns so that they suffer alike.
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,9 +13,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from bus_schema.errors import InputError
 from bus_schema.recording.atomic_files import write_json
-from deploy.bench.control_step import measure_control_steps
-from deploy.bench.loop import measure_loop_costs, measure_real_time
+from deploy.bench.loop import measure_control_steps, measure_loop_costs, measure_real_time
 from deploy.bench.measure import Costs, Section
 from deploy.bench.sweep import measure_sweep
 from deploy.reports.tables import number
@@ -82,7 +81,7 @@ def _measured(title: str, measure: Callable[[], Section]) -> Section:
     """A section, or a section without numbers that says why it has none."""
     try:
         return measure()
-    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+    except (RuntimeError, OSError, InputError) as error:
         return Section(title.capitalize(), {}, [], [f"{FAILED} {error}"])
 
 

@@ -1,23 +1,23 @@
-"""What a tick costs: physics, simulation on each engine, and the loop in lockstep and real time."""
+"""What a tick costs: control step, physics, simulation, and the loop in lockstep and real time."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
+from controller.control_law import Tracking
+from controller.laws import LAWS
+from controller.torque_guard import TorqueGuard
 from deploy.bench.measure import Section, cost_us, interleave, ratio
-from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
+from deploy.run.execute import InProcesses, JudgedRun, execute
 from deploy.run.network.links import with_free_endpoints
-from deploy.run.processes.launcher import Launcher
-from deploy.run.run_folder import RunFolder, load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
@@ -26,14 +26,15 @@ from plant_emulator.physics.engines import ENGINES
 SIMULATE = "tick of simulate"
 LOCKSTEP = "tick of run in lockstep"
 ROUND_TRIP = "round trip of the real loop"
-WAKE_UP_P50, WAKE_UP_P99 = (
-    "wake-up lateness of the plant, p50",
-    "wake-up lateness of the plant, p99",
-)
+WAKE_UP_P50, WAKE_UP_P99 = (f"wake-up lateness of the plant, {each}" for each in ("p50", "p99"))
 _PERIOD = "period of the loop"
 _PAIRS = 8
 """Simulations and bare physics take no time to start, so that more of them can be compared."""
 _ENGINES_COMPARED_ON = "iiwa"
+_ARMS = ("paper_arm", "iiwa")
+_SITUATIONS = 256
+_SETTLED_S = 2.0
+_ERROR_RAD, _ERROR_RATE_RAD_S = 1e-4, 1e-3
 _PATIENCE_MS = 2000
 """A busy machine may hold up a run for a while; that ends no measurement of medians."""
 
@@ -114,6 +115,54 @@ def _engines(scenario: str, seconds: float, repetitions: int) -> Section:
     return Section(scenario, costs, ratios)
 
 
+def measure_control_steps(steps: int, repetitions: int) -> Section:
+    """Measure every law beside a step of physics, on arms of 3 and 7 joints.
+
+    Args:
+        steps: control steps, and steps of physics, in each measurement.
+        repetitions: how often everything is measured.
+    """
+    candidates: dict[str, Callable[[], float]] = {}
+    pairs = []
+    for scenario in _ARMS:
+        setup = load_setup(scenario)
+        joints = f"{setup.robot.joints} joints"
+        physics = f"step of physics, {joints}"
+        candidates[physics] = partial(physics_us, setup, 1, steps)
+        for law in LAWS:
+            step = _control_step(load_setup(scenario, [f"controller.law={law}"]))
+            candidates[f"{law}, {joints}"] = partial(cost_us, step, steps)
+            pairs.append((f"{law}, {joints}", physics))
+    costs = interleave(candidates, repetitions)
+    ratios = [ratio(costs, step, physics) for step, physics in pairs]
+    note = "A control step is reference, errors, bounds, law and torque limits; no message."
+    return Section("Control step", costs, ratios, [note])
+
+
+def _control_step(setup: Setup) -> Callable[[], None]:
+    """A control step of a law, in one of many situations near the reference after another."""
+    task, tracking = setup.control_task(), Tracking(setup.robot.joints)
+    step_s = setup.grid.period_ns * 1e-9
+    guard = TorqueGuard(task.law_name, task.limits, tracking.motion)
+    waves = np.sin(np.arange(_SITUATIONS)[:, None] + np.arange(setup.robot.joints))
+    situations = []
+    for tick, wave in enumerate(waves):
+        time_s = _SETTLED_S + tick * step_s
+        tracking.update(time_s, 0.0, task.reference, task.funnel)
+        position = tracking.reference_position + _ERROR_RAD * wave
+        velocity = tracking.reference_velocity + _ERROR_RATE_RAD_S * wave
+        situations.append((time_s, position, velocity))
+    in_turn = itertools.cycle(situations)
+    task.law.reset()
+
+    def step() -> None:
+        time_s, tracking.position[:], tracking.velocity[:] = next(in_turn)
+        tracking.update(time_s, step_s, task.reference, task.funnel)
+        guard.admit(task.law.torque(tracking), 0, tracking.step_s)
+
+    return step
+
+
 def physics_us(setup: Setup, substeps: int, calls: int) -> float:
     """Cost of so many substeps of an arm that falls, with all torques at its joints."""
     with closing(setup.arm()) as arm:
@@ -133,7 +182,7 @@ def lockstep_us(setup: Setup) -> float:
     Raises:
         RuntimeError: the run failed.
     """
-    return _wall_us(_recorded_run(setup))
+    return _wall_us(_run_in_processes(setup).data)
 
 
 def loop_us(setup: Setup) -> dict[str, float]:
@@ -142,7 +191,7 @@ def loop_us(setup: Setup) -> dict[str, float]:
     Raises:
         RuntimeError: the run failed.
     """
-    timing = summarise(_recorded_run(setup))["timing"]
+    timing = _run_in_processes(setup).summary["timing"]
     lateness_us = timing["wakeup_lateness_us"]
     return {
         ROUND_TRIP: timing["round_trip_us"]["p50"],
@@ -151,15 +200,11 @@ def loop_us(setup: Setup) -> dict[str, float]:
     }
 
 
-def _recorded_run(setup: Setup) -> RunData:
-    """A run with controller, plant and recorder as processes of their own."""
-    with TemporaryDirectory() as path:
-        folder = RunFolder.begin(setup, Path(path))
-        launcher = Launcher(setup, scenario=folder.scenario, log=folder.log, can_log=folder.can_log)
-        failures = launcher.run(lambda _: None).failures
-        if failures:
-            raise RuntimeError("; ".join(failures))
-        return load_run(folder.path)[0]
+def _run_in_processes(setup: Setup) -> JudgedRun:
+    run = execute(setup, InProcesses())
+    if run.outcome.failures:
+        raise RuntimeError("; ".join(run.outcome.failures))
+    return run
 
 
 def _wall_us(run: RunData) -> float:

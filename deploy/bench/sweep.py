@@ -56,5 +56,5 @@ def _sweep_us(sweep: Sweep, workers: DaskWorkers) -> float:
         folder = StudyFolder(Path(path), sweep)
         started_ns = time.perf_counter_ns()
         carry_out(sweep, workers, folder, threading.Event())
-        folder.put_together()
+        folder.write(completed=True)
         return (time.perf_counter_ns() - started_ns) / sweep.expected * 1e-3

@@ -18,6 +18,7 @@ from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
+from deploy.cli.options import OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
 from deploy.judge.run_data import RunData
@@ -146,9 +147,8 @@ def finish(
     console: Console,
     folder: RunFolder,
     run: JudgedRun,
+    options: OneRunOptions,
     *,
-    require_bounds: bool,
-    draws_report: bool = True,
     confirms: bool = False,
 ) -> None:
     """Judge a run, show the result, and leave with the exit code it deserves.
@@ -157,22 +157,22 @@ def finish(
         console: where to show it.
         folder: of the run.
         run: what came of it.
-        require_bounds: whether an error that left the funnel has an exit code of its own.
-        draws_report: whether a report is drawn.
+        options: whether a report is drawn, and whether an error that left the funnel has an exit
+            code of its own.
         confirms: whether the run is simulated on other physics too.
     """
     with judging(console, folder):
         data = _data_of(console, folder, run)
+        confirmation = confirmation_of(data) if confirms else ()
         summary = write_run_results(
-            folder, data, draws_report=draws_report,
-            confirmation=confirmation_of(data) if confirms else (),
-        )  # fmt: skip
+            folder, data, draws_report=not options.no_report, confirmation=confirmation
+        )
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
     leave(
         interrupted=run.outcome.interrupted,
         whole=summary["completed"],
-        kept=summary["bounds"]["kept"] or not require_bounds,
+        kept=summary["bounds"]["kept"] or not options.require_bounds,
         fault=_fault_code(run.outcome),
     )
 

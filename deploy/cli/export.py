@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-import csv as csv_files
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from bus_schema.arrays import Vector
-from bus_schema.errors import InputError
+from bus_schema.errors import InputError, did_you_mean
+from bus_schema.recording.atomic_files import complete, naming_file, new_partial
 from deploy.cli.options import Overrides, ScenarioArgument
 from deploy.judge.recorded_ticks import known_ticks
 from deploy.judge.run_data import RunData
-from deploy.judge.time_series import SERIES
+from deploy.judge.time_series import SERIES, series
 from deploy.reports.verdict import PARTIAL, damaged, missing_ticks_sentence
 from deploy.run.exit_codes import FAULT, FINISHED
-from deploy.run.export import Format, export_series
 from deploy.run.run_folder import load_run
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
+
+Format = Literal["csv", "parquet"]
 
 
 def export(
@@ -34,7 +37,7 @@ def export(
         typer.Option("--series", metavar="NAME", help="Only this series; repeatable."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the files; RUN/export by default.")
+        Path | None, typer.Option(help="Folder for the files; RUN/export by default.")
     ] = None,
 ) -> None:
     """Write a recorded run as tables over time: what is judged, and every topic.
@@ -54,6 +57,46 @@ def export(
     raise typer.Exit(FAULT if data.damage else FINISHED)
 
 
+def export_series(
+    run: RunData, folder: Path, formats: Sequence[Format], names: Sequence[str] = SERIES
+) -> list[Path]:
+    """Write series of a run, a file each; existing ones are replaced.
+
+    Args:
+        run: the run.
+        folder: where; made if it is not there.
+        formats: of the files.
+        names: which, of `SERIES`.
+
+    Raises:
+        ScenarioError: there is no series of a name.
+        OSError: a file cannot be written.
+    """
+    for name in names:
+        if name not in SERIES:
+            allowed = f"must be one of {', '.join(SERIES)}{did_you_mean(name, SERIES)}"
+            raise ScenarioError(f"--series {name[:100]}: {allowed}")
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name in names:
+        columns = series(run, name)
+        for kind in formats:
+            files.append(folder / f"{name}.{kind}")
+            _write(columns, files[-1], kind)
+    return files
+
+
+def _write(columns: Mapping[str, NDArray[np.generic]], file: Path, kind: Format) -> None:
+    """Write a table; a file that is there is replaced as a whole."""
+    import pyarrow as pa  # heavy, and needed by few commands
+    from pyarrow import csv, parquet
+
+    table = pa.table({name: pa.array(values) for name, values in columns.items()})
+    with naming_file(file):
+        {"csv": csv.write_csv, "parquet": parquet.write_table}[kind](table, str(new_partial(file)))
+    complete(file)
+
+
 def _missing(run: RunData) -> list[str]:
     """What the files of a run lack, a sentence each."""
     found = [damaged(run.damage)] if run.damage else [] if run.complete else [PARTIAL]
@@ -67,17 +110,16 @@ def reference(
     as_csv: Annotated[bool, typer.Option("--csv", help="As text, a row per tick.")] = False,
     as_parquet: Annotated[bool, typer.Option("--parquet", help="As a Parquet file.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", help="The file; by default <scenario>_reference.csv.")
+        Path | None, typer.Option(help="The file; by default <scenario>_reference.csv.")
     ] = None,
 ) -> None:
     """Write where the joints are to be at each tick: position, velocity and acceleration."""
     if as_csv == as_parquet:
         raise InputError("reference: give one of --csv and --parquet")
     setup = load_setup(scenario, overrides or [])
-    ending = "csv" if as_csv else "parquet"
-    path = out or Path(f"{setup.scenario.name}_reference.{ending}")
-    columns = reference_columns(setup)
-    (_write_csv if as_csv else _write_parquet)(columns, path)
+    kind: Format = "csv" if as_csv else "parquet"
+    path = out or Path(f"{setup.scenario.name}_reference.{kind}")
+    _write(reference_columns(setup), path, kind)
     print(path)
 
 
@@ -101,17 +143,3 @@ def reference_columns(setup: Setup) -> dict[str, Vector]:
         for j, name in enumerate(names)
         for k, kind in enumerate(kinds)
     }
-
-
-def _write_csv(columns: dict[str, Vector], path: Path) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv_files.writer(file)
-        writer.writerow(columns)
-        writer.writerows(np.column_stack(list(columns.values())).tolist())
-
-
-def _write_parquet(columns: dict[str, Vector], path: Path) -> None:
-    import pyarrow as pa  # heavy, and needed by few commands
-    from pyarrow import parquet
-
-    parquet.write_table(pa.table(columns), path)

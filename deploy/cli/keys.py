@@ -11,13 +11,7 @@ from rich.table import Table
 
 from bus_schema.link.key_files import DEFAULT_FOLDER, KeyFolder
 from bus_schema.messages.topics import Role
-from deploy.run.network.keys import (
-    common_name,
-    create_authority,
-    hosts_of,
-    issue,
-    read_certificate,
-)
+from deploy.run.network.keys import common_name, create_authority, hosts_of, issue, read_certificate
 
 app = typer.Typer(help=__doc__, no_args_is_help=True, add_completion=False)
 
@@ -40,7 +34,7 @@ def init(
     hosts: Hosts = None,
     days: Days = 30.0,
     authority_days: Annotated[
-        float, typer.Option("--authority-days", min=0.01, max=3650, help="That of the authority.")
+        float, typer.Option(min=0.01, max=3650, help="That of the authority.")
     ] = 365.0,
 ) -> None:
     """Make an authority, and a certificate for each role."""

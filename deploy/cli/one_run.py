@@ -12,18 +12,13 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from deploy.cli.common import finish, say_oddities, watching
-from deploy.cli.options import RunOptions
+from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
 from deploy.reports.results import load_report
 from deploy.run.confirmation import check_confirmable, check_repeatable, simulated_otherwise
 from deploy.run.execute import InProcess, InProcesses, execute
-from deploy.run.network.links import (
-    check_awaiting,
-    check_link,
-    require_keys,
-    with_free_endpoints,
-)
+from deploy.run.network.links import check_awaiting, check_link, require_keys, with_free_endpoints
 from deploy.run.network.real_delay import (
     RealDelay,
     check_real_delay,
@@ -40,46 +35,36 @@ from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
 
 
-def run_in_processes(
-    options: RunOptions, *, real_delay_ms: float | None, await_controller: bool, live: bool
-) -> None:
-    """Run controller, plant and recorder as separate processes, and judge the run.
-
-    Args:
-        options: what the run is asked for.
-        real_delay_ms: of a relay, for the round trip; None for no relay.
-        await_controller: start no controller, as one comes from elsewhere.
-        live: show the run while it happens.
-    """
-    as_given = _checked(options, real_delay_ms, await_controller=await_controller)
-    setup = as_given if await_controller else with_free_endpoints(as_given)
-    delay = None if real_delay_ms is None else real_delay(setup, real_delay_ms)
+def run_in_processes(options: RunOptions) -> None:
+    """Run controller, plant and recorder as separate processes, and judge the run."""
+    as_given = _checked(options)
+    awaits_controller = options.await_controller
+    setup = as_given if awaits_controller else with_free_endpoints(as_given)
+    delay = None if options.real_delay_ms is None else real_delay(setup, options.real_delay_ms)
     console = Console()
     with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
-        notice = _waiting_sentence(setup, delay) if await_controller else None
-        name, duration_s = setup.scenario.name, setup.scenario.duration_s
-        with CommandProgress(console, name, duration_s, "s") as progress:
-            if notice is not None:
-                progress.say(notice)
+        with _progress(console, setup) as progress:
+            if awaits_controller:
+                progress.say(_waiting_sentence(setup, delay))
             show = status_handler(progress, setup.robot.joint_names)
             how = InProcesses(
-                delay, awaits_controller=await_controller, viewer=_view if live else None,
-                on_start=on_stop,
-                on_message=loading_report(show) if options.draws_report else show,
+                delay, awaits_controller=awaits_controller, viewer=_view if options.live else None,
+                on_start=on_stop, on_message=show if options.no_report else loading_report(show),
             )  # fmt: skip
             run = execute(setup, how, folder)
         outcome = run.outcome
         folder.write_scenario(as_given)
         if delay is not None:
             show_relay(console, outcome.relay)
-        if options.confirms and not outcome.interrupted:
+        if options.confirm and not outcome.interrupted:
             alarms = simulated_otherwise(as_given, folder.path)
             outcome.failures += alarms
             record_failures(folder.log, outcome.failures if alarms else ())
-        finish(
-            console, folder, run,
-            require_bounds=options.require_bounds, draws_report=options.draws_report,
-        )  # fmt: skip
+        finish(console, folder, run, options)
+
+
+def _progress(console: Console, setup: Setup) -> CommandProgress:
+    return CommandProgress(console, setup.scenario.name, setup.scenario.duration_s, "s")
 
 
 def _view(folder: Path, reporter: StatusReporter) -> int:
@@ -89,26 +74,24 @@ def _view(folder: Path, reporter: StatusReporter) -> int:
     return view_beside(folder, reporter)
 
 
-def _checked(options: RunOptions, real_delay_ms: float | None, *, await_controller: bool) -> Setup:
+def _checked(options: RunOptions) -> Setup:
     """The scenario, where nothing keeps it from being run in processes."""
-    setup = load_setup(options.scenario, options.overrides)
+    setup = load_setup(options.scenario, options.overrides or [])
     say_oddities(setup)
-    if real_delay_ms is not None:
-        check_real_delay(setup, real_delay_ms)
-        setup = knowing_real_delay(setup, real_delay_ms)
+    if options.real_delay_ms is not None:
+        check_real_delay(setup, options.real_delay_ms)
+        setup = knowing_real_delay(setup, options.real_delay_ms)
     check_link(setup, one_process=False)
-    if options.confirms:
+    if options.confirm:
         check_repeatable(setup)
     require_program(setup)
     require_keys(setup, *Role)
-    if await_controller:
+    if options.await_controller:
         check_awaiting(setup)
     return setup
 
 
-def loading_report(
-    on_message: Callable[[StatusMessage], None],
-) -> Callable[[StatusMessage], None]:
+def loading_report(on_message: Callable[[StatusMessage], None]) -> Callable[[StatusMessage], None]:
     """The same, which also loads what draws a report: as the processes leave the bus.
 
     Before, it would take time from loops that are measured; later, it would be waited for.
@@ -133,25 +116,20 @@ def _waiting_sentence(setup: Setup, delay: RealDelay | None) -> str:
     )
 
 
-def run_in_virtual_time(options: RunOptions) -> None:
+def run_in_virtual_time(options: SimulateOptions) -> None:
     """Run a scenario in this process and in virtual time, and judge the run."""
-    setup = load_setup(options.scenario, options.overrides)
+    setup = load_setup(options.scenario, options.overrides or [])
     say_oddities(setup)
     if setup.scenario.link.security.enabled:
         typer.echo("warning: link.security: a simulation uses no keys, and checks none", err=True)
     check_link(setup, one_process=True)
     require_simulable(setup)
-    if options.confirms:
+    if options.confirm:
         check_confirmable(setup)
-    console = Console()
+    console, stop = Console(), threading.Event()
     with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
-        name, stop = setup.scenario.name, threading.Event()
-        with CommandProgress(console, name, setup.scenario.duration_s, "s") as progress:
-            watch = watching(progress, setup, name, stop)
+        with _progress(console, setup) as progress:
+            watch = watching(progress, setup, setup.scenario.name, stop)
             run = execute(setup, InProcess(watch, partial(on_stop, stop.set)), folder)
         run.outcome.interrupted = stop.is_set()
-        finish(
-            console, folder, run,
-            require_bounds=options.require_bounds, draws_report=options.draws_report,
-            confirms=options.confirms and not stop.is_set(),
-        )  # fmt: skip
+        finish(console, folder, run, options, confirms=options.confirm and not stop.is_set())

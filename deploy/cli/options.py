@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
+
+Options = TypeVar("Options")
+
+
+def taking(options: type[Options]) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
+    """Have a command line fill the fields of a dataclass, with which the command is called."""
+
+    def decorated(command: Callable[[Options], None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def with_options(**given: Any) -> None:
+            command(options(**given))
+
+        vars(with_options)["__signature__"] = inspect.signature(options, eval_str=True)
+        return with_options
+
+    return decorated
 
 
 def _newest(overrides: list[str] | None) -> list[str] | None:
@@ -42,13 +61,11 @@ Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results that --out holds.")
 ]
 NoReport = Annotated[
-    bool,
-    typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later."),
+    bool, typer.Option("--no-report", help="Draw no report.html; funnel-hil report does it later.")
 ]
 RequireBounds = Annotated[
     bool, typer.Option("--require-bounds", help="Exit with 3 if an error left the funnel.")
 ]
-
 Confirm = Annotated[
     bool,
     typer.Option(
@@ -59,24 +76,57 @@ Confirm = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class RunOptions:
-    """What a run is asked for by options that `run` and `simulate` have in common.
+@dataclass
+class OneRunOptions:
+    """The options that `run` and `simulate` have in common."""
 
-    Attributes:
-        scenario: file or name.
-        overrides: ``KEY=VALUE``, each key once.
-        out: folder for the results; None for one with name and time.
-        overwrite: replace what it holds.
-        require_bounds: an error that left the funnel has an exit code of its own.
-        draws_report: draw a report.
-        confirms: simulate it on other physics too.
-    """
+    scenario: ScenarioArgument = "paper_arm"
+    overrides: Overrides = None
+    out: Out = None
+    overwrite: Overwrite = False
+    require_bounds: RequireBounds = False
+    no_report: NoReport = False
 
-    scenario: str
-    overrides: list[str]
-    out: Path | None
-    overwrite: bool
-    require_bounds: bool
-    draws_report: bool
-    confirms: bool = False
+
+@dataclass
+class SimulateOptions(OneRunOptions):
+    """The options of `simulate`."""
+
+    confirm: Confirm = False
+
+
+@dataclass
+class RunOptions(OneRunOptions):
+    """The options of `run`."""
+
+    real_delay_ms: Annotated[
+        float | None,
+        typer.Option(
+            "--real-delay",
+            metavar="MS",
+            help="Have a relay between controller and plant hold every byte back: the round trip,"
+            " half of it each way.",
+        ),
+    ] = None
+    await_controller: Annotated[
+        bool,
+        typer.Option(
+            "--await-controller",
+            help="Start plant and recorder only, and wait for a controller that is started"
+            " elsewhere: for link.connect_timeout_s, at the endpoints of the scenario.",
+        ),
+    ] = False
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live", help="Show the run in the browser and in Foxglove while it happens."
+        ),
+    ] = False
+    confirm: Annotated[
+        bool,
+        typer.Option(
+            "--confirm",
+            help="With clock=lockstep: simulate the run again in one process; another digest or"
+            " verdict is a fault.",
+        ),
+    ] = False

@@ -11,7 +11,7 @@ from rich.console import Console
 from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import partial_path
 from deploy.cli.common import finish
-from deploy.cli.options import Out, Overrides, Overwrite, ScenarioArgument
+from deploy.cli.options import OneRunOptions, Out, Overrides, Overwrite, ScenarioArgument
 from deploy.run.execute import recorded
 from deploy.run.exit_codes import FINISHED
 from deploy.run.network.links import require_keys
@@ -42,9 +42,7 @@ def plant(
     scenario: ScenarioArgument,
     overrides: Overrides = None,
     await_recorder: AwaitRecorder = False,
-    can_log: Annotated[
-        Path | None, typer.Option("--can-log", help="File for the frames of a CAN bus.")
-    ] = None,
+    can_log: Annotated[Path | None, typer.Option(help="File for the frames of a CAN bus.")] = None,
 ) -> None:
     """Be the plant: emulate the arm for a controller on the bus."""
     options = RoleOptions(scenario, overrides or [], await_recorder, can_log)
@@ -65,7 +63,7 @@ def record(
         code = roles.run_recorder(setup, folder.log, StatusReporter(Role.RECORDER), stop)
         if code == FINISHED or partial_path(folder.log).exists():
             outcome = RunOutcome(interrupted=stop.is_set)
-            finish(Console(), folder, recorded(folder, outcome), require_bounds=False)
+            finish(Console(), folder, recorded(folder, outcome), OneRunOptions())
         raise typer.Exit(code)
 
 

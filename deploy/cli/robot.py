@@ -22,13 +22,13 @@ from deploy.scenario.definition import ScenarioConfiguration
 from deploy.scenario.explanation import Origin
 from deploy.scenario.referenced_files import find_urdf
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import starter_scenario
+from deploy.scenario.starter import drives_of, starter_scenario
 from deploy.scenario.warnings import scenario_warnings
 from deploy.scenario.yaml_files import ScenarioError, to_yaml, validated
 
 STARTER_COMMENT = """\
-# A first scenario: rest to rest at 30 % of the joints' speeds. Rotors and friction are ESTIMATES in
-# proportion to the largest torques (see the documentation of plant.actuator): put in your own.
+# A first scenario: rest to rest at 30 % of the joints' speeds. robot.drive_data names what is
+# ESTIMATED (see the documentation of plant.actuator): put in your own.
 """
 
 
@@ -37,26 +37,21 @@ def robot(
         str, typer.Argument(help="A URDF or xacro file, or what a scenario's robot.urdf may be.")
     ],
     joints: Annotated[
-        str | None, typer.Option("--joints", metavar="A,B,…", help="Drive these, hold all others.")
+        str | None, typer.Option(metavar="A,B,…", help="Drive these, hold all others.")
     ] = None,
     repair: Annotated[
         bool, typer.Option("--repair", help="Mend inertias that no body has, however far off.")
     ] = False,
     include: Annotated[
-        list[Path] | None,
-        typer.Option("--include", metavar="FOLDER", help="More folders that xacro may read."),
+        list[Path] | None, typer.Option(metavar="FOLDER", help="More folders that xacro may read.")
     ] = None,
-    picture: Annotated[
-        Path | None, typer.Option("--picture", metavar="FILE.png", help="Draw the arm.")
-    ] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the arm.")] = None,
     scenario: Annotated[
         bool, typer.Option("--scenario", help="Write a first scenario for the arm.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False
-        ),
+        typer.Option(metavar="FILE.yaml", help="Where --scenario writes it.", show_default=False),
     ] = None,
 ) -> None:
     """Show what is understood of an arm: its joints, limits, inertias, gains, and what is odd."""
@@ -75,6 +70,7 @@ def robot(
     if arm.followers or arm.held:
         print_table(console, _other_joints_table(setup))
     print_table(console, _gains_table(setup))
+    print_table(console, _drives_table(arm))
     console.print(_funnel_line(setup), markup=False, highlight=False)
     for said in scenario_warnings(setup):
         console.print(f"warning: {said}", style="yellow", markup=False, highlight=False)
@@ -177,6 +173,15 @@ def _gains_table(setup: Setup) -> Table:
     rows = [[name, _values(value)] for name, value in setup.gains._asdict().items()]
     columns = [Column("Gain", is_text=True), Column("Per joint", is_text=True)]
     return Table(f"Gains of {setup.scenario.controller.law}", columns, rows)
+
+
+def _drives_table(arm: RobotDescription) -> Table:
+    """Motors and friction that a first scenario gives the arm, and where they come from."""
+    drives = drives_of(arm)
+    values = {"rotor_inertia_kg_m2": drives.rotors, **drives.friction}
+    rows: list[list[Value]] = [[name, _values(value)] for name, value in values.items()]
+    columns = [Column("Value", is_text=True), Column("Per joint", is_text=True)]
+    return Table(f"Motors and friction: {drives.data}", columns, rows)
 
 
 def _funnel_line(setup: Setup) -> str:

@@ -56,7 +56,7 @@ def ros2_control(
     scenario: ScenarioArgument = "paper_arm",
     overrides: Overrides = None,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder; by default <scenario>_ros2_control.")
+        Path | None, typer.Option(help="Folder; by default <scenario>_ros2_control.")
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace files there that differ.")

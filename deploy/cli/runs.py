@@ -57,7 +57,7 @@ def tag_run(
     path: Annotated[Path, typer.Argument(metavar="RUN", help="A folder of results.")],
     tags: Annotated[list[str] | None, typer.Argument(metavar="[TAG]…", help="Tags to add.")] = None,
     remove: Annotated[
-        list[str] | None, typer.Option("--remove", metavar="TAG", help="Take one off; repeatable.")
+        list[str] | None, typer.Option(metavar="TAG", help="Take one off; repeatable.")
     ] = None,
 ) -> None:
     """Tag a run, comparison or study; `prune` keeps whatever has a tag."""
@@ -68,8 +68,7 @@ def tag_run(
 def prune(
     folder: Folder = Path("runs"),
     older_than: Annotated[
-        float | None,
-        typer.Option("--older-than", metavar="DAYS", min=0.0, help="What was begun before that."),
+        float | None, typer.Option(metavar="DAYS", min=0.0, help="What was begun before that.")
     ] = None,
     incomplete: Annotated[
         bool, typer.Option("--incomplete", help="What came to no end, unless by a fault.")

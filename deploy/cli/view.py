@@ -58,7 +58,7 @@ def view(
         ),
     ] = None,
     layout: Annotated[
-        Path | None, typer.Option("--layout", help="Write a layout for Foxglove to this file.")
+        Path | None, typer.Option(help="Write a layout for Foxglove to this file.")
     ] = None,
 ) -> None:  # fmt: skip
     """Show a run in the browser and in Foxglove: one under way, or a recorded one."""

@@ -33,13 +33,14 @@ def conditions_of_runs(setups: Sequence[Setup], manifest: Mapping[str, Any]) -> 
         **provenance_of(manifest),
         "scenario": scenario.name,
         "law": ", ".join(laws),
-        "physics": physics_of(setups),
+        "physics": _physics_of(setups),
+        **drives_of(setups),
         "duration": f"{scenario.duration_s:g} s",
         "starts": f"joints off by {start} rad",
         "seeds": str(scenario.seed),
-        "set": set_text(manifest.get("set")),
+        "set": _UNKNOWN if manifest.get("set") is None else ", ".join(manifest["set"]) or "nothing",
         **host_of(manifest),
-        **warnings_of(manifest),
+        **_warnings_of(manifest),
     }
 
 
@@ -60,10 +61,16 @@ def conditions_of_recording(run: RunData, manifest: Mapping[str, Any]) -> Condit
     return conditions
 
 
-def physics_of(setups: Sequence[Setup]) -> str:
+def _physics_of(setups: Sequence[Setup]) -> str:
     """Engine and integrator of the plants."""
     plants = [setup.scenario.plant for setup in setups]
     return ", ".join(dict.fromkeys(physics_in_force(each) + default_note(each) for each in plants))
+
+
+def drives_of(setups: Sequence[Setup]) -> Conditions:
+    """Where the numbers of motors and friction come from, where scenarios say so."""
+    said = dict.fromkeys(setup.scenario.robot.drive_data for setup in setups)
+    return {"drives": "; ".join(filter(None, said))} if any(said) else {}
 
 
 def _note_of_default(physics: str, manifest: Mapping[str, Any]) -> str:
@@ -84,7 +91,7 @@ def provenance_of(manifest: Mapping[str, Any]) -> Conditions:
     }
 
 
-def warnings_of(manifest: Mapping[str, Any]) -> Conditions:
+def _warnings_of(manifest: Mapping[str, Any]) -> Conditions:
     """What the arm's file leaves open or has odd, where it does."""
     told = manifest.get("warnings")
     return {"warnings": "; ".join(map(str, told))} if told and isinstance(told, list) else {}
@@ -105,11 +112,6 @@ def granted_and_not(conditions: Mapping[str, str]) -> tuple[bool, list[str]]:
     granted = conditions.get("granted", _UNKNOWN)
     lacked = [name for name in _SHOWN_GRANTS if f"no {name}" in granted]
     return not granted.startswith(_UNKNOWN), lacked
-
-
-def set_text(overrides: Sequence[str] | None) -> str:
-    """What was set beside the scenario."""
-    return _UNKNOWN if overrides is None else ", ".join(overrides) or "nothing"
 
 
 def conditions_line(conditions: Mapping[str, str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,37 +23,21 @@ FIELDS = {
 """Name in the summary, with its unit → field of `control_status`, and the factor between them."""
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What there was to be found, as far as a scenario says it.
+def truth_of(setup: Setup) -> dict[str, Any]:
+    """What there was to be found in the emulated arm, by the names of `FIELDS`.
 
-    Attributes:
-        inertia_factor: masses and inertias of the arm over those of the nominal model.
-        payload_kg: from when on, s, and how much, kg.
-        lag_ms: time constant of the actuators.
-        coulomb_nm: dry friction at speed, shape (joints,).
-        viscous_nm_s: friction per rad/s, shape (joints,).
+    Of the payload from when on, s, and how much, kg; of friction a value for each joint.
     """
-
-    inertia_factor: float
-    payload_kg: list[tuple[float, float]]
-    lag_ms: float
-    coulomb_nm: Vector
-    viscous_nm_s: Vector
-
-
-def truth_over_time(setup: Setup) -> Truth:
-    """What the emulated arm really is."""
     scenario, joints = setup.scenario, setup.robot.joints
     friction, key = scenario.plant.friction, "plant.friction"
     share = float(friction.enabled)
-    return Truth(
-        inertia_factor=1.0 / scenario.controller.model_scale,
-        payload_kg=payload_steps(scenario.plant.payload_kg, scenario.faults),
-        lag_ms=scenario.plant.actuator.lag_ms,
-        coulomb_nm=share * expand(friction.coulomb_nm, joints, f"{key}.coulomb_nm"),
-        viscous_nm_s=share * expand(friction.viscous_nm_s, joints, f"{key}.viscous_nm_s"),
-    )
+    return {
+        "inertia_factor": 1.0 / scenario.controller.model_scale,
+        "payload_kg": payload_steps(scenario.plant.payload_kg, scenario.faults),
+        "lag_ms": scenario.plant.actuator.lag_ms,
+        "coulomb_nm": share * expand(friction.coulomb_nm, joints, f"{key}.coulomb_nm"),
+        "viscous_nm_s": share * expand(friction.viscous_nm_s, joints, f"{key}.viscous_nm_s"),
+    }
 
 
 def series(run: RunData, name: str) -> Vector | None:
@@ -76,18 +59,11 @@ def identified(run: RunData) -> dict[str, Any] | None:
 
     A value is None where it is not among what was to be learned.
     """
-    final: dict[str, Any] = {}
-    for name in FIELDS:
-        values = series(run, name)
-        final[name] = None if values is None else values[-1].tolist()
+    believed = {name: series(run, name) for name in FIELDS}
+    final = {name: None if v is None else v[-1].tolist() for name, v in believed.items()}
     if all(value is None for value in final.values()):
         return None
-    truth, end_s = truth_over_time(run.setup), run.times_s(topics.CONTROL_STATUS)[-1]
-    known = {
-        "inertia_factor": truth.inertia_factor,
-        "payload_kg": [kg for at_s, kg in truth.payload_kg if at_s <= end_s][-1],
-        "lag_ms": truth.lag_ms,
-        "coulomb_nm": truth.coulomb_nm.tolist(),
-        "viscous_nm_s": truth.viscous_nm_s.tolist(),
-    }
-    return {**final, "truth": known}
+    truth, end_s = truth_of(run.setup), run.times_s(topics.CONTROL_STATUS)[-1]
+    carried = [kg for at_s, kg in truth["payload_kg"] if at_s <= end_s][-1]
+    friction = {name: truth[name].tolist() for name in ("coulomb_nm", "viscous_nm_s")}
+    return {**final, "truth": {**truth, "payload_kg": carried, **friction}}

@@ -12,20 +12,15 @@ from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind
 from bus_schema.messages.topics import Role
 from bus_schema.percentiles import PERCENTILES, percentiles
+from controller.manipulator_model import ManipulatorModel, spread_positions
 from deploy.judge.bounds import disagreement, judge_bounds, lacks_end, plant_count
 from deploy.judge.chattering import chatter_shares
 from deploy.judge.identified import identified
-from deploy.judge.recorded_ticks import (
-    KnownTicks,
-    Rows,
-    known_ticks,
-    longest_run,
-    rows_after_gaps,
-)
+from deploy.judge.recorded_ticks import KnownTicks, Rows, known_ticks, longest_run, rows_after_gaps
 from deploy.judge.run_data import RunData, stamps_s
-from deploy.judge.settling_bound import settling_bound_s
 from deploy.judge.stalls import longest_stall_ms
 from deploy.judge.verdict import decide, with_verdict
+from deploy.scenario.setup import Setup
 
 UNAUTHENTICATED = (
     "without link.security, one commander protects against mistakes, not against somebody who"
@@ -33,6 +28,8 @@ UNAUTHENTICATED = (
 )
 _SHORTEST_S = 1e-6
 _MOST_GAPS = 20
+_largest_inertias: dict[tuple[str, float, bytes], float] = {}
+"""By arm, payload and weights: the runs of a study mostly share them."""
 _CHANNEL = ("sent", "delivered", "lost", "duplicated", "reordered")
 
 
@@ -105,6 +102,24 @@ def settling_times_s(errors: Matrix, times_s: Vector, band_rad: Vector) -> list[
     return settled
 
 
+def settling_bound_s(setup: Setup) -> float | None:
+    """The law's bound for this arm with its payload, s; None for a law that has none.
+
+    The largest inertia is the largest found in positions spread over all joint ranges, not only on
+    the reference: one bound for every start.
+    """
+    robot, payload_kg = setup.robot, setup.scenario.plant.payload_kg
+
+    def largest_inertia(weights: Vector) -> float:
+        arm = (robot.text, payload_kg, weights.tobytes())
+        if arm not in _largest_inertias:
+            model = ManipulatorModel(robot, payload_kg=payload_kg)
+            _largest_inertias[arm] = model.largest_inertia(spread_positions(robot), weights)
+        return _largest_inertias[arm]
+
+    return setup.scenario.controller.settling_bound_s(setup.gains, largest_inertia)
+
+
 def _torque(run: RunData) -> dict[str, Any]:
     commands = run.tables[topics.JOINT_COMMANDS.name]
     truth = run.tables[topics.PLANT_TRUTH.name]
@@ -137,8 +152,15 @@ def _command_times(run: RunData) -> tuple[Vector, Rows]:
 def _recording(
     run: RunData, known: KnownTicks, damage: list[str], settled_s: Sequence[float | None]
 ) -> dict[str, Any]:
-    """How whole the recording is."""
+    """How whole the recording is.
+
+    What missing ticks cost: time without torques, and whether settling times are the latest.
+    """
     skipped = run.tables[topics.PLANT_TRUTH.name]["timing.skipped"]
+    command_times_s, after_gaps = _command_times(run)
+    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
+    times_s = run.times_s(topics.PLANT_TRUTH)
+    behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
     return {
         "damage": damage,
         "rejected": dict(run.rejected),
@@ -146,17 +168,6 @@ def _recording(
         "ticks_known": known.known,
         "ticks_skipped": int(skipped.max(initial=0)),
         "gaps_s": known.gaps_s[:_MOST_GAPS],
-        **_over_gaps(run, settled_s),
-    }
-
-
-def _over_gaps(run: RunData, settled_s: Sequence[float | None]) -> dict[str, Any]:
-    """What missing ticks cost: time without torques, and whether settling times are the latest."""
-    command_times_s, after_gaps = _command_times(run)
-    steps_s = np.abs(np.diff(command_times_s, prepend=command_times_s[:1]))
-    times_s = run.times_s(topics.PLANT_TRUTH)
-    behind_gaps_s = set(times_s[rows_after_gaps(run, times_s)].tolist())
-    return {
         "torque_left_out_s": float(steps_s[after_gaps].sum()),
         "settling_is_latest": [time_s in behind_gaps_s for time_s in settled_s],
     }

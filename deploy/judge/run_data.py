@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import takewhile
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -58,8 +57,8 @@ class RunData:
     events: Sequence[RunEvent]
     digest: str
     messages: int
-    lost: Mapping[str, int] | None
-    complete: bool
+    lost: Mapping[str, int] | None = field(default_factory=dict)
+    complete: bool = True
     damage: Sequence[str] = ()
     failures: Sequence[str] = ()
     lacks_checksums: bool = False
@@ -137,14 +136,17 @@ def build_run_data(
     *,
     clock: str,
     link: str,
-    lost: Mapping[str, int] | None = MappingProxyType({}),
-    complete: bool = True,
-    damage: Sequence[str] = (),
-    failures: Sequence[str] = (),
-    lacks_checksums: bool = False,
-    rejected: Mapping[str, int] = MappingProxyType({}),
+    **of_recording: Any,
 ) -> RunData:
-    """The data of a run from its messages by topic name; unusable messages are left out."""
+    """The data of a run from its messages by topic name; unusable messages are left out.
+
+    Args:
+        setup: the scenario.
+        payloads: the messages.
+        clock: as `RunData` has it.
+        link: likewise.
+        of_recording: likewise, what is known of its recording: ``lost``, ``complete`` and so on.
+    """
     names = setup.robot.joint_names
     states, commands = (
         payloads.get(topic.name, ()) for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS)
@@ -165,12 +167,7 @@ def build_run_data(
         ),
         digest=digest(states, commands),
         messages=sum(len(messages) for messages in payloads.values()),
-        lost=lost,
-        complete=complete,
-        damage=damage,
-        failures=failures,
-        lacks_checksums=lacks_checksums,
-        rejected=rejected,
+        **of_recording,
     )
 
 

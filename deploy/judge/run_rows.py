@@ -9,7 +9,7 @@ from typing import Any
 
 from bus_schema.percentiles import PERCENTILES
 from bus_schema.recording.atomic_files import complete, naming_file, new_partial
-from deploy.judge.verdict import Verdict, decide, verdict_of
+from deploy.judge.verdict import Verdict, decide
 from deploy.scenario.yaml_files import ScenarioError
 
 _DIRECTIONS = ("uplink", "downlink")
@@ -51,8 +51,7 @@ _COLUMNS = {
 
 Row = dict[str, Any]
 _DIGEST = b"funnel_hil.sha256"
-"""In the schema's metadata: of names, rows and conditions. A table without it is an older
-one, or not ours."""
+"""In the schema's metadata: checksum of names, rows and conditions."""
 
 
 def row(summary: dict[str, Any], seed: int) -> Row:
@@ -68,7 +67,10 @@ def row(summary: dict[str, Any], seed: int) -> Row:
     error = "; ".join(summary["faults"]) or None
     values |= summary | {"seed": seed, "error": error, "bounds_kept": summary["bounds"]["kept"]}
     for direction in _DIRECTIONS:
-        values |= _link_statistics(direction, summary["transport"][direction])
+        channel = summary["transport"][direction]
+        delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
+        statistics = {**{name: channel[name] for name in _COUNTS}, **delays}
+        values |= {f"{direction}_{name}": value for name, value in statistics.items()}
     bound = values["settling_bound_s"]
     if bound is not None and not isinstance(bound, list):
         values["settling_bound_s"] = [bound] * len(values["joint_names"])
@@ -83,13 +85,6 @@ def held(row: Row) -> bool:
 def left_nothing(row: Row) -> bool:
     """Whether a run came to nothing that could be judged: it says nothing of its law."""
     return row["error"] is not None and row["violation_fraction"] is None
-
-
-def _link_statistics(direction: str, channel: Mapping[str, Any]) -> Row:
-    """Counts and delays of one direction, by their columns."""
-    delays = {f"delay_{name}_ms": value for name, value in channel["delay_ms"].items()}
-    counts = {name: channel[name] for name in _COUNTS}
-    return {f"{direction}_{name}": value for name, value in {**counts, **delays}.items()}
 
 
 def failed_row(seed: int, error: str) -> Row:
@@ -133,10 +128,10 @@ def write_rows(
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a Parquet file; those of older versions get their verdict.
+    """Rows of a Parquet file.
 
     Raises:
-        ScenarioError: it is damaged.
+        ScenarioError: it is damaged, or of an older version.
     """
     from pyarrow import parquet
 
@@ -145,13 +140,15 @@ def read_rows(path: Path) -> list[Row]:
         table.validate(full=True)
         digest = (table.schema.metadata or {}).get(_DIGEST)
         rows: list[Row] = table.to_pylist()
-        is_whole = digest in (None, _digest(table))
+        is_whole = digest == _digest(table)
     except Exception as error:  # what damage makes pyarrow raise has no common class
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise ScenarioError(f"{path}: cannot be read: {reason}") from error
+    if digest is None:
+        raise ScenarioError(f"{path}: has no checksum: must be a table of this version")
     if not is_whole:
         raise ScenarioError(f"{path}: is damaged: its rows do not match their checksum")
-    return [{**row, "verdict": verdict_of(row).value} for row in rows]
+    return rows
 
 
 def _digest(table: Any) -> bytes:

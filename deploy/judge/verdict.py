@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Mapping
 from enum import StrEnum
 from typing import Any
@@ -63,15 +62,7 @@ def with_verdict(summary: dict[str, Any], verdict: Verdict) -> dict[str, Any]:
     return {**summary, "verdict": verdict.value, "completed": completed, "bounds": bounds}
 
 
-def verdict_of(values: Mapping[str, Any]) -> Verdict:
-    """The verdict that a summary or a row has; of older versions, which had none, by their rule."""
-    with contextlib.suppress(ValueError):
-        return Verdict(str(values.get("verdict")))
-    bounds = values.get("bounds", {"kept": values.get("bounds_kept")})
-    kept = bounds.get("kept") if isinstance(bounds, Mapping) else None
-    return decide(
-        values.get("faults") or values.get("error") or (),
-        is_judged=kept is not None,
-        was_outside=kept is False,
-        is_ended=bool(values.get("completed")),
-    )
+def verdict_of(summary: Mapping[str, Any]) -> Verdict:
+    """The verdict that a summary has; `NOTHING` where it has none that is known."""
+    verdict = summary.get("verdict")
+    return Verdict(verdict) if verdict in list(Verdict) else Verdict.NOTHING

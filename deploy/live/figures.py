@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import sample_positions
-from deploy.reports.figure_json import with_template, without_template
+from deploy.reports.figure_json import no_template, with_template
 from deploy.reports.figures import style
 from deploy.reports.figures.space import show_in_space, skeletons
 from deploy.scenario.setup import Setup
@@ -30,7 +30,8 @@ WINDOW_S = 10.0
 def live_figures(setup: Setup) -> dict[str, Any]:
     """Figures by the id of the element they are drawn in, as Plotly's JSON."""
     draw = {"error": _errors, "torque": _torques, "age": _ages, "arm": _arm}
-    figures = {name: without_template(each, setup) for name, each in draw.items()}
+    with no_template():
+        figures = {name: each(setup) for name, each in draw.items()}
     return {name: with_template(figure.to_plotly_json()) for name, figure in figures.items()}
 
 

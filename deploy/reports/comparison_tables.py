@@ -10,16 +10,7 @@ from deploy.judge.conditions import conditions_of_runs
 from deploy.reports import quantities
 from deploy.reports.quantities import JointQuantity
 from deploy.reports.run_tables import PERCENTILE_NAMES, WALL_TIME, Row, number_rows
-from deploy.reports.tables import (
-    ABSENT,
-    Cell,
-    Column,
-    Table,
-    Value,
-    number,
-    scaled,
-    short_names,
-)
+from deploy.reports.tables import ABSENT, Cell, Column, Table, Value, number, scaled, short_names
 from deploy.run.execute import JudgedRun
 from deploy.study.comparison.comparison import ComparedRuns
 from deploy.study.comparison.recorded import RecordedRuns

@@ -8,11 +8,10 @@ a report.
 from __future__ import annotations
 
 import base64
-import json
-import pkgutil
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -32,32 +31,23 @@ _OURS = {
     "yaxis": {**_AXIS, "exponentformat": "power"},
 }
 
-Drawn = TypeVar("Drawn")
-What = TypeVar("What")
-
 
 @cache
 def template() -> dict[str, Any]:
     """Plotly's own on white, with what is ours: as it stands in a figure's JSON."""
-    try:
-        text = pkgutil.get_data("plotly", "package_data/templates/plotly_white.json")
-    except OSError:  # plotly has it elsewhere: loading and checking it takes longer
-        text = None
-    plotlys = json.loads(text) if text else pio.templates["plotly_white"].to_plotly_json()
+    plotlys = pio.templates["plotly_white"].to_plotly_json()
     return {"layout": _merged(plotlys["layout"], _OURS)}
 
 
-def without_template(draw: Callable[[What], Drawn], what: What) -> Drawn:
-    """What `draw` gives, where Plotly gives no figure its own template; for others it stays."""
-    # `templates.default` would load and check the template that it is set to.
-    templates: Any = pio.templates
-    name = "_default" if hasattr(templates, "_default") else "default"
-    before = getattr(templates, name)
-    setattr(templates, name, None)
+@contextlib.contextmanager
+def no_template() -> Iterator[None]:
+    """Meanwhile Plotly gives no figure its own template."""
+    before = pio.templates.default
+    pio.templates.default = None
     try:
-        return draw(what)
+        yield
     finally:
-        setattr(templates, name, before)
+        pio.templates.default = before
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,32 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
-import plotly.graph_objects as go
-
+from deploy.reports import study_tables as tables
 from deploy.reports.figures import study_figures
-from deploy.reports.figures.study_figures import DrawnStudy
-from deploy.reports.page import Cards, Fact, Page, Panel
-from deploy.reports.study_tables import (
-    case_name,
-    ceiling_text,
-    furthest,
-    held_again,
-    interval_table,
-    interval_text,
-    kept_text,
-    losses_table,
-    margin_table,
-    margin_text,
-    probe_at,
-    robustness_table,
-    setting_text,
-    share_text,
-    value_text,
-)
-from deploy.reports.tables import ABSENT, Column
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, StudyQuantity, point_of
+from deploy.reports.page import Fact, Page, Panel
+from deploy.reports.tables import ABSENT
 from deploy.reports.verdict import ReportHead
 
 _SHOWN_EFFECTS = 12
@@ -38,27 +19,29 @@ Summary = dict[str, Any]
 def margin_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins."""
     summary = study.summary
-    arms = _arms(summary)
+    arms = _cases_by_arm(summary)
+    ceilings = {arm: next(filter(None, map(tables.ceiling_text, arms[arm])), None) for arm in arms}
     return Page(
         f"margins of {summary['quantity']}",
         summary["name"],
         verdict=ReportHead(
             "mixed",
-            f"{furthest(summary).capitalize()} {summary['title']} at which the bounds are kept",
-            [*(_best(summary, arm) for arm in arms), *held_again(summary)],
+            f"{tables.furthest(summary).capitalize()} {summary['title']} at which the bounds are"
+            " kept",
+            [*tables.headlines(summary), *tables.held_again(summary)],
         ),
         facts=[
-            Fact("Resolution", value_text(summary["resolution"], summary)),
-            Fact("Last value tried", value_text(summary["limit"], summary)),
+            Fact("Resolution", tables.value_text(summary["resolution"], summary)),
+            Fact("Last value tried", tables.value_text(summary["limit"], summary)),
             Fact("Starts, × initial offset", ", ".join(f"{o:g}" for o in summary["offsets"])),
-            Fact("Duration of a run", _durations(summary)),
-            Fact("Held-arm ceiling", _ceilings(summary),
+            _durations(summary),
+            Fact("Held-arm ceiling",
+                 ", ".join(f"{arm} {text}" for arm, text in ceilings.items() if text) or ABSENT,
                  "The brakes hold the arm until the first command acts: no law can start under"
                  " more delay."),
         ],
-        panels=[panel for arm in arms for panel in _margin_panels(arm)],
+        panels=[panel for arm in arms for panel in _margin_panels(study, arm)],
         subject=study,
-        after=("Results", [Cards([margin_table(summary)], "stacked")]),
         points=[
             (_value_name(case, probe, summary), point, study.rerun(point))
             for case in summary["cases"]
@@ -72,6 +55,7 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     """The report of margins over uncertain plants."""
     summary = study.summary
     cases, share = summary["cases"], f"{100 * summary['kept_share']:g} %"
+    values = ", ".join(tables.value_text(value, summary) for value in summary["values"])
     return Page(
         f"margins of {summary['quantity']} over uncertain plants",
         summary["name"],
@@ -79,25 +63,26 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
             "mixed",
             f"Largest {summary['title']} at which {share} of {summary['plants']} plants are kept",
             [
-                f"{case['arm']}, {case_name(case)}: {kept_text(case, summary)}{_there(case)}."
+                f"{tables.case_title(case)}: {tables.kept_text(case, summary)}{_there(case)}."
                 for case in sorted(cases, key=_kept_up_to, reverse=True)
             ],
         ),
         facts=[
             Fact("Plants", str(summary["plants"])),
             Fact("Plant seed", str(summary["plant_seed"])),
-            Fact("Values", ", ".join(value_text(value, summary) for value in summary["values"])),
-            Fact("Duration of a run", _durations(summary)),
+            Fact("Values", values),
+            _durations(summary),
         ],
         panels=[
-            *map(_share_panel, _arms(summary)),
+            *(_curves_panel(
+                study, arm, "kept", f"Plants of {arm} that kept their bounds",
+                study_figures.PLANTS_KEPT,
+                "Shares of all plants, with Wilson's 95 % intervals as shades. A click gives the"
+                " command of the plant that fared worst there.")
+              for arm in _cases_by_arm(summary)),
             *(_loss_panel(index, case) for index, case in enumerate(cases)),
         ],
         subject=study,
-        after=("Results", [
-            Cards([robustness_table(summary), interval_table(summary), losses_table(summary)],
-                  "stacked"),
-        ]),
         points=[
             (_value_name(case, value, summary), point, study.rerun(point))
             for case in cases
@@ -108,113 +93,73 @@ def robustness_page(study: DrawnStudy) -> Page[DrawnStudy]:
     )  # fmt: skip
 
 
-def _margin_panels(arm: str) -> list[Panel[DrawnStudy]]:
+def _margin_panels(study: DrawnStudy, arm: str) -> list[Panel[DrawnStudy]]:
     return [
         Panel(
-            arm, f"margins-{arm}", f"Margins on {arm}", partial(_bars, arm=arm),
+            arm, f"margins-{arm}", f"Margins on {arm}", lambda study: _bars(study, arm),
             "The taller, the more a law takes. A click gives the command of the first value that"
             " failed, from the start that fared worst. Dashed: the held-arm ceiling; no loop can be"
             " started beyond it.",
             is_clickable=True,
         ),
-        Panel(
-            arm, f"outside-{arm}", study_figures.TICKS_OUTSIDE.title,
-            partial(_curves, arm=arm, quantity=study_figures.TICKS_OUTSIDE),
+        _curves_panel(
+            study, arm, "outside", study_figures.TICKS_OUTSIDE.title, study_figures.TICKS_OUTSIDE,
             "Where a line leaves zero, its law loses its bounds. Lines are means of all starts and"
             " seeds, the shades reach from the best run to the worst.",
-            is_clickable=True,
         ),
-        Panel(
-            arm, f"rms-{arm}", study_figures.WORST_RMS.title,
-            partial(_curves, arm=arm, quantity=study_figures.WORST_RMS),
+        _curves_panel(
+            study, arm, "rms", study_figures.WORST_RMS.title, study_figures.WORST_RMS,
             "What precision remains, on a logarithmic scale, with the same shades.",
-            is_clickable=True,
         ),
     ]  # fmt: skip
 
 
-def _share_panel(arm: str) -> Panel[DrawnStudy]:
-    return Panel(
-        arm, f"kept-{arm}", f"Plants of {arm} that kept their bounds",
-        partial(_curves, arm=arm, quantity=study_figures.PLANTS_KEPT),
-        "Shares of all plants, with Wilson's 95 % intervals as shades. A click gives the command of"
-        " the plant that fared worst there.",
-        is_clickable=True,
-    )  # fmt: skip
+def _curves_panel(
+    study: DrawnStudy, arm: str, name: str, title: str, quantity: StudyQuantity, caption: str
+) -> Panel[DrawnStudy]:
+    """A line for each case of an arm: laws by colour, settings by dash; of one law by colour."""
+    cases = study.summary["cases"]
+    laws = list(dict.fromkeys(case["law"] for case in cases))
+    settings = list(dict.fromkeys(map(tables.setting_text, cases)))[::-1]
+    lines = []
+    for case in _cases_by_arm(study.summary)[arm]:
+        law, setting = laws.index(case["law"]), settings.index(tables.setting_text(case))
+        colour, dash = (law, setting) if len(laws) > 1 else (setting, 0)
+        tried = case["probes"] if "probes" in case else case["values"]
+        points = [
+            point_of(value["value"], value, _worst_point(value), study)
+            for value in tried
+            if value["runs"]
+        ]
+        lines.append(Curve(tables.case_name(case), colour, dash, points))
+    return study_figures.curves_panel(
+        arm, f"{name}-{arm}", title, lines, tables.value_title(study.summary), quantity, caption
+    )
+
+
+def _worst_point(tried: Summary) -> str:
+    """The point that fared worst at a value."""
+    return str(tried["worst_point"] if "worst_point" in tried else tried["worst_points"][0])
 
 
 def _loss_panel(index: int, case: Summary) -> Panel[DrawnStudy]:
     losses = case["losses"]
     bars = [(one["quantity"], one["effect"]) for one in losses["effects"] or []]
-
-    def draw(_study: DrawnStudy) -> go.Figure | None:
-        return study_figures.effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0)
-
     return Panel(
-        "What lost plants have in common", f"losses-{index}", f"{case['arm']}, {case_name(case)}",
-        draw,
+        "What lost plants have in common", f"losses-{index}", tables.case_title(case),
+        lambda _: study_figures.effects(bars[:_SHOWN_EFFECTS], losses["chance_level"] or 0.0),
         f"{losses['lost_plants']} plants were lost at some value. To the right: they had more of"
         " it. Grey bars lie within what chance alone may give the strongest of all quantities.",
     )  # fmt: skip
 
 
-def _bars(study: DrawnStudy, arm: str) -> go.Figure:
-    cases = _cases(study.summary, arm)
-    probes = [probe_at(c, c["first_failure"]) or probe_at(c, c["margin"]) for c in cases]
-    reruns = [study.rerun(probe["worst_point"]) if probe else "" for probe in probes]
-    return study_figures.margin_bars(cases, reruns, _axis(study.summary))
-
-
-def _curves(study: DrawnStudy, arm: str, quantity: study_figures.StudyQuantity) -> go.Figure | None:
-    """A line for each case of an arm: laws by colour, settings by dash; of one law by colour."""
-    cases = study.summary["cases"]
-    laws = list(dict.fromkeys(case["law"] for case in cases))
-    settings = list(dict.fromkeys(map(setting_text, cases)))[::-1]
-    lines = []
-    for case in _cases(study.summary, arm):
-        law, setting = laws.index(case["law"]), settings.index(setting_text(case))
-        colour, dash = (law, setting) if len(laws) > 1 else (setting, 0)
-        points = [
-            study_figures.Point(spread["value"], spread, study.rerun(worst_point))
-            for spread, worst_point in _spreads(case)
-        ]
-        lines.append(study_figures.Curve(case_name(case), colour, dash, points))
-    return study_figures.curves(lines, _axis(study.summary), quantity)
-
-
-def _spreads(case: Summary) -> list[tuple[Summary, str]]:
-    """What became of each value that was tried, and the point that fared worst there."""
-    if "probes" in case:
-        return [(probe, probe["worst_point"]) for probe in case["probes"]]
-    return [
-        ({**value, **study_figures.share_spread(value)}, value["worst_points"][0])
-        for value in case["values"]
-        if value["total"]
+def _bars(study: DrawnStudy, arm: str) -> Any:
+    cases = _cases_by_arm(study.summary)[arm]
+    probes = [
+        tables.probe_at(c, c["first_failure"]) or tables.probe_at(c, c["margin"]) for c in cases
     ]
-
-
-def _axis(summary: Summary) -> str:
-    return Column(summary["title"], summary["unit"]).title
-
-
-def _ceilings(summary: Summary) -> str:
-    """The longest delay under which each arm can be started at all."""
-    found = {
-        arm: next(filter(None, map(ceiling_text, _cases(summary, arm))), None)
-        for arm in _arms(summary)
-    }
-    return ", ".join(f"{arm} {text}" for arm, text in found.items() if text) or ABSENT
-
-
-def _best(summary: Summary, arm: str) -> str:
-    """Who takes the most on an arm."""
-    known = [case for case in _cases(summary, arm) if case["margin"] is not None]
-    if not known:
-        return f"{arm}: no law keeps its bounds at all."
-    best = max(known, key=lambda case: case["growth"] * case["margin"])
-    others = [case_name(case) for case in known if case["margin"] == best["margin"]]
-    margin = f"{furthest(summary)} margin is {margin_text(best, summary)}"
-    return f"{arm}: the {margin}, of {' and '.join(others)}."
+    reruns = [study.rerun(probe["worst_point"]) if probe else "" for probe in probes]
+    return study_figures.margin_bars(cases, reruns, tables.value_title(study.summary))
 
 
 def _there(case: Summary) -> str:
@@ -222,7 +167,7 @@ def _there(case: Summary) -> str:
     at = next((v for v in case["values"] if v["value"] == case["kept_up_to"]), None)
     if at is None:
         return ""
-    return f", where {share_text(at)} were kept (95 % interval {interval_text(at)})"
+    return f", where {tables.share_text(at)} were kept (95 % interval {tables.interval_text(at)})"
 
 
 def _kept_up_to(case: Summary) -> float:
@@ -230,16 +175,16 @@ def _kept_up_to(case: Summary) -> float:
 
 
 def _value_name(case: Summary, tried: Summary, summary: Summary) -> str:
-    return f"{case['arm']}, {case_name(case)}, {value_text(tried['value'], summary)}"
+    return f"{tables.case_title(case)}, {tables.value_text(tried['value'], summary)}"
 
 
-def _durations(summary: Summary) -> str:
-    return ", ".join(f"{arm} {summary['duration_s'][arm]:g} s" for arm in _arms(summary))
+def _durations(summary: Summary) -> Fact:
+    durations = summary["duration_s"].items()
+    return Fact("Duration of a run", ", ".join(f"{arm} {length:g} s" for arm, length in durations))
 
 
-def _arms(summary: Summary) -> list[str]:
-    return list(dict.fromkeys(case["arm"] for case in summary["cases"]))
-
-
-def _cases(summary: Summary, arm: str) -> list[Summary]:
-    return [case for case in summary["cases"] if case["arm"] == arm]
+def _cases_by_arm(summary: Summary) -> dict[str, list[Summary]]:
+    found: dict[str, list[Summary]] = {}
+    for case in summary["cases"]:
+        found.setdefault(case["arm"], []).append(case)
+    return found

@@ -10,7 +10,6 @@ import contextlib
 import json
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -24,7 +23,7 @@ from plotly.offline import get_plotlyjs
 
 from bus_schema.arrays import Vector
 from bus_schema.recording.atomic_files import write_whole
-from deploy.reports.figure_json import figure_json, typed_array, without_template
+from deploy.reports.figure_json import figure_json, no_template, typed_array
 from deploy.reports.tables import Table
 from deploy.reports.verdict import ReportHead
 from deploy.run.stop_signals import end_if_asked
@@ -93,8 +92,8 @@ class Panel(Generic[T]):
         is_clickable: whether its points carry, as `customdata`, a text to be shown on a click.
         is_over_time: whether its horizontal axis is the time of a run, on which the page shows the
             instant that is looked at.
-        is_drawn_beside: whether `draw` prepares, and gives a function that another thread calls
-            for the rest, which pays where most of it is done outside of Python.
+        is_drawn_beside: whether `draw` begins what another process does, and gives a function that
+            waits for that and does the rest once the other panels are drawn.
     """
 
     section: str
@@ -164,29 +163,26 @@ def write_page(path: Path, page: Page[T], *, shares_library: bool = False) -> No
     if shares_library:
         share_library(path.parent)
     address = library_address(path)
-    with ThreadPoolExecutor(max_workers=2) as executor:  # packs beside the drawing of the figures
-        packing = None if address else executor.submit(packed_library)
-        sections = _drawn(list(page.panels), page.subject, executor)
-        packed = "" if packing is None else packing.result()
+    with no_template():
+        sections = _drawn(list(page.panels), page.subject)
     html = _ENVIRONMENT.get_template("page.html").render(
-        page=page, sections=sections, library=address, packed_library=packed
+        page=page,
+        sections=sections,
+        library=address,
+        packed_library="" if address else packed_library(),
     )
     write_whole(path, html)
 
 
-def _drawn(
-    panels: Sequence[Panel[T]], subject: T, executor: Executor
-) -> dict[str, list[tuple[Panel[T], Any]]]:
+def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
     """Panels with what they show, by section; without those that have nothing to show."""
     begun = {panel.id: panel.draw(subject) for panel in panels if panel.is_drawn_beside}
-    beside = {name: executor.submit(rest) for name, rest in begun.items() if callable(rest)}
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
         end_if_asked()
-        if panel.id in begun:
-            content = beside[panel.id].result() if panel.id in beside else None
-        else:
-            content = without_template(panel.draw, subject)
+        content = begun[panel.id] if panel.id in begun else panel.draw(subject)
+        if callable(content):
+            content = content()
         if content is not None:
             sections.setdefault(panel.section, []).append((panel, content))
     return sections

@@ -89,7 +89,7 @@ def write_study_results(study: StudyOfRuns, folder: StudyFolder) -> dict[str, An
 
     summary = study.summary(folder.rows)
     summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
-    folder.put_together(summary["conditions"], completed=summary["completed"])
+    folder.write(summary["conditions"], completed=summary["completed"])
     write_json(folder.summary, {**summary, "completed": False})  # until all is written
     write_study_report(summary, folder)
     write_json(folder.summary, summary)

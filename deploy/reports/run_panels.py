@@ -8,27 +8,8 @@ from typing import TypeVar
 
 from deploy.judge.run_data import RunData
 from deploy.reports import quantities
+from deploy.reports.figures import joints, learned, several_runs, space, timeline
 from deploy.reports.figures.arm_pictures import arm_pictures
-from deploy.reports.figures.joints import (
-    error_envelopes,
-    error_first_second,
-    error_in_funnel,
-    positions_apart,
-    torque_spectra,
-    torques,
-    torques_side_by_side,
-    transformed_error,
-)
-from deploy.reports.figures.learned import learned_over_time, learned_values, network_output
-from deploy.reports.figures.several_runs import joint_bars, settling, settling_from_afar
-from deploy.reports.figures.space import arm_motion, tip_error, tip_error_envelopes, tip_path
-from deploy.reports.figures.timeline import (
-    deadline_misses,
-    time_of_runs,
-    timeline,
-    times_of_run,
-    with_faults,
-)
 from deploy.reports.page import Panel
 from deploy.study.comparison.comparison import ComparedRuns
 
@@ -58,44 +39,44 @@ def _over_time(
     section: str, name: str, title: str, draw: Callable[[ComparedRuns], T], caption: str
 ) -> RunsPanel:
     """A panel over the time of a run, on which scheduled faults are shades."""
-    return Panel(section, name, title, with_faults(draw), caption, is_over_time=True)
+    return Panel(section, name, title, timeline.with_faults(draw), caption, is_over_time=True)
 
 
 RUN_PANELS: list[RunsPanel] = [
     Panel(
-        "What happened when", "timeline", "Modes of both sides", _of_run(timeline),
+        "What happened when", "timeline", "Modes of both sides", _of_run(timeline.timeline),
         "A good run is ready for an instant and tracking to its end. Crosses are faults, triangles"
         " are limits reached for the first time. What lasts an instant is drawn wider.",
         is_over_time=True,
     ),
     _over_time(
-        "Tracking error", "error-in-funnel", "True error inside its bounds", error_in_funnel,
+        "Tracking error", "error-in-funnel", "True error inside its bounds", joints.error_in_funnel,
         "The line should stay within the shaded band; red marks are ticks outside it. The scale is"
         " that of the steady state. In all figures over time a red shade is a scheduled fault.",
     ),
     _over_time(
-        "Tracking error", "error-first-second", "The first second", error_first_second,
+        "Tracking error", "error-first-second", "The first second", joints.error_first_second,
         "Look for overshoot beyond the far bound, and for the room left while the bounds close in.",
     ),
     _over_time(
-        "Control", "transformed-error", "Transformed error ε", _of_run(transformed_error),
+        "Control", "transformed-error", "Transformed error ε", _of_run(joints.transformed_error),
         "Zero is perfect tracking, and ε grows without limit towards a bound: ±1 is about three"
         " quarters of the way where the bounds are symmetric. As the controller saw it.",
     ),
     _over_time(
-        "Control", "torques", "Commanded torque", _of_run(torques),
+        "Control", "torques", "Commanded torque", _of_run(joints.torques),
         "A solid block of colour is chatter. Dotted: limits of actuators that come near them.",
     ),
     Panel(
-        "Motion", "tip-path", "Path of the end effector", tip_path,
+        "Motion", "tip-path", "Path of the end effector", space.tip_path,
         _PATHS,
     ),
     _over_time(
-        "Motion", "tip-error", "Error of the end effector", _of_run(tip_error),
+        "Motion", "tip-error", "Error of the end effector", _of_run(space.tip_error),
         "True minus reference position in the base frame, scaled to the steady state.",
     ),
     Panel(
-        "Motion", "arm-motion", "The arm along its run", _of_run(arm_motion),
+        "Motion", "arm-motion", "The arm along its run", _of_run(space.arm_motion),
         "From joint to joint, at the instant that the bar at the foot of the page shows. Grey: on"
         " the reference. Drag to turn, scroll to zoom.",
     ),
@@ -106,19 +87,20 @@ RUN_PANELS: list[RunsPanel] = [
     ),
     _over_time(
         "What the network learned", "network-output",
-        "Network output and the dynamics it stands in for", network_output,
+        "Network output and the dynamics it stands in for", learned.network_output,
         _NETWORK + " The closer the two, the less is left to the reaching terms.",
     ),
     Panel(
         "What was learned", "learned-values", "Believed at the end, and true",
-        _of_run(learned_values),
+        _of_run(learned.learned_values),
         "What delay compensation believed of the arm, beside what the scenario gives it. Where the"
         " motion hardly excites the difference between inertia factor and payload, one stands in"
         " for the other, and only both together are right.",
     ),
     *(
         _over_time(
-            "What was learned", name, title, _of_run(partial(learned_over_time, key=key)), caption
+            "What was learned", name, title,
+            _of_run(partial(learned.learned_over_time, key=key)), caption,
         )
         for key, name, title, caption in (
             ("inertia_factor", "learned-inertia", "Inertia factor 1 + α",
@@ -137,12 +119,12 @@ RUN_PANELS: list[RunsPanel] = [
         )
     ),
     Panel(
-        "Timing", "timing-percentiles", "Percentiles of times", _of_run(times_of_run),
+        "Timing", "timing-percentiles", "Percentiles of times", _of_run(timeline.times_of_run),
         _PERCENTILES + " Control step and wake-up lateness are wall time, the others are on the"
         " run's clock.",
     ),
     _over_time(
-        "Timing", "deadline-misses", "Missed deadlines", _of_run(deadline_misses),
+        "Timing", "deadline-misses", "Missed deadlines", _of_run(timeline.deadline_misses),
         "Share of the ticks at which the torque in force answered a state that was too old. A full"
         " block is a link that is slower than the deadline allows.",
     ),
@@ -152,79 +134,80 @@ RUN_PANELS: list[RunsPanel] = [
 _RUNS_PANELS: list[RunsPanel] = [
     Panel(
         "Precision", "rms", "RMS error of every joint",
-        partial(joint_bars, quantity=quantities.RMS_ERROR), "On a logarithmic scale.",
+        partial(several_runs.joint_bars, quantity=quantities.RMS_ERROR), "On a logarithmic scale.",
     ),
     Panel(
-        "Precision", "settling", "Settling time", settling,
+        "Precision", "settling", "Settling time", several_runs.settling,
         "When the error entered the bounds' steady state to stay. A stroke across, for laws that"
         " have one: the bound on the settling time that follows from gains and inertia, whatever"
         " the start. A missing bar is a joint that never settled.",
     ),
     Panel(
-        "Precision", "settling-from-afar", "Settling time from near and far", settling_from_afar,
+        "Precision", "settling-from-afar", "Settling time from near and far",
+        several_runs.settling_from_afar,
         "The scenario from other starts: all joints off by as much. Dashed: the one bound that"
         " holds for every start, for laws that have one. A hollow circle left its funnel on"
         " the way; a cross at the top did not settle while it was watched.",
     ),
     _over_time(
-        "Joint errors", "errors", "True errors inside their bounds", error_in_funnel,
+        "Joint errors", "errors", "True errors inside their bounds", joints.error_in_funnel,
         "The shaded band is the funnel of the first run. The scale is that of its steady state. A"
         " click in the legend hides a run.",
     ),
     _over_time(
-        "Joint errors", "errors-first-second", "The first second", error_first_second,
+        "Joint errors", "errors-first-second", "The first second", joints.error_first_second,
         "Who overshoots the far bound, and who is still outside when the bounds have closed?",
     ),
     _over_time(
-        "Joint errors", "error-envelopes", "Size of the errors", error_envelopes,
+        "Joint errors", "error-envelopes", "Size of the errors", joints.error_envelopes,
         "The largest |e| in each twentieth of a second, on a logarithmic scale: here the small"
         " ones can be told apart. Dotted: the first run's bounds in their steady state.",
     ),
     _over_time(
         "Joint errors", "positions-apart", "How far positions are from those of the first run",
-        positions_apart,
+        joints.positions_apart,
         "At the same instant, on a logarithmic scale. Where a line is missing, the runs have the"
         " same bits.",
     ),
     Panel(
-        "End effector", "tip-paths", "Path of the end effector", tip_path,
+        "End effector", "tip-paths", "Path of the end effector", space.tip_path,
         _PATHS,
     ),
     _over_time(
-        "End effector", "tip-errors", "Cartesian errors", tip_error_envelopes,
+        "End effector", "tip-errors", "Cartesian errors", space.tip_error_envelopes,
         "Size of the true minus the reference position along each axis of the base frame: the"
         " largest in each twentieth of a second.",
     ),
     Panel(
-        "Torque", "torques", "Commanded torques", torques_side_by_side,
+        "Torque", "torques", "Commanded torques", joints.torques_side_by_side,
         "One column per run, one scale along each row. A thin line is smooth; a solid block of"
         " colour is chatter.",
     ),
     Panel(
         "Chattering", "total-variation", "Total variation of torque",
-        partial(joint_bars, quantity=quantities.TOTAL_VARIATION),
+        partial(several_runs.joint_bars, quantity=quantities.TOTAL_VARIATION),
         "How far the torque travels up and down in a second, on a logarithmic scale.",
     ),
     Panel(
         "Chattering", "chatter-share", "Share of torque energy above 50 Hz",
-        partial(joint_bars, quantity=quantities.SHARE_ABOVE_50_HZ),
+        partial(several_runs.joint_bars, quantity=quantities.SHARE_ABOVE_50_HZ),
         "Of the energy of the torque without its mean, on a logarithmic scale. Nothing that the"
         " arm is asked to do is that fast.",
     ),
     Panel(
-        "Chattering", "torque-spectra", "Torque by frequency", torque_spectra,
+        "Chattering", "torque-spectra", "Torque by frequency", joints.torque_spectra,
         "Amplitude in each hertz. To the right of the dotted line it counts as chatter; the"
         " further down a line runs there, the kinder it is to gears.",
     ),
     _over_time(
         "What the network learned", "network-output",
-        "Network output and the dynamics it stands in for", network_output,
+        "Network output and the dynamics it stands in for", learned.network_output,
         "Of the first law that has a network. " + _NETWORK,
     ),
     *(
         Panel(
             "Timing", key.removesuffix("_us").replace("_", "-"), title,
-            partial(time_of_runs, key=key),
+            partial(timeline.time_of_runs, key=key),
             _PERCENTILES,
         )
         for key, title in quantities.TIMES.items()

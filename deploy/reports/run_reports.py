@@ -12,25 +12,11 @@ from typing import Any
 
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_data import RunData
+from deploy.reports import comparison_tables as of_runs
 from deploy.reports import quantities
-from deploy.reports.comparison_tables import (
-    difference_table,
-    law_table,
-    recorded_joint_tables,
-    recorded_table,
-    recorded_timing_table,
-    verdict_table,
-)
+from deploy.reports import run_tables as of_run
 from deploy.reports.page import Cards, Fact, Page, write_page
 from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
-from deploy.reports.run_tables import (
-    confirmation_tables,
-    event_table,
-    health_table,
-    joint_table,
-    timing_table,
-    transport_table,
-)
 from deploy.reports.tables import margin_text, number, percent
 from deploy.reports.verdict import verdict_on_laws, verdict_on_run, verdict_on_runs
 from deploy.run.execute import JudgedRun
@@ -70,11 +56,11 @@ def write_report(
         ComparedRuns([JudgedRun(summary["law"], run, summary)]),
         conditions,
         before=("Key numbers", [
-            Cards([joint_table(summary, from_s)]),
-            Cards([timing_table(summary), health_table(summary), transport_table(summary)],
-                  "three"),
-            Cards([event_table(run)]),
-            Cards(confirmation_tables([summary])),
+            Cards([of_run.joint_table(summary, from_s)]),
+            Cards([of_run.timing_table(summary), of_run.health_table(summary),
+                   of_run.transport_table(summary)], "three"),
+            Cards([of_run.event_table(run)]),
+            Cards(of_run.confirmation_tables([summary])),
         ]),
         end_s=summary["duration_s"],
         footer="Digest of the delivered joint states and commands (SHA-256):",
@@ -89,7 +75,7 @@ def write_comparison_report(comparison: ComparedRuns, path: Path, conditions: Co
     The library of its figures goes beside it, where reports of single laws find it too.
     """
     scenario, summary = comparison.runs[0].data.setup.scenario, comparison.runs[0].summary
-    confirmed = confirmation_tables([run.summary for run in comparison.runs])
+    confirmed = of_run.confirmation_tables([run.summary for run in comparison.runs])
     page = Page(
         "comparison of control laws",
         summary["scenario"],
@@ -107,9 +93,10 @@ def write_comparison_report(comparison: ComparedRuns, path: Path, conditions: Co
         LAW_PANELS,
         comparison,
         conditions,
-        before=("Verdict", [Cards([verdict_table(comparison)]), Cards(confirmed)]),
-        after=("Joint by joint",
-               [Cards([law_table(comparison, each) for each in quantities.BY_LAW], "three")]),
+        before=("Verdict", [Cards([of_runs.verdict_table(comparison)]), Cards(confirmed)]),
+        after=("Joint by joint", [
+            Cards([of_runs.law_table(comparison, each) for each in quantities.BY_LAW], "three"),
+        ]),
         end_s=max(run.summary["duration_s"] for run in comparison.runs),
         footer="Every law has a folder of its own beside this report, with its recording. What"
         " draws that run alone:",
@@ -120,7 +107,7 @@ def write_comparison_report(comparison: ComparedRuns, path: Path, conditions: Co
 
 def write_diff_report(compared: RecordedRuns, path: Path, conditions: Conditions) -> None:
     """Write the report of recorded runs side by side to an HTML file."""
-    differences = [difference_table(compared)] if compared.differing else []
+    differences = [of_runs.difference_table(compared)] if compared.differing else []
     page = Page(
         "recorded runs side by side",
         " · ".join(compared.labels),
@@ -128,12 +115,12 @@ def write_diff_report(compared: RecordedRuns, path: Path, conditions: Conditions
         [Fact(label, str(place))
          for label, place in zip(compared.labels, compared.paths, strict=True)],
         RECORDED_PANELS,
-        compared.comparison,
+        compared,
         conditions,
         before=("Side by side", [
-            Cards([recorded_table(compared), *differences], "stacked"),
-            Cards(recorded_joint_tables(compared), "three"),
-            Cards([recorded_timing_table(compared)], "stacked"),
+            Cards([of_runs.recorded_table(compared), *differences], "stacked"),
+            Cards(of_runs.recorded_joint_tables(compared), "three"),
+            Cards([of_runs.recorded_timing_table(compared)], "stacked"),
         ]),
         footer="Each run was judged again from its recording, by its own scenario's funnel.",
     )  # fmt: skip

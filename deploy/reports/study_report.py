@@ -1,27 +1,37 @@
-"""Reports of studies, made of their summaries alone."""
+"""Reports of studies, made of their summaries alone; and what is particular to that of a sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-from deploy.reports.figures.study_figures import DrawnStudy
+import plotly.graph_objects as go
+
+from deploy.reports.figures import study_figures
+from deploy.reports.figures.study_figures import Curve, DrawnStudy, Point, StudyQuantity, point_of
 from deploy.reports.margin_reports import margin_page, robustness_page
-from deploy.reports.page import Cards, Fact, Page, write_page
+from deploy.reports.page import Cards, Fact, Page, Panel, write_page
 from deploy.reports.run_tables import confirmation_tables
-from deploy.reports.sweep_report import sweep_page
-from deploy.reports.verdict import ReportHead
+from deploy.reports.study_tables import result_tables, shown_value
+from deploy.reports.verdict import ReportHead, level_of
 from deploy.study.folder import StudyFolder
 
-_PAGES = {"sweep": sweep_page, "margin": margin_page, "robustness": robustness_page}
-"""What is particular to each kind of study."""
+Summary = dict[str, Any]
+
+_MOST_CURVES = 14
+_MOST_HEAT_MAPS = 6
+QUANTITIES = [study_figures.TICKS_OUTSIDE, study_figures.WORST_RMS]
+"""What is drawn of every sweep; another one is another entry."""
 
 
 def page_of(study: DrawnStudy) -> Page[DrawnStudy]:
     """The page of a study: what is particular to its kind, and what all studies have."""
     summary = study.summary
     page, seeds = _PAGES[summary["kind"]](study), summary["seeds"]
+    confirmations = confirmation_tables([summary])
     runs = f"{summary['runs']}" if summary["completed"] else f"{summary['runs']}, not complete"
     others = f"; add --set seed={seeds[1]} and so on for the others" if seeds[1:] else ""
     return replace(
@@ -35,7 +45,7 @@ def page_of(study: DrawnStudy) -> Page[DrawnStudy]:
         ],
         panels=page.panels if summary["runs"] else (),
         conditions=summary.get("conditions", {}),
-        after=("Results", [*page.after[1], Cards(confirmation_tables([summary]), "stacked")]),
+        after=("Results", [Cards([*result_tables(summary), *confirmations], "stacked")]),
         points_note=f"The scenarios have seed {seeds[0]}{others}.",
         footer="All runs, one row each:",
     )
@@ -62,3 +72,140 @@ def _with_failures(verdict: ReportHead, summary: dict[str, Any]) -> ReportHead:
 def _shortened(seeds: Sequence[int]) -> str:
     texts = [str(seed) for seed in seeds]
     return ", ".join(texts) if len(texts) <= 6 else f"{len(texts)}: {texts[0]} … {texts[-1]}"
+
+
+def sweep_page(study: DrawnStudy) -> Page[DrawnStudy]:
+    """The report of a sweep."""
+    summary = study.summary
+    points = summary["points"]
+    every = range(len(summary["axes"]))
+    kept = sum(point["runs_kept"] == point["runs"] for point in points)
+    return Page(
+        "sweep",
+        summary["name"],
+        verdict=ReportHead(
+            level_of(kept, len(points)),
+            f"{kept} of {len(points)} points kept their bounds in every run",
+            [
+                f"{_title(axis)}: {', '.join(map(shown_value, axis['values']))}"
+                for axis in summary["axes"]
+            ],
+        ),
+        facts=[
+            Fact("Sweep", summary["name"]),
+            Fact("Scenario", summary["scenario"]),
+            *([Fact("Plants", f"{summary['plants']}")] if summary["plants"] else []),
+        ],
+        panels=[*_curve_panels(study), *_heat_map_panels(study)],
+        subject=study,
+        points=[
+            (
+                _given(summary, point, every) or "all",
+                point["worst_point"],
+                study.rerun(point["worst_point"]),
+            )
+            for point in points
+        ],
+    )
+
+
+def _curve_panels(study: DrawnStudy) -> list[Panel[DrawnStudy]]:
+    """Every quantity over the numeric key with the most values, a line for each of the others."""
+    summary = study.summary
+    order = _by_size(summary)
+    if not order:
+        return []
+    x = next((axis for axis in order if _is_numeric(summary["axes"][axis])), order[0])
+    lines: dict[str, list[Summary]] = {}
+    for point in summary["points"]:
+        others = [axis for axis in order if axis != x]
+        lines.setdefault(_given(summary, point, others) or "all runs", []).append(point)
+    caption = "Lines are means over all runs, the shades reach from the best run to the worst."
+    if summary["plants"]:
+        caption = caption[:-1] + "; for plants kept, shares with Wilson's 95 % intervals."
+    if len(lines) > _MOST_CURVES:
+        caption += f" {_MOST_CURVES} of {len(lines)} lines are drawn; all points are in the table."
+    shown = [
+        Curve(name, index % 7, index // 7,
+              [point_of(p["values"][x], p, p["worst_point"], study) for p in points])
+        for index, (name, points) in enumerate(itertools.islice(lines.items(), _MOST_CURVES))
+    ]  # fmt: skip
+    return [
+        study_figures.curves_panel(
+            "Curves", f"curve-{quantity.key}", quantity.title, shown, _title(summary["axes"][x]),
+            quantity, caption,
+        )
+        for quantity in _quantities(summary)
+    ]  # fmt: skip
+
+
+def _heat_map_panels(study: DrawnStudy) -> list[Panel[DrawnStudy]]:
+    """Every quantity over the two keys with the most values, a map for each of the others."""
+    summary = study.summary
+    order = _by_size(summary)[:2]
+    if len(order) < 2:
+        return []
+    others = [axis for axis in range(len(summary["axes"])) if axis not in order]
+    combinations = itertools.product(*(summary["axes"][axis]["values"] for axis in others))
+    x, y = (summary["axes"][axis] for axis in order)
+
+    def places(chosen: tuple[Any, ...]) -> list[list[Point | None]]:
+        """The points of a map, a row per value of `y`."""
+        found = {
+            tuple(point["values"][axis] for axis in order): point
+            for point in summary["points"]
+            if chosen == tuple(point["values"][axis] for axis in others)
+        }
+        rows = ((found.get((a, b)) for a in x["values"]) for b in y["values"])
+        return [[p and point_of(None, p, p["worst_point"], study) for p in row] for row in rows]
+
+    def draw(
+        _study: DrawnStudy, rows: list[list[Point | None]], quantity: StudyQuantity
+    ) -> go.Figure:
+        return study_figures.heat_map(
+            (_title(x), x["values"]), (_title(y), y["values"]), rows, quantity
+        )
+
+    return [
+        Panel("Heat maps", f"field-{quantity.key}-{index}",
+              " · ".join([quantity.title, *_named(summary, others, chosen)]),
+              partial(draw, rows=places(chosen), quantity=quantity),
+              "Means over all runs; the darker, the "
+              f"{'worse' if quantity.more_is_worse else 'better'}.", is_clickable=True)
+        for index, chosen in enumerate(itertools.islice(combinations, _MOST_HEAT_MAPS))
+        for quantity in _quantities(summary)
+    ]  # fmt: skip
+
+
+def _quantities(summary: Summary) -> list[StudyQuantity]:
+    """What is drawn, each as curves and as heat maps."""
+    return [*([study_figures.PLANTS_KEPT] if summary["plants"] else []), *QUANTITIES]
+
+
+def _given(summary: Summary, point: Summary, axes: Iterable[int]) -> str:
+    """What a point has on some axes, each value with its keys."""
+    places = list(axes)
+    return ", ".join(_named(summary, places, [point["values"][axis] for axis in places]))
+
+
+def _named(summary: Summary, axes: Iterable[int], values: Iterable[Any]) -> list[str]:
+    titles = (_title(summary["axes"][axis]) for axis in axes)
+    return [f"{keys} = {shown_value(value)}" for keys, value in zip(titles, values, strict=True)]
+
+
+def _title(axis: Summary) -> str:
+    return ", ".join(axis["keys"])
+
+
+def _by_size(summary: Summary) -> list[int]:
+    """Axes with more than one value, the longest first."""
+    sizes = {index: len(axis["values"]) for index, axis in enumerate(summary["axes"])}
+    return sorted((axis for axis in sizes if sizes[axis] > 1), key=lambda axis: -sizes[axis])
+
+
+def _is_numeric(axis: Summary) -> bool:
+    return all(isinstance(value, float) for value in axis["values"])
+
+
+_PAGES = {"sweep": sweep_page, "margin": margin_page, "robustness": robustness_page}
+"""What is particular to each kind of study."""

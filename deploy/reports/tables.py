@@ -7,9 +7,9 @@ A table is built once from a summary; `terminal.print_table`, the templates of t
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 from deploy.judge.conditions import conditions_line
 
@@ -144,6 +144,27 @@ class Table:
             [entry if isinstance(entry, Cell) else Cell(entry) for entry in row]
             for row in self.rows
         ]
+
+
+Item = TypeVar("Item")
+
+
+def table_of(
+    title: str,
+    columns: Sequence[tuple[Column, Callable[[Item], Cell | Value]]],
+    items: Iterable[Item],
+    note: str = "",
+) -> Table:
+    """A table with a row for each item.
+
+    Args:
+        title: what it is about.
+        columns: each with what it has of an item.
+        items: what the rows are of.
+        note: what a reader must know of its numbers.
+    """
+    rows = [[of(item) for _, of in columns] for item in items]
+    return Table(title, [column for column, _ in columns], rows, note)
 
 
 def quotable(table: Table, conditions: Mapping[str, str]) -> str:

@@ -59,14 +59,15 @@ class ReportHead:
 
 
 def verdict_on_run(
-    run: RunData,
-    summary: dict[str, Any],
-    conditions: Mapping[str, str] = MappingProxyType({}),
+    run: RunData, summary: dict[str, Any], conditions: Mapping[str, str] = MappingProxyType({})
 ) -> ReportHead:
     """The verdict on a run, which came about under some conditions, where they are known."""
     bounds, known = summary["bounds"], known_ticks(run)
+    is_judged = bounds["violation_fraction"] is not None
     reasons = [
-        _bounds_sentence(run, bounds, known),
+        f"The true error was {_bounds_text(run, summary, known)}."
+        if is_judged
+        else "No tick was recorded, so there is nothing to judge.",
         *_shortcomings(run, summary, known),
         *_sentences_on_a_stall(summary["timing"]["longest_stall_ms"], conditions),
     ]
@@ -75,7 +76,7 @@ def verdict_on_run(
         headline = f"Recording damaged: {headline[0].lower()}{headline[1:]}"
     if level == "broken" and bounds["violation_fraction"]:
         headline += ", bounds not kept"
-    elif level == "broken" and bounds["violation_fraction"] is not None:
+    elif level == "broken" and is_judged:
         headline += ", inside its bounds where it is known"
     return ReportHead(level, headline, reasons, summary["faults"])
 
@@ -132,14 +133,9 @@ def _sentences_on_gaps(summary: dict[str, Any]) -> list[str]:
     left_out_s = recording["torque_left_out_s"]
     pairs = zip(summary["tracking"]["joint_names"], recording["settling_is_latest"], strict=True)
     names = ", ".join(name for name, is_latest in pairs if is_latest)
-    found = []
-    if names:
-        found.append(f"Settled while ticks are missing, at the time given at the latest: {names}.")
-    if left_out_s:
-        found.append(
-            f"Variation and spectrum of the torques leave out the {left_out_s:.3f} s over them."
-        )
-    return found
+    latest = f"Settled while ticks are missing, at the time given at the latest: {names}."
+    torques = f"Variation and spectrum of the torques leave out the {left_out_s:.3f} s over them."
+    return [*([latest] if names else []), *([torques] if left_out_s else [])]
 
 
 def missing_ticks_sentence(known: KnownTicks) -> str:
@@ -150,28 +146,20 @@ def missing_ticks_sentence(known: KnownTicks) -> str:
     )
 
 
-def times_text(bounds: Mapping[str, Any]) -> str:
-    """How far outside its bounds an error was; a state that is no number has no such figure."""
-    margin = bounds["margin_min"]
-    return "an unknown multiple of" if margin is None else f"{number(1.0 - margin)} times"
-
-
-def _bounds_sentence(run: RunData, bounds: dict[str, Any], known: KnownTicks) -> str:
-    if bounds["violation_fraction"] is None:
-        return "No tick was recorded, so there is nothing to judge."
-    is_all = not known.missing and not run.damage
+def _bounds_text(run: RunData, summary: Mapping[str, Any], known: KnownTicks) -> str:
+    """Where the error was by its bounds, at the ticks that are known."""
+    bounds, is_all = summary["bounds"], not known.missing and not run.damage
     of_all = f" of {known.ticks:,}" if known.missing else ""
     where = f"the {known.known:,}{of_all} ticks at which it is known"
+    margin = bounds["margin_min"]
     if not bounds["violation_fraction"]:
-        return (
-            "The true error of every joint was inside its bounds at"
-            f" {f'all {known.ticks:,} ticks' if is_all else where}; the smallest margin was"
-            f" {margin_text(bounds['margin_min'])}."
-        )
+        ticks = f"all {known.ticks:,} ticks" if is_all else where
+        return f"inside its bounds at {ticks}, smallest margin {margin_text(margin)}"
+    times = "an unknown multiple of" if margin is None else f"{number(1.0 - margin)} times"
     return (
-        f"The true error was outside its bounds at {number(bounds['violation_fraction'], 100)} %"
-        f" of {'the ticks' if is_all else where}, for the first time at"
-        f" {bounds['first_violation_s']:.3f} s, and at most {times_text(bounds)} its bound."
+        f"outside its bounds at {number(bounds['violation_fraction'], 100)} % of"
+        f" {'the ticks' if is_all else where}, for the first time at"
+        f" {bounds['first_violation_s']:.3f} s, and at most {times} its bound"
     )
 
 
@@ -211,7 +199,12 @@ def _head(runs: Sequence[JudgedRun], headline: str, reasons: Sequence[str]) -> R
         unread = " or cannot be read whole" if Verdict.UNKNOWN in {r.verdict for r in runs} else ""
         return ReportHead("broken", f"{headline}, {len(unsound)} did not finish{unread}", said)
     kept = sum(run.kept_bounds for run in runs)
-    return ReportHead("good" if kept == len(runs) else "mixed" if kept else "bad", headline, said)
+    return ReportHead(level_of(kept, len(runs)), headline, said)
+
+
+def level_of(kept: int, total: int) -> Level:
+    """The level of so many runs or points that kept their bounds."""
+    return "good" if kept == total else "mixed" if kept else "bad"
 
 
 def _is_sound(run: JudgedRun) -> bool:
@@ -221,13 +214,16 @@ def _is_sound(run: JudgedRun) -> bool:
 
 def bounds_sentence(run: JudgedRun) -> str:
     """What became of a law's bounds, or of the law."""
-    faults = run.summary["faults"]
+    faults, known = run.summary["faults"], known_ticks(run.data)
     if faults:
         return "; ".join(faults[:_SHOWN_FAULTS])
     if run.verdict is Verdict.INTERRUPTED:
         return "did not come to its end"
-    is_known = run.verdict is not Verdict.UNKNOWN
-    return f"{'' if is_known else 'not all of it is known; where it is, it '}{_bounds_text(run)}"
+    if run.verdict is Verdict.NOTHING:
+        return "has no tick"
+    if run.verdict is Verdict.LOST and not run.summary["bounds"]["violation_fraction"]:
+        return "left its bounds at ticks that its recording lacks, as the plant counted"
+    return _bounds_text(run.data, run.summary, known)
 
 
 def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
@@ -239,22 +235,6 @@ def recording_sentences(runs: Iterable[JudgedRun]) -> list[str]:
         if (known := known_ticks(run.data)).missing:
             found.append(f"{run.law}: {missing_ticks_sentence(known)}")
     return found
-
-
-def _bounds_text(run: JudgedRun) -> str:
-    bounds = run.summary["bounds"]
-    if bounds["violation_fraction"] is None:
-        return "has no tick"
-    if not bounds["violation_fraction"]:
-        if run.verdict is Verdict.LOST:
-            return "left its bounds at ticks that its recording lacks, as the plant counted"
-        inside = "kept" if run.kept_bounds else "was inside"
-        return f"{inside} its bounds, smallest margin {margin_text(bounds['margin_min'])}"
-    return (
-        f"left its bounds at {bounds['first_violation_s']:.3f} s, outside at"
-        f" {number(bounds['violation_fraction'], 100.0, ' %')} of the ticks, at most"
-        f" {times_text(bounds)} its bound"
-    )
 
 
 def _ranking(comparison: ComparedRuns) -> list[str]:

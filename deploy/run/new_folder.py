@@ -1,4 +1,4 @@
-"""Folders for results: new ones, and no two commands in one at a time."""
+"""Folders for results: new ones, no two commands in one at a time, and missing recordings."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import os
 import re
 import shutil
 import time
+from collections.abc import Callable
 from itertools import chain, count
 from pathlib import Path
 
 from bus_schema.configuration import shortened
+from bus_schema.errors import did_you_mean
 from deploy.scenario.effective import is_copy
 from deploy.scenario.yaml_files import ScenarioError
 
@@ -28,6 +30,8 @@ _MORE = re.compile(
 """What else commands write there."""
 _FOLDERS = ("rows", "scenarios", "base", "export")
 """Of a study, and what `export` writes."""
+_SHOWN = 5
+_KINDS = {"margin": "study of margins", "robustness": "study of robustness"}
 
 
 class FolderLock:
@@ -56,6 +60,12 @@ class FolderLock:
             os.close(self._descriptor)
             self._descriptor = None
 
+    def __enter__(self) -> FolderLock:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def __del__(self) -> None:
         self.close()
 
@@ -82,11 +92,13 @@ def new_folder(name: str, out: Path | None, *, overwrite: bool = False) -> Path:
         raise ScenarioError(f"--out {shortened(str(path))}: cannot be created: {reason}") from error
     if not os.access(path, os.W_OK):
         raise ScenarioError(f"--out {path}: is not writable")
-    lock = FolderLock(path)
-    try:
-        _clear(path, overwrite=overwrite)
-    finally:
-        lock.close()
+    with FolderLock(path):
+        found = next((name for name in _RESULTS if (path / name).exists()), None)
+        if overwrite:
+            _remove_files(path)
+        elif found is not None:
+            allowed = "must be a folder without, or give --overwrite"
+            raise ScenarioError(f"--out {path}: holds results ({found}): {allowed}")
     return path
 
 
@@ -102,17 +114,6 @@ def resolved_out(path: Path) -> Path:
         raise ScenarioError(f"--out {shortened(str(path))}: cannot be created: {error}") from error
 
 
-def _clear(path: Path, *, overwrite: bool) -> None:
-    """Make sure that a folder holds no results."""
-    found = next((name for name in _RESULTS if (path / name).exists()), None)
-    if found is not None and not overwrite:
-        raise ScenarioError(
-            f"--out {path}: holds results ({found}): must be a folder without, or give --overwrite"
-        )
-    if overwrite:
-        _remove_files(path)
-
-
 def holds_results(path: Path) -> bool:
     """Whether there is a folder with results of ours."""
     return any((path / name).exists() for name in _RESULTS)
@@ -124,16 +125,13 @@ def remove_results(path: Path) -> None:
     Raises:
         ScenarioError: another command is writing there.
     """
-    lock = FolderLock(path)
-    try:
+    with FolderLock(path):
         for inner in [inner for inner in path.iterdir() if inner.is_dir()]:
             if not inner.is_symlink() and holds_results(inner):  # one law of a comparison
                 remove_results(inner)
         _remove_files(path)
         if not any(path.iterdir()):
             path.rmdir()
-    finally:
-        lock.close()
 
 
 def _remove_files(path: Path) -> None:
@@ -148,3 +146,45 @@ def _unused(name: str) -> Path:
     """A path of that name, with a number behind it where there is one already."""
     candidates = chain([name], (f"{name}-{number}" for number in count(2)))
     return next(path for path in map(Path, candidates) if not path.exists())
+
+
+def missing_recording(path: Path, kind: str) -> str:
+    """What to tell somebody who gave a path for that of a run.
+
+    Args:
+        path: a folder without ``run.mcap``, or nothing at all.
+        kind: of the results in that folder, as its summary has it; empty where there is none.
+    """
+    if not path.exists():
+        return f"{path}: holds no run.mcap: no such folder or file{_others(path)}"
+    if not kind and (path / "study.yaml").is_file():  # it has come to no end
+        kind = "study"
+    if kind in {"", "run"}:
+        return f"{path}: holds no run.mcap"
+    recorded = _folders(path, lambda inner: (inner / "run.mcap").is_file())
+    runs = f", with runs in {_listed(recorded)}" if recorded else ""
+    return (
+        f"{path}: holds no run.mcap, as it is no run but a {_KINDS.get(kind, kind)}{runs};"
+        f" funnel-hil report {path} shows it"
+    )
+
+
+def _others(path: Path) -> str:
+    """What `funnel-hil runs list` shows beside a path, and which of it may have been meant."""
+    found = _folders(path.parent, holds_results)
+    if not found:
+        return "; funnel-hil runs list shows what lies in runs"
+    meant = did_you_mean(path.name, [each.name for each in found])
+    return f"; funnel-hil runs list {path.parent} shows {_listed(found)}{meant}"
+
+
+def _folders(folder: Path, are_asked_for: Callable[[Path], bool]) -> list[Path]:
+    try:
+        return sorted(inner for inner in folder.iterdir() if are_asked_for(inner))
+    except OSError:  # it is not there, or nobody may look into it
+        return []
+
+
+def _listed(folders: list[Path]) -> str:
+    more = f" and {len(folders) - _SHOWN} more" if len(folders) > _SHOWN else ""
+    return ", ".join(map(str, folders[:_SHOWN])) + more

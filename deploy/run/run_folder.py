@@ -24,8 +24,7 @@ from bus_schema.user_files import read_text
 from controller.laws.custom import custom_laws_left_out
 from deploy.judge.arithmetic import libm_fingerprint
 from deploy.judge.run_data import RunData, build_run_data
-from deploy.run.missing_recording import missing_recording
-from deploy.run.new_folder import FolderLock, new_folder
+from deploy.run.new_folder import FolderLock, missing_recording, new_folder
 from deploy.run.processes.recorder import (
     DAMAGING,
     DATA_ATTACHMENTS,

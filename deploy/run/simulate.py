@@ -22,11 +22,7 @@ from deploy.run.processes.logged_view import LoggedView
 from deploy.run.processes.recorder import close_log, open_log
 from deploy.scenario.setup import Setup
 from deploy.scenario.yaml_files import ScenarioError
-from plant_emulator.faults.process_faults import (
-    ProcessAction,
-    process_actions,
-    process_faults,
-)
+from plant_emulator.faults.process_faults import ProcessAction, process_actions, process_faults
 from plant_emulator.plant_loop import PlantLoop
 
 CLOCK = "virtual"
@@ -82,9 +78,7 @@ class Simulation:
 
 
 def simulate(
-    setup: Setup,
-    on_start: Callable[[PlantLoop], None] | None = None,
-    can_log: Path | None = None,
+    setup: Setup, on_start: Callable[[PlantLoop], None] | None = None, can_log: Path | None = None
 ) -> Simulation:
     """Run a scenario in virtual time.
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.can.protocol import PROTOCOLS
 from bus_schema.configuration import ConfigurationError, expand
+from bus_schema.eigenvalues import eigenvalues
 from bus_schema.errors import JointNameError, RobotDescriptionError
 from bus_schema.robot_description import RobotDescription, load_robot
 from bus_schema.runtime.clock import TickGrid
@@ -56,8 +59,8 @@ def _set_up(scenario: ScenarioConfiguration, origin: Origin) -> Setup:
     reference = reference_section.build(robot)
     grid = _grid(scenario)
     motion = _reachable_motion(reference, robot, scenario)
-    scenario = _loaded(scenario, robot)
     offset, start = _start(reference, robot, given.initial_offset_rad)
+    scenario = _in_numbers(scenario, robot, start, grid)
     context = FaultContext(
         robot.joint_names, scenario.duration_s, scenario.plant.payload_kg, link_kind.no_link_faults
     )
@@ -101,16 +104,43 @@ def _check_gears(
         raise ConfigurationError(key, stiffness.tolist(), allowed, ["plant.substeps", "robot"])
 
 
-def _loaded(scenario: ScenarioConfiguration, robot: RobotDescription) -> ScenarioConfiguration:
-    """The scenario with its payload in kg, be it given as a share of what the arm can hold."""
+def _in_numbers(
+    scenario: ScenarioConfiguration, robot: RobotDescription, start: Vector, grid: TickGrid
+) -> ScenarioConfiguration:
+    """The scenario with payload and gears in numbers, where it has them in the arm's own size."""
     plant = scenario.plant
-    if not plant.payload_share:
+    rated = plant.actuator.saturation_nm
+    rated = robot.effort_limits_nm if rated is None else rated
+    changes: dict[str, object] = {}
+    if plant.payload_share:
+        payload_kg = plant.payload_kg + plant.payload_share * largest_load_kg(robot, rated)
+        changes = {"payload_kg": payload_kg, "payload_share": 0.0}
+    if (first_hz := plant.actuator.gear_resonance_hz) is not None:
+        stiffness = _gear_stiffness(robot, rated, start, first_hz, grid)
+        update = {"gear_resonance_hz": None, "gear_stiffness_nm_rad": stiffness}
+        changes["actuator"] = plant.actuator.model_copy(update=update)
+    if not changes:
         return scenario
-    saturation = plant.actuator.saturation_nm
-    most_kg = largest_load_kg(robot, robot.effort_limits_nm if saturation is None else saturation)
-    payload_kg = plant.payload_kg + plant.payload_share * most_kg
-    changed = plant.model_copy(update={"payload_kg": payload_kg, "payload_share": 0.0})
-    return scenario.model_copy(update={"plant": changed})
+    return scenario.model_copy(update={"plant": plant.model_copy(update=changes)})
+
+
+def _gear_stiffness(
+    robot: RobotDescription, rated: Vector, start: Vector, first_hz: float, grid: TickGrid
+) -> Vector:
+    """Stiffness with which the arm has a first resonance; less where a physics step is too long.
+
+    Raises:
+        ConfigurationError: the largest torques, to which it is proportional, are not known.
+    """
+    if not np.isfinite(rated).all():
+        allowed = "must be left out where neither URDF nor saturation_nm has the largest torques"
+        raise ConfigurationError("plant.actuator.gear_resonance_hz", first_hz, allowed)
+    model = ManipulatorModel(robot)
+    root = np.sqrt(np.broadcast_to(rated, robot.joints))
+    slowest_s2 = eigenvalues(model.mass_matrix(start) / np.outer(root, root))[0].max()
+    wanted = root**2 * (2.0 * math.pi * first_hz) ** 2 * slowest_s2
+    most = 0.2 * model.governing_inertia(start[None]) / grid.substep_s**2
+    return np.asarray(np.minimum(wanted, most))
 
 
 def _check_sides(setup: Setup) -> None:

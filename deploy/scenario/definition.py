@@ -7,13 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from bus_schema.configuration import (
-    NonNegative,
-    Number,
-    PerJoint,
-    StrictModel,
-    Whole,
-)
+from bus_schema.configuration import NonNegative, Number, PerJoint, StrictModel, Whole
 from bus_schema.limits import LimitsConfiguration
 from bus_schema.link.configuration import LinkConfiguration
 from controller.configuration import ControllerConfiguration
@@ -36,12 +30,15 @@ class RobotConfiguration(StrictModel):
         joints: names of the joints to drive, all others are held; None for all that turn or slide,
             but the fingers of grippers.
         repair: mend inertias that no body has, however far off they are.
+        drive_data: where the numbers of plant.actuator and plant.friction come from, for reports;
+            what is marked ESTIMATED is warned of.
         initial_offset_rad: joint positions at the start, relative to the reference.
     """
 
     urdf: str
     joints: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     repair: bool = False
+    drive_data: Annotated[str, Field(max_length=1000)] | None = None
     initial_offset_rad: PerJoint = Field(default_factory=lambda: np.zeros(1))
 
 

@@ -12,10 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from bus_schema.configuration import (
-    ConfigurationError,
-    shown,
-)
+from bus_schema.configuration import ConfigurationError, shown
 from bus_schema.errors import RobotDescriptionError
 from bus_schema.robot_description import load_robot
 from controller.configuration import PROCESS

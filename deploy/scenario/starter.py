@@ -2,25 +2,33 @@
 
 What the file does not say is estimated: the inertia of rotors and friction from the joints' largest
 torques, and these, where they are missing too, from the arm's own weight. The estimates are ours;
-motors of the same torque differ by a factor of 3 and more.
+motors of the same torque differ by a factor of 3 and more. ``robot.drive_data`` names them.
 """
 
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.robot_description import RobotDescription
+from bus_schema.urdf.drive_values import DriveValues
 from controller.manipulator_model import ManipulatorModel, spread_positions
+from controller.rigid_bodies.vectors import product
+from deploy.scenario.referenced_files import ROBOTS
+from deploy.scenario.yaml_files import read_yaml
 from plant_emulator.configuration import ROTOR_INERTIA_S2_RAD
 
 ARM_FILES = (".urdf", ".xacro", ".xml", ".mjcf")
 """Suffixes of files that describe an arm."""
 FRICTION_SHARE = 0.03
 """Dry friction of a geared joint, as a share of its rated torque."""
+_FRICTION_SHARE_BELIEVED = 0.2
+"""What a file may say of it."""
+ESTIMATED = "ESTIMATED"
+"""Marks numbers that nobody measured, where a scenario says where its numbers come from."""
 _SPEED_SHARE = 0.3
 _TORQUE_SHARE, _HELD_SHARE = 0.7, 0.5
 """Of rated torque, along a move and for gravity alone."""
@@ -28,11 +36,28 @@ _REACH_SHARE = 0.2
 """Of a joint's range, to either side of the middle of the reference."""
 _LARGEST_MOVE = 0.5
 _OFFSET_SHARE = 0.1
+_SHED_PER_S, _SHED_S = 9.0, 0.05
 _UNKNOWN_SPEED = 1.0
 _LEAST_MOVE_S = 1.0
 _PEAK_SPEED = 1.875
 """Of a minimum-jerk move of length 1 in time 1."""
 _TRIES = 12
+
+
+class Drives(NamedTuple):
+    """What moves an arm, and what resists.
+
+    Attributes:
+        rated: largest torques, shape (joints,), N m.
+        rotors: inertia of the rotors, shape (joints,), kg m².
+        friction: section ``plant.friction``.
+        data: where all that comes from; `ESTIMATED` marks what nobody measured.
+    """
+
+    rated: Vector
+    rotors: Vector
+    friction: dict[str, Any]
+    data: str
 
 
 def starter_scenario(
@@ -45,8 +70,7 @@ def starter_scenario(
         joints: whether its driven joints were chosen by hand, and have to be named.
         repair: whether its inertias have to be mended.
     """
-    rated = torque_limits(robot)
-    rotors = ROTOR_INERTIA_S2_RAD * rated
+    rated, rotors, friction, data = drives_of(robot)
     model = ManipulatorModel(robot, rotor_inertia_kg_m2=rotors)
     middle, move = _motion(robot, model, rated)
     duration_s = _move_time(robot, model, rated, middle, move)
@@ -55,7 +79,7 @@ def starter_scenario(
         {"time_s": round(number * duration_s, 3), "position_rad": _rounded(ends[number % 2])}
         for number in range(5)
     ]
-    offsets = _OFFSET_SHARE * move * np.where(np.arange(robot.joints) % 2, -1.0, 1.0)
+    offsets = _offsets(model, rated, middle - move, move)
     return {
         "name": re.sub(r"[^A-Za-z0-9_.-]", "_", robot.path.stem).lstrip("_.-") or "arm",
         "duration_s": round(4.0 * duration_s, 3),
@@ -64,6 +88,7 @@ def starter_scenario(
             "urdf": str(robot.path),
             **({"joints": list(robot.joint_names)} if joints else {}),
             **({"repair": True} if repair else {}),
+            "drive_data": data,
             "initial_offset_rad": _rounded(offsets),
         },
         "reference": {"kind": "minimum_jerk", "waypoints": waypoints},
@@ -72,10 +97,66 @@ def starter_scenario(
         "plant": {
             "physics": {"engine": "mujoco"},
             "actuator": {"rotor_inertia_kg_m2": _rounded(rotors), "saturation_nm": _rounded(rated)},
-            "friction": {"coulomb_share": FRICTION_SHARE, "smoothing_velocity_rad_s": 0.02},
+            "friction": friction,
         },
         "limits": {"torque_nm": _rounded(rated)},
     }
+
+
+def drives_of(robot: RobotDescription) -> Drives:
+    """What is known of an arm's drives, by the shipped scenario for its motors, or by its file."""
+    motors = ROBOTS.with_name("scenarios") / f"{robot.path.stem}_motors.yaml"
+    if robot.path.parent == ROBOTS and motors.is_file():
+        published = read_yaml(motors)
+        plant, data = published["plant"], published["robot"]["drive_data"]
+        rated = np.array(plant["actuator"].get("saturation_nm", torque_limits(robot)), float)
+        rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
+        return Drives(rated, rotors, plant["friction"], data)
+    rated = torque_limits(robot)
+    own = _believed(robot, rated)
+    rotors = own.rotor_inertia_kg_m2
+    rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
+    given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
+    friction: dict[str, Any] = {key: _rounded(each) for key, each in given.items() if each.any()}
+    if not own.friction_nm.all():
+        shares = np.where(own.friction_nm > 0.0, 0.0, FRICTION_SHARE)
+        friction["coulomb_share"] = shares.tolist() if own.friction_nm.any() else FRICTION_SHARE
+    friction["smoothing_velocity_rad_s"] = 0.02
+    sources = (
+        ("rotor inertia", own.rotor_inertia_kg_m2, f"{ROTOR_INERTIA_S2_RAD} kg m² per N m"),
+        ("dry friction", own.friction_nm, f"{100 * FRICTION_SHARE:g} %"),
+    )
+    data = [_source(*each) for each in sources]
+    if not np.isfinite(robot.effort_limits_nm).all():
+        data.insert(0, f"largest torques {ESTIMATED} from its weight where its file has none")
+    return Drives(rated, rotors, friction, ", ".join(data))
+
+
+def _believed(robot: RobotDescription, rated: Vector) -> DriveValues:
+    """What an arm's file says of its drives, without friction that would take a motor's torque up.
+
+    Many files have 1 N m for every joint, from a template, and dampings that steady a simulation.
+    """
+    own = robot.drives
+    dry, viscous = own.friction_nm, own.damping_nm_s * _slow_speeds(robot)
+    return own._replace(
+        friction_nm=np.where(dry <= _FRICTION_SHARE_BELIEVED * rated, dry, 0.0),
+        damping_nm_s=np.where(viscous <= _FRICTION_SHARE_BELIEVED * rated, own.damping_nm_s, 0.0),
+    )
+
+
+def _slow_speeds(robot: RobotDescription) -> Vector:
+    """The speeds that the reference stays below, shape (joints,), rad/s."""
+    limits = robot.velocity_limits_rad_s
+    return _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
+
+
+def _source(name: str, known: Vector, estimate: str) -> str:
+    """Where a number comes from that is zero for joints of which the file says nothing."""
+    parts = ["from the arm's file"] if known.any() else []
+    if not known.all():
+        parts.append(f"{ESTIMATED} as {estimate} of the largest torque")
+    return f"{name} {' and elsewhere '.join(parts)}"
 
 
 def torque_limits(robot: RobotDescription) -> Vector:
@@ -114,6 +195,17 @@ def _motion(
     return best, move
 
 
+def _offsets(model: ManipulatorModel, rated: Vector, start: Vector, move: Vector) -> Vector:
+    """How far off the reference the joints start, shape (joints,): no more than motors can shed.
+
+    All joints together set off towards it at `_SHED_PER_S` times the offset, within `_SHED_S`.
+    """
+    offsets = _OFFSET_SHARE * move * np.where(np.arange(move.size) % 2, -1.0, 1.0)
+    needed = np.abs(product(model.mass_matrix(start), _SHED_PER_S / _SHED_S * offsets))
+    left = np.maximum(rated - np.abs(model.gravity(start)), 0.0)
+    return offsets * min(1.0, float((left / needed).min()))
+
+
 def _range(robot: RobotDescription) -> tuple[Vector, Vector]:
     """Ends of the joints' ranges, of which those that turn for ever have half a turn each way."""
     return np.maximum(robot.lower_rad, -np.pi), np.minimum(robot.upper_rad, np.pi)
@@ -123,11 +215,11 @@ def _move_time(
     robot: RobotDescription, model: ManipulatorModel, rated: Vector, middle: Vector, move: Vector
 ) -> float:
     """Time of a move from one end to the other within limits of speed and torque, s."""
-    limits = robot.velocity_limits_rad_s
-    speeds = _SPEED_SHARE * np.where(np.isfinite(limits), limits, _UNKNOWN_SPEED)
-    move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / speeds).max()))
+    move_s = max(_LEAST_MOVE_S, float((_PEAK_SPEED * 2.0 * move / _slow_speeds(robot)).max()))
+    # An arm that hardly holds itself up is not helped by standing nearly still.
+    allowed = np.maximum(_TORQUE_SHARE * rated, 1.1 * _peak_torque(model, middle, move))
     for _ in range(_TRIES):
-        if (_peak_torque(model, middle, move, move_s) <= _TORQUE_SHARE * rated).all():
+        if (_peak_torque(model, middle, move, move_s) <= allowed).all():
             break
         move_s *= 1.25
     return move_s

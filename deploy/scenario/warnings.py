@@ -7,9 +7,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
+from bus_schema.configuration import expand
 from controller.manipulator_model import ManipulatorModel
 from deploy.scenario.setup import Setup
-from deploy.scenario.starter import ARM_FILES
+from deploy.scenario.starter import ESTIMATED
+from plant_emulator.arm.drive_train import friction_table
 
 _TORQUE_SAMPLES = 400
 
@@ -37,10 +39,15 @@ def scenario_warnings(setup: Setup) -> list[str]:
                 f"no velocity limit in the URDF for {lacking}: speeds are UNLIMITED there; set"
                 " limits.velocity_rad_s"
             )
-    if setup.source.suffix.lower() in ARM_FILES and scenario.plant.actuator.has_rotors:
+    actuator = scenario.plant.actuator
+    if actuator.gear_stiffness_nm_rad is not None and actuator.encoder_side == "link":
         said.append(
-            "rotor inertia and friction are ESTIMATES in proportion to the joints' largest torques:"
-            " funnel-hil robot --scenario writes them into a scenario, to be replaced"
+            "plant.actuator.encoder_side: link measures beyond elastic gears, where no shipped law"
+            " kept its bounds at a first resonance of 15 Hz; motor measures before them"
+        )
+    if ESTIMATED in (data := scenario.robot.drive_data or ""):
+        said.append(
+            f"{data}: replace that in the scenario (funnel-hil robot --scenario writes one)"
         )
     said += _torque_warning(setup)
     most_nm = scenario.limits.of_plant(robot).torque_nm
@@ -54,8 +61,7 @@ def _torque_warning(setup: Setup) -> list[str]:
     if plant.actuator.saturation_nm is not None:
         limits = np.minimum(limits, plant.actuator.saturation_nm)
     times_s = np.linspace(0.0, setup.scenario.duration_s, _TORQUE_SAMPLES)
-    rotors = plant.actuator.rotor_inertia(robot.joints)
-    torques = np.abs(reference_torques(setup, times_s, rotors))
+    torques = np.abs(reference_torques(setup, times_s))
     usage = torques / np.where(limits > 0.0, limits, np.inf)
     if not usage.max(initial=0.0) > 1.0:
         return []
@@ -69,21 +75,30 @@ def _torque_warning(setup: Setup) -> list[str]:
     ]
 
 
-def reference_torques(setup: Setup, times_s: Vector, rotors_kg_m2: Vector) -> Matrix:
-    """Torques that move the arm along its reference without friction, shape (times, joints), N m.
+def reference_torques(setup: Setup, times_s: Vector) -> Matrix:
+    """Torques that move the arm along its reference, shape (times, joints), N m.
 
     Args:
         setup: the scenario.
         times_s: shape (times,).
-        rotors_kg_m2: inertia of each joint's rotor, shape (joints,).
     """
-    payload_kg = setup.scenario.plant.payload_kg
-    model = ManipulatorModel(setup.robot, payload_kg=payload_kg, rotor_inertia_kg_m2=rotors_kg_m2)
-    motion = np.empty((3, setup.robot.joints))
+    plant, robot = setup.scenario.plant, setup.robot
+    model = ManipulatorModel(
+        robot,
+        payload_kg=plant.payload_kg,
+        rotor_inertia_kg_m2=plant.actuator.rotor_inertia(robot.joints),
+    )
+    rated = robot.effort_limits_nm
+    if plant.actuator.saturation_nm is not None:
+        rated = expand(plant.actuator.saturation_nm, robot.joints, "plant.actuator.saturation_nm")
+    friction = friction_table(plant.friction, rated)
+    dry, smooth = friction["coulomb_nm"], friction["smoothing_velocity_rad_s"]
+    motion = np.empty((3, robot.joints))
     follow, torques = setup.reference.onto(*motion), []
     for time_s in times_s:
         follow(float(time_s))
-        torques.append(model.inverse_dynamics(*motion))
+        resisting = dry * np.tanh(motion[1] / smooth) + friction["viscous_nm_s"] * motion[1]
+        torques.append(model.inverse_dynamics(*motion) + resisting)
     return np.array(torques)
 
 

@@ -8,7 +8,6 @@ than characters, are counted before anything is built from them.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import yaml
@@ -24,34 +23,10 @@ _MOST_BITS = 1000
 _WANTED = {"int": "a whole number", "float": "a number", "timestamp": "a date of the calendar"}
 """What values have to be by their form, or by their tag."""
 
+_MERGE = "tag:yaml.org,2002:merge"
+
 # Several times as fast, where it is there.
-_BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-class Unreadable(NamedTuple):
-    """A value that is not what its form, or its tag, says that it is."""
-
-    text: str
-    tag: str
-
-    def __repr__(self) -> str:
-        return repr(self.text)
-
-
-class _Loader(_BASE):  # type: ignore[misc]
-    """The safe loader; what it cannot make of a value, it leaves for `values_of` to name."""
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        try:
-            value = super().construct_object(node, deep)
-        except yaml.YAMLError:
-            raise
-        except Exception:  # noqa: BLE001 (PyYAML lets through whatever Python says to a value)
-            value = None
-            is_readable = False
-        else:
-            is_readable = not isinstance(value, int) or value.bit_length() <= _MOST_BITS
-        return value if is_readable else Unreadable(str(node.value), node.tag.rpartition(":")[2])
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Level(NamedTuple):
@@ -85,17 +60,15 @@ def values_of(text: str) -> Any:
         allowed = f"must have at most {MOST_CHARACTERS} characters"
         raise ConfigurationError("the text", f"{len(text)} characters", allowed)
     _check_size(text)
-    loader = _Loader(text)
+    loader = _LOADER(text)
     try:
         node = loader.get_single_node()
-        _require_once(node, "", set())
-        values = None if node is None else loader.construct_document(node)
+        if node is None:
+            return None
+        _check_values(loader, node, "", set())
+        return loader.construct_document(node)
     finally:
         loader.dispose()
-    for key, broken in _unreadable(values, ""):
-        allowed = _WANTED.get(broken.tag, f"a valid {broken.tag}")
-        raise ConfigurationError(key, broken.text, f"must be {allowed}, or a text in quotes")
-    return values
 
 
 def _check_size(text: str) -> None:
@@ -103,7 +76,7 @@ def _check_size(text: str) -> None:
     levels: list[_Level] = []
     sizes: dict[str, int] = {}
     nodes, key = 0, ""
-    for event in yaml.parse(text, Loader=_BASE):
+    for event in yaml.parse(text, Loader=_LOADER):
         if isinstance(event, yaml.CollectionEndEvent):
             level = levels.pop()
             if level.anchor is not None:
@@ -129,24 +102,47 @@ def _check_size(text: str) -> None:
             raise ConfigurationError(key, _line(text, event), allowed)
 
 
-def _require_once(node: yaml.Node | None, key: str, seen: set[int]) -> None:
-    """Refuse a mapping that has a key twice: the parser would keep the last value."""
-    if node is None or id(node) in seen:
+def _check_values(loader: Any, node: yaml.Node, key: str, seen: set[int]) -> None:
+    """Refuse a value that is not what its form or tag says, and a mapping that has a key twice."""
+    if id(node) in seen:
         return
     seen.add(id(node))
-    if isinstance(node, yaml.SequenceNode):
+    if isinstance(node, yaml.ScalarNode):
+        _require_readable(loader, node, key)
+    elif isinstance(node, yaml.SequenceNode):
         for index, inner in enumerate(node.value):
-            _require_once(inner, _dotted(key, index), seen)
+            _check_values(loader, inner, _dotted(key, index), seen)
     elif isinstance(node, yaml.MappingNode):
         lines: dict[str, int] = {}
         for name, inner in node.value:
-            if isinstance(name, yaml.ScalarNode):
-                _require_once(inner, _dotted(key, name.value), seen)
-                again = name.start_mark.line + 1
-                if name.value in lines:
-                    allowed = f"must be given once; it is in lines {lines[name.value]} and {again}"
-                    raise ConfigurationError(_dotted(key, name.value), _said(inner), allowed)
-                lines[name.value] = again
+            if not isinstance(name, yaml.ScalarNode):
+                _check_values(loader, name, key, seen)
+                _check_values(loader, inner, key, seen)
+                continue
+            if name.tag != _MERGE:
+                _require_readable(loader, name, key or "key")
+            own, again = _dotted(key, name.value), name.start_mark.line + 1
+            _check_values(loader, inner, own, seen)
+            if name.value in lines:  # the parser would keep the last value
+                allowed = f"must be given once; it is in lines {lines[name.value]} and {again}"
+                raise ConfigurationError(own, _said(inner), allowed)
+            lines[name.value] = again
+
+
+def _require_readable(loader: Any, node: yaml.ScalarNode, key: str) -> None:
+    """PyYAML lets through anything that Python raises at a value."""
+    try:
+        value = loader.construct_object(node)
+    except yaml.YAMLError:
+        raise
+    except Exception:  # noqa: BLE001
+        is_readable = False
+    else:
+        is_readable = not isinstance(value, int) or value.bit_length() <= _MOST_BITS
+    if not is_readable:
+        tag = node.tag.rpartition(":")[2]
+        allowed = f"must be {_WANTED.get(tag, f'a valid {tag}')}, or a text in quotes"
+        raise ConfigurationError(key, node.value, allowed)
 
 
 def _dotted(key: str, name: object) -> str:
@@ -165,18 +161,3 @@ def _line(text: str, event: yaml.Event) -> str:
 
 def _column(event: yaml.Event) -> int | None:
     return None if event.start_mark is None else event.start_mark.column
-
-
-def _unreadable(values: Any, key: str) -> Iterator[tuple[str, Unreadable]]:
-    """What could not be read, by its dotted key."""
-    match values:
-        case Unreadable():
-            yield key, values
-        case dict():
-            for name, value in values.items():
-                if isinstance(name, Unreadable):
-                    yield key or "key", name
-                yield from _unreadable(value, _dotted(key, name))
-        case list() | tuple() | set():
-            for index, value in enumerate(values):
-                yield from _unreadable(value, _dotted(key, index))

@@ -7,25 +7,19 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar
 
 from pydantic import Field
 
 from bus_schema.configuration import ConfigurationError, Positive
 from deploy.judge.run_rows import Row
+from deploy.scenario import study_keys
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import (
-    LAW,
-    SEED,
-    laws_beside,
-    require_effect,
-    require_link_effect,
-)
 from deploy.scenario.yaml_files import ScenarioError, naming, override, validated
-from deploy.study.plants import with_ranges
-from deploy.study.quantities import Direction, Quantity, build_quantity, ceiling_of_value
+from deploy.study.plants import Variant, with_ranges
+from deploy.study.quantities import Direction, Quantity, build_quantity, held_arm_ceiling_ms
 from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
 
 CASE_COLUMNS = {
@@ -45,7 +39,8 @@ class CasesDefinition(StudyDefinition):
             has it if none is given.
         drive_feedback: values of ``controller.drive_feedback.enabled`` to try, likewise.
         running: false where the quantity is there from the start, true where a loop that already
-            runs meets it gradually, from 1 s to 3 s.
+            runs meets it gradually, from 1 s to 3 s; null for the first alone, and for both where
+            an arm has motors and the quantity can come gradually.
         quantity: what grows: ``delay`` (round trip, half each way), ``jitter`` or ``loss`` (each
             way), or the dotted key of any number of the scenario.
         direction: of the link, where it is to be one alone; the other is as the scenario has it.
@@ -57,7 +52,7 @@ class CasesDefinition(StudyDefinition):
     laws: Different[str] | None = None
     compensation: Different[bool] | None = None
     drive_feedback: Different[bool] | None = None
-    running: Different[bool] = Field(default=[False])
+    running: Different[bool] | None = None
     quantity: str = "delay"
     direction: Direction = "both"
     duration_s: Positive | None = None
@@ -70,33 +65,20 @@ class Setting:
     Attributes:
         scenario: file or name.
         base: the scenario as it is without the quantity.
+        tags: what tells it from the others.
         overrides: what is set in it but for the quantity.
         quantity: what grows.
     """
 
     scenario: str
     base: Setup
-    law: str
-    compensation: bool | None
-    drive_feedback: bool | None
-    running: bool
+    tags: dict[str, Any]
     overrides: tuple[str, ...]
     quantity: Quantity
 
-    @property
-    def tags(self) -> dict[str, Any]:
-        """What tells it from the others."""
-        return {
-            "law": self.law,
-            "arm": self.base.scenario.name,
-            "compensation": self.compensation,
-            "drive_feedback": self.drive_feedback,
-            "running": self.running,
-        }
-
     def at(self, value: float, more: Sequence[str] = ()) -> tuple[str, ...]:
         """What to set for a value of the quantity, and what else is set."""
-        own = self.quantity.overrides(value, running=self.running)
+        own = self.quantity.overrides(value, running=self.tags["running"])
         return (*self.overrides, *more, *own)
 
 
@@ -119,32 +101,47 @@ def settings(wanted: CasesDefinition, own: Mapping[str, str]) -> Iterator[Settin
     unasked: Sequence[bool | None] = [None]
     chosen = itertools.product(
         [(scenario, law) for scenario in wanted.scenarios for law in _laws(wanted, scenario)],
-        wanted.compensation or unasked, wanted.drive_feedback or unasked, wanted.running,
+        wanted.compensation or unasked, wanted.drive_feedback or unasked,
     )  # fmt: skip
-    for (scenario, law), compensation, drive_feedback, running in chosen:
-        asked = {LAW: law, COMPENSATION: compensation, DRIVE_FEEDBACK: drive_feedback}
+    for (scenario, law), compensation, drive_feedback in chosen:
+        asked = {study_keys.LAW: law, COMPENSATION: compensation, DRIVE_FEEDBACK: drive_feedback}
         given = (override(key, value) for key, value in asked.items() if value is not None)
         overrides = (*fixed, *given)
         base = load_setup(scenario, overrides)
-        quantity = build_quantity(wanted.quantity, wanted.direction, running, base)
-        if not quantity.starts_from_own:
-            require_effect(
-                wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
-            )
-        name = base.scenario.controller.name
-        yield Setting(
-            scenario, base, name, compensation, drive_feedback, running, overrides, quantity
-        )
+        for running, quantity in _loops(wanted, base):
+            if quantity.is_of_link:
+                study_keys.require_effect(
+                    wanted.fixed, dict.fromkeys(quantity.keys, "as quantity and limit or values")
+                )
+            tags = {
+                "law": base.scenario.controller.name,
+                "arm": base.scenario.name,
+                "compensation": compensation,
+                "drive_feedback": drive_feedback,
+                "running": running,
+            }
+            yield Setting(scenario, base, tags, overrides, quantity)
+
+
+def _loops(wanted: CasesDefinition, base: Setup) -> Iterator[tuple[bool, Quantity]]:
+    """The quantity as it comes to a loop that starts, to one that runs, or both."""
+    has_motors = base.scenario.plant.actuator.has_rotors
+    for running in wanted.running or ([False, True] if has_motors else [False]):
+        try:
+            yield running, build_quantity(wanted.quantity, wanted.direction, running, base)
+        except ConfigurationError:
+            if not running or wanted.running is not None:  # else nobody asked for it
+                raise
 
 
 def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
     """What is set in all scenarios; errors as `settings`."""
-    own = {**own, LAW: "as laws (--laws)", SEED: "as seeds (--seeds)"}
+    own = {**own, study_keys.LAW: "as laws (--laws)", study_keys.SEED: "as seeds (--seeds)"}
     if wanted.compensation is not None:
         own[COMPENSATION] = "as compensation (--compensation)"
     if wanted.drive_feedback is not None:
         own[DRIVE_FEEDBACK] = "as drive_feedback (--drive-feedback)"
-    require_effect(wanted.fixed, own)
+    study_keys.require_effect(wanted.fixed, own)
     if wanted.duration_s is None:
         return wanted.fixed_overrides
     if "duration_s" in wanted.fixed:
@@ -156,26 +153,39 @@ def _fixed(wanted: CasesDefinition, own: Mapping[str, str]) -> tuple[str, ...]:
 def _laws(wanted: CasesDefinition, scenario: str) -> list[str]:
     if wanted.laws is not None:
         return wanted.laws
-    return laws_beside(load_setup(scenario, wanted.fixed_overrides).scenario.controller.law)
+    return study_keys.laws_beside(
+        load_setup(scenario, wanted.fixed_overrides).scenario.controller.law
+    )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Case:
-    """A setting, and what is tried with it.
+    """A setting, and what is tried with it at every value.
 
     Attributes:
         setting: what it is.
-        ceilings_ms: how long the arm may be held at each start, or of each plant, where known.
+        variants: starts or plants.
+        seeds: those of the runs of each variant: one is enough where nothing is random.
+        ceilings_ms: how long the arm of each variant may be held at its start, where known.
     """
 
     setting: Setting
+    variants: list[Variant]
+    seeds: list[list[int]]
     ceilings_ms: list[float]
 
+    @property
+    def runs_per_value(self) -> int:
+        return sum(map(len, self.seeds))
 
-C = TypeVar("C", bound=Case)
+    @property
+    def findings(self) -> dict[str, Any]:
+        """What its summary says of it first."""
+        ceiling = min(self.ceilings_ms, default=None)
+        return {**self.setting.tags, "held_arm_ceiling_ms": ceiling}
 
 
-class StudyOfCases(StudyOfRuns, Generic[C]):
+class StudyOfCases(StudyOfRuns):
     """A study of a quantity that grows, in all settings of its definition.
 
     Attributes:
@@ -185,7 +195,7 @@ class StudyOfCases(StudyOfRuns, Generic[C]):
 
     definition_type: ClassVar[type[CasesDefinition]]
     definition: Any
-    cases: list[C]
+    cases: list[Case]
 
     def __init__(self, values: Mapping[str, Any], source: Path) -> None:
         with naming(source):
@@ -194,18 +204,57 @@ class StudyOfCases(StudyOfRuns, Generic[C]):
         with naming(source):
             scenarios = [scenario_name(name, source.parent) for name in given.scenarios]
             self.definition = given.model_copy(update={"scenarios": scenarios})
-            self.cases = list(self.build_cases())
+            self.cases = list(self._build_cases())
             self._require_own_names()
             self.bases = list({base.scenario.name: base for base in self.variants}.values())
-            require_link_effect({**given.fixed, given.quantity: None}, self.bases)
+            study_keys.require_link_effect({**given.fixed, given.quantity: None}, self.bases)
 
     @abstractmethod
-    def build_cases(self) -> Iterator[C]:
-        """All cases, each checked at the last value; errors as `settings`."""
+    def variants_of(self, setting: Setting) -> list[Variant]:
+        """The starts or plants of a setting; errors as `settings`."""
+
+    @abstractmethod
+    def last_value(self, setting: Setting) -> float:
+        """The last value that is tried; errors as `settings`."""
+
+    @property
+    @abstractmethod
+    def own_keys(self) -> Mapping[str, str]:
+        """Keys that it sets by itself, each with what to use in its place."""
 
     @abstractmethod
     def case_findings(self, rows: list[Row]) -> dict[str, Any]:
         """What came of the cases, and whether all is `completed`, ready for JSON."""
+
+    def _build_cases(self) -> Iterator[Case]:
+        """All cases; each arm is checked in every variant, each case in the first."""
+        known = dict[str, tuple[list[list[int]], list[float]]]()
+        for setting in settings(self.definition, self.own_keys):
+            variants = self.variants_of(setting)
+            arm = f"{setting.scenario} {setting.tags['running']}"
+            if arm in known:
+                self._checked(setting, variants[0])
+            else:
+                setups = [self._checked(setting, variant) for variant in variants]
+                seeds = [
+                    study_keys.seeds_that_differ(setup, self.definition.seeds) for setup in setups
+                ]
+                known[arm] = seeds, self._ceilings_ms(setting, setups)
+            yield Case(setting, variants, *known[arm])
+
+    def _checked(self, setting: Setting, variant: Variant) -> Setup:
+        overrides = setting.at(self.last_value(setting), variant.overrides)
+        try:
+            return load_setup(setting.scenario, overrides)
+        except ScenarioError as error:
+            raise variant.refused(error) from error
+
+    def _ceilings_ms(self, setting: Setting, setups: Iterable[Setup]) -> list[float]:
+        """The held-arm ceilings of a delay that is there from the start, where there are any."""
+        if setting.tags["running"] or self.definition.quantity != "delay":
+            return []
+        found = (held_arm_ceiling_ms(setup, self.definition.direction) for setup in setups)
+        return [each for each in found if each is not None]
 
     def _require_own_names(self) -> None:
         """Rows tell scenarios by their names."""
@@ -232,29 +281,19 @@ class StudyOfCases(StudyOfRuns, Generic[C]):
             **self.case_findings(rows),
         }
 
-    def ceilings_ms(self, setting: Setting, setups: Iterable[Setup]) -> list[float]:
-        """The held-arm ceilings of a delay that is there from the start, where there are any."""
-        if setting.running or self.definition.quantity != "delay":
-            return []
-        found = (ceiling_of_value(setup, self.definition.direction) for setup in setups)
-        return [each for each in found if each is not None]
+    def runs_at(self, index: int, at: int, value: float) -> Iterator[PlannedRun]:
+        """The runs of a case at a value, the `at`-th: of every variant with every seed."""
+        wanted, case = self.definition, self.cases[index]
+        tags = {**case.setting.tags, "quantity": wanted.quantity, "value": value}
+        for variant, seeds in zip(case.variants, case.seeds, strict=True):
+            overrides = case.setting.at(value, variant.overrides)
+            for seed in seeds:
+                yield PlannedRun(
+                    point_name(index, at, variant), case.setting.scenario, overrides, seed,
+                    {**tags, **variant.columns}, bool(wanted.confirm),
+                )  # fmt: skip
 
-    def planned(
-        self, point: str, setting: Setting, value: float, seeds: Sequence[int],
-        more: Sequence[str], columns: Mapping[str, Any],
-    ) -> list[PlannedRun]:  # fmt: skip
-        """The runs of a setting at a value, one for each seed.
 
-        Args:
-            point: their name.
-            setting: what is tried.
-            value: of the quantity.
-            seeds: those of the scenario.
-            more: what else is set.
-            columns: what else tells them from others.
-        """
-        tags = {**setting.tags, "quantity": self.definition.quantity, "value": value, **columns}
-        overrides, confirms = setting.at(value, more), bool(self.definition.confirm)
-        return [
-            PlannedRun(point, setting.scenario, overrides, seed, tags, confirms) for seed in seeds
-        ]
+def point_name(case: int, value: int, variant: Variant) -> str:
+    """Name of a point: case, value and variant, so that names sort as they are asked for."""
+    return f"{case:03d}-{value:06d}-{variant.number:04d}"

@@ -1,7 +1,7 @@
 """What a study leaves, goes on from and grows from: definition, rows, the scenario of every point.
 
-Rows are written in parts soon after their runs are done, and put together in order at the end. A
-part appears as a whole or not at all, so whenever a study is killed, what lies there can be used.
+The table of rows is written again soon after runs are done, the more seldom the longer that takes.
+It appears as a whole or not at all, so whenever a study is killed, what lies there can be used.
 
 Rows are known by what was varied and the seed: points are named by their place in a study,
 and so take other names once it has grown.
@@ -18,16 +18,9 @@ from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, left_nothing, read_rows, write_rows
+from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION_COLUMNS
 from deploy.run.new_folder import new_folder, resolved_out
-from deploy.run.run_folder import (
-    ResultFolder,
-    RunFolderError,
-    grown_from,
-    provenance,
-    read_manifest,
-    read_summary,
-)
 from deploy.scenario.effective import effective_scenario, write_scenario
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
@@ -43,13 +36,11 @@ from deploy.study.sweep import Sweep
 
 STUDY_FILE = "study.yaml"
 KINDS: dict[str, type[StudyOfRuns]] = {kind.kind: kind for kind in (Sweep, Margin, Robustness)}
-_FLUSH_S = 1.0
+_WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3
-_PART = "?" * 6 + ".parquet"
-"""Finished parts; one that a kill interrupted has a longer name."""
 
 
-class StudyFolder(ResultFolder):
+class StudyFolder(run_folder.ResultFolder):
     """The files of a study; the table of its rows.
 
     Args:
@@ -62,16 +53,13 @@ class StudyFolder(ResultFolder):
         self.rows_file = path / f"{study.kind}.parquet"
         self.scenarios = path / "scenarios"
         self._study, self._seed = study, study.definition.seeds[0]
-        self._parts = path / "rows"
         confirmed = CONFIRMATION_COLUMNS if study.definition.confirm else {}
         self._columns = {"point": "string", **study.columns, **confirmed}
-        files = [self.rows_file, *sorted(self._parts.glob(_PART))]
         self._earlier: dict[tuple[Any, ...], list[Row]] = {}
-        for row in (row for file in files if file.exists() for row in read_rows(file)):
+        for row in read_rows(self.rows_file) if self.rows_file.exists() else ():
             self._earlier.setdefault(self._identity(row), []).append(row)
         self._rows: dict[tuple[str, int], Row] = {}
-        self._unwritten: list[Row] = []
-        self._flushed_s = time.monotonic()
+        self._due_s = time.monotonic() + _WRITE_EVERY_S
 
     @property
     def rows(self) -> list[Row]:
@@ -87,8 +75,8 @@ class StudyFolder(ResultFolder):
         if read_yaml(file) == wanted:
             return
         shutil.rmtree(self.scenarios, ignore_errors=True)
-        before = read_manifest(self.path)
-        write_json(self.manifest, grown_from(before, _manifest(self._study)))
+        before = run_folder.read_manifest(self.path)
+        write_json(self.manifest, run_folder.grown_from(before, _manifest(self._study)))
         write_whole(file, to_yaml(wanted))
 
     def find(self, run: PlannedRun) -> Row | None:
@@ -111,35 +99,22 @@ class StudyFolder(ResultFolder):
         """Keep the row of a run, and the scenario of its point."""
         self.keep_scenario(run)
         self._rows[run.key] = values
-        self._unwritten.append(values)
-        if time.monotonic() - self._flushed_s >= _FLUSH_S:
-            self.flush()
+        if time.monotonic() >= self._due_s:
+            self.write()
 
-    def flush(self) -> None:
-        """Write the rows that are in memory only to a part of their own."""
-        if self._unwritten:
-            self._parts.mkdir(exist_ok=True)
-            taken = (int(part.stem) for part in self._parts.glob(_PART))
-            part = self._parts / f"{max(taken, default=0) + 1:06d}.parquet"
-            write_rows(self._unwritten, part, self._columns)
-            self._unwritten = []
-        self._flushed_s = time.monotonic()
-
-    def put_together(self, conditions: Conditions | None = None, *, completed: bool = True) -> None:
-        """Make one table of all rows, in order, of the parts.
+    def write(self, conditions: Conditions | None = None, *, completed: bool = False) -> None:
+        """Write one table of all rows, in order.
 
         Args:
             conditions: what the rows are to be quoted with.
             completed: whether rows that were not asked for so far will never be: those of a search
                 that has grown and took another way.
         """
-        self.flush()
-        write_rows(self.rows, self.rows_file, self._columns, conditions)
-        shutil.rmtree(self._parts, ignore_errors=True)
-        left = [row for rows in self._earlier.values() for row in rows]
-        if left and not completed:
-            self._unwritten = left
-            self.flush()
+        began_s = time.monotonic()
+        left = [] if completed else [row for rows in self._earlier.values() for row in rows]
+        write_rows([*self.rows, *left], self.rows_file, self._columns, conditions)
+        took_s = time.monotonic() - began_s
+        self._due_s = began_s + max(_WRITE_EVERY_S, took_s / _SHARE_OF_WRITING)
 
     def rerun_command(self, point: str) -> str:
         """The command that runs a point again."""
@@ -211,7 +186,9 @@ def read_study(path: Path) -> StudyOfRuns:
     values = read_yaml(file)
     kind, definition = KINDS.get(str(values.get("kind"))), values.get("definition")
     if kind is None or not isinstance(definition, dict):
-        raise RunFolderError(f"{file}: must have kind {' or '.join(KINDS)}, and definition")
+        raise run_folder.RunFolderError(
+            f"{file}: must have kind {' or '.join(KINDS)}, and definition"
+        )
     return kind(definition, file)
 
 
@@ -233,7 +210,7 @@ def _identity(study: StudyOfRuns) -> dict[str, Any]:
 
 def _manifest(study: StudyOfRuns) -> dict[str, Any]:
     warnings = all_warnings(study.bases)
-    return {**provenance(), "warnings": warnings, "study": _identity(study)}
+    return {**run_folder.provenance(), "warnings": warnings, "study": _identity(study)}
 
 
 def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
@@ -242,7 +219,7 @@ def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:
         found = read_yaml(path / STUDY_FILE)
     except ScenarioError:
         return False
-    return found == wanted and not read_summary(path).get("completed", False)
+    return found == wanted and not run_folder.read_summary(path).get("completed", False)
 
 
 def _digests(study: StudyOfRuns) -> set[tuple[str, str]]:

@@ -15,15 +15,6 @@ _TYPES = {
     "string": "neither numbers nor truth values",
 }
 """What values of a grid are, by the Parquet type of their column."""
-_TYPES = {
-    "bool": "true or false",
-    "double": "numbers",
-    "string": "neither numbers nor truth values",
-}
-"""What values of a grid are, by the Parquet type of their column."""
-_LISTS = ("seeds", "laws", "scenarios", "compensation", "drive_feedback", "running", "offsets",
-          "values")  # fmt: skip
-"""What a study tries one after another: more of it leaves the runs that are there as they were."""
 
 
 def hindrances(
@@ -37,7 +28,7 @@ def hindrances(
         digests: name and digest of each scenario of the study, in every setting that it tries.
     """
     if found.get("kind") != wanted["kind"]:
-        return [_differs("kind", found.get("kind"), wanted["kind"])]
+        return list(_of_key("kind", found.get("kind"), wanted["kind"]))
     old, new = found.get("definition"), wanted["definition"]
     if not isinstance(old, dict):
         return ["definition: is missing"]
@@ -65,21 +56,19 @@ def changes(
 def _of_key(key: str, old: Any, new: Any) -> Iterator[str]:
     if key == "grid" and isinstance(old, dict) and isinstance(new, dict):
         for axis in dict.fromkeys((*old, *new)):
-            if not _has_all(new.get(axis), old.get(axis)):
-                yield _lacks(f"grid.{axis}", old.get(axis), new.get(axis))
+            before, now = old.get(axis), new.get(axis)
+            if not _has_all(now, before):
+                yield _lacks(f"grid.{axis}", before, now)
             elif (kind := column_type(old[axis])) != column_type(new[axis]):
-                yield f"grid.{axis} = {shown(new[axis])}: must all be {_TYPES[kind]}, as before"
+                yield f"grid.{axis} = {shown(now)}: must all be {_TYPES[kind]}, as before"
     elif key == "plants" and isinstance(old, int) and isinstance(new, int):
         if new < old:
             yield _lacks(key, old, new)
-    elif key == "laws" and new is None and isinstance(old, list):  # of all laws
-        if not set(old) <= set(LAWS):
-            yield _lacks(key, old, new)
-    elif isinstance(old, list) and isinstance(new, list):  # tried one after another
-        if not _has_all(new, old):
+    elif isinstance(old, list) and (isinstance(new, list) or key == "laws"):  # tried in turn
+        if not _has_all(list(LAWS) if new is None else new, old):
             yield _lacks(key, old, new)
     elif old != new:
-        yield _differs(key, old, new)
+        yield f"{key} = {shown(new)}: must be {shown(old)}"
 
 
 def _has_all(new: Any, old: Any) -> bool:
@@ -87,10 +76,5 @@ def _has_all(new: Any, old: Any) -> bool:
 
 
 def _lacks(key: str, old: Any, new: Any) -> str:
-    if old is None:
-        return f"{key} = {shown(new)}: must be left out"
-    return f"{key} = {shown(new)}: must have all of {shown(old)}"
-
-
-def _differs(key: str, old: Any, new: Any) -> str:
-    return f"{key} = {shown(new)}: must be {shown(old)}"
+    allowed = "be left out" if old is None else f"have all of {shown(old)}"
+    return f"{key} = {shown(new)}: must {allowed}"

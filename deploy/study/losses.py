@@ -94,7 +94,5 @@ def _effects(
 
 def _midranks(values: Vector) -> Vector:
     """Ranks from 1 on; equal values share the mean of theirs."""
-    ordered = np.sort(values)
-    first = np.searchsorted(ordered, values, side="left")
-    last = np.searchsorted(ordered, values, side="right")
-    return np.asarray(0.5 * (first + last + 1.0), dtype=np.float64)
+    _, which, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1.0))[which], dtype=np.float64)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -11,17 +12,10 @@ from pydantic import Field
 
 from bus_schema.configuration import Number, Positive
 from deploy.judge.run_rows import Row, held, left_nothing
-from deploy.scenario.scenario import load_setup
-from deploy.scenario.study_keys import UNCERTAINTY, seeds_that_differ
+from deploy.scenario.study_keys import UNCERTAINTY
 from deploy.scenario.yaml_files import override
-from deploy.study.cases import (
-    CASE_COLUMNS,
-    Case,
-    CasesDefinition,
-    Setting,
-    StudyOfCases,
-    settings,
-)
+from deploy.study.cases import CASE_COLUMNS, CasesDefinition, Setting, StudyOfCases
+from deploy.study.plants import Variant
 from deploy.study.quantities import Steps
 from deploy.study.statistics import badness, spread_of_runs
 from deploy.study.study import Different, PlannedRun, Seeds
@@ -55,14 +49,14 @@ class MarginSearch:
     probed, to find out whether larger ones hold again: what holds need not be an interval.
 
     Attributes:
-        first: the first value probed after zero, in steps.
-        limit: the largest value probed, in steps.
+        steps: the values that can be probed.
         outcomes: whether each probed value held.
+        rows: what came of its runs, by the probed value in steps.
     """
 
-    first: int
-    limit: int
+    steps: Steps
     outcomes: dict[int, bool] = field(default_factory=dict)
+    rows: dict[int, list[Row]] = field(default_factory=dict)
 
     @property
     def first_failure(self) -> int | None:
@@ -73,12 +67,8 @@ class MarginSearch:
     def margin(self) -> int | None:
         """The largest value up to which all that were probed held; None where zero failed."""
         failure = self.first_failure
-        holding = (
-            value
-            for value, held in self.outcomes.items()
-            if held and (failure is None or value < failure)
-        )
-        return max(holding, default=None)
+        holding = (value for value, held in self.outcomes.items() if held)
+        return max((v for v in holding if failure is None or v < failure), default=None)
 
     @property
     def held_again(self) -> list[int]:
@@ -93,7 +83,7 @@ class MarginSearch:
         """How many values are still to be probed, if the next one of a bracketing fails."""
         margin, failure = self.margin, self.first_failure
         if failure is None:
-            step = max(self.first, margin or 0)
+            step = max(self.steps.first, margin or 0)
             return 1 + step.bit_length() + len(_BEYOND)
         left = (failure - margin - 1).bit_length() if margin is not None else 0
         return left + sum(value not in self.outcomes for value in self._beyond(failure))
@@ -104,7 +94,7 @@ class MarginSearch:
         if failure is None:
             if margin is None:
                 return 0
-            grown = min(2 * margin or self.first, self.limit)
+            grown = min(2 * margin or self.steps.first, self.steps.limit)
             return grown if grown > margin else None
         if margin is not None and failure - margin > 1:
             return (margin + failure) // 2
@@ -114,39 +104,45 @@ class MarginSearch:
     def _beyond(self, failure: int) -> list[int]:
         """Values beyond a failure that are worth a look."""
         further = (round(factor * failure) for factor in _BEYOND)
-        return [value for value in further if failure < value <= self.limit]
+        return [value for value in further if failure < value <= self.steps.limit]
 
 
-@dataclass
-class _Search(Case):
-    """A search for the margin of a setting.
+class Margin(StudyOfCases):
+    """The runs of a search for margins.
 
     Attributes:
-        steps: the values of its search.
-        search: how far that is.
-        seeds: those of its runs: one is enough where nothing is random.
-        rows: what came of its runs, by the probed value in steps.
+        searches: how far the search of each case is.
     """
-
-    steps: Steps
-    search: MarginSearch
-    seeds: list[int]
-    rows: dict[int, list[Row]] = field(default_factory=dict)
-
-
-class Margin(StudyOfCases[_Search]):
-    """The runs of a search for margins."""
 
     kind = "margin"
     definition_type = MarginDefinition
     definition: MarginDefinition
     columns = MappingProxyType({**CASE_COLUMNS, "offset_scale": "double"})
+    own_keys = MappingProxyType({UNCERTAINTY: "beside plants (--plants)"})
+
+    def __init__(self, values: Mapping[str, Any], source: Path) -> None:
+        super().__init__(values, source)
+        self.searches = [MarginSearch(self._steps(case.setting)) for case in self.cases]
+
+    def _steps(self, setting: Setting) -> Steps:
+        return setting.quantity.steps(self.definition.resolution, self.definition.limit)
+
+    def last_value(self, setting: Setting) -> float:
+        steps = self._steps(setting)
+        return steps.value(steps.limit)
+
+    def variants_of(self, setting: Setting) -> list[Variant]:
+        own, key = setting.base.scenario.robot.initial_offset_rad, "robot.initial_offset_rad"
+        return [
+            Variant(number, (override(key, (scale * own).tolist()),), {"offset_scale": scale})
+            for number, scale in enumerate(self.definition.offsets)
+        ]
 
     @property
     def expected(self) -> int:
         return sum(
-            (case.search.probes_left + len(case.search.outcomes)) * self._runs_per_probe(case)
-            for case in self.cases
+            (search.probes_left + len(search.outcomes)) * case.runs_per_value
+            for case, search in zip(self.cases, self.searches, strict=True)
         )
 
     def first(self) -> Iterable[PlannedRun]:
@@ -154,87 +150,65 @@ class Margin(StudyOfCases[_Search]):
 
     def follow(self, run: PlannedRun, values: Row) -> Iterable[PlannedRun]:
         index, steps = map(int, run.point.split("-")[:2])
-        case = self.cases[index]
-        rows = case.rows.setdefault(steps, [])
+        search = self.searches[index]
+        rows = search.rows.setdefault(steps, [])
         rows.append(values)
-        if len(rows) < self._runs_per_probe(case):
-            return ()
-        if any(map(left_nothing, rows)):
-            return ()  # nobody knows whether this value holds, so the search ends here
-        case.search.outcomes[steps] = all(held(row) for row in rows)
+        if len(rows) < self.cases[index].runs_per_value or any(map(left_nothing, rows)):
+            return ()  # nobody knows yet, or ever, whether this value holds
+        search.outcomes[steps] = all(map(held, rows))
         return self._next_probe(index)
 
+    def _next_probe(self, index: int) -> Iterable[PlannedRun]:
+        search = self.searches[index]
+        steps = search.next()
+        return () if steps is None else self.runs_at(index, steps, search.steps.value(steps))
+
     def case_findings(self, _rows: list[Row]) -> dict[str, Any]:
-        steps = self.cases[0].steps
+        steps = self.searches[0].steps
         return {
             "resolution": steps.resolution,
             "limit": steps.value(steps.limit),
-            "completed": all(case.search.next() is None for case in self.cases),
+            "completed": all(search.next() is None for search in self.searches),
             "offsets": self.definition.offsets,
-            "cases": [_case_summary(case) for case in self.cases],
+            "cases": [
+                {**case.findings, **_search_findings(search), "seeds": case.seeds[0]}
+                for case, search in zip(self.cases, self.searches, strict=True)
+            ],
         }
 
-    def _runs_per_probe(self, case: _Search) -> int:
-        return len(case.seeds) * len(self.definition.offsets)
 
-    def build_cases(self) -> Iterator[_Search]:
-        wanted = self.definition
-        for setting in settings(wanted, {UNCERTAINTY: "beside plants (--plants)"}):
-            steps = setting.quantity.steps(wanted.resolution, wanted.limit)
-            last, search = steps.value(steps.limit), MarginSearch(steps.first, steps.limit)
-            setups = [
-                load_setup(setting.scenario, setting.at(last, _start(setting, scale)))
-                for scale in wanted.offsets
-            ]
-            seeds = seeds_that_differ(setups[0], wanted.seeds)
-            yield _Search(setting, self.ceilings_ms(setting, setups), steps, search, seeds)
-
-    def _next_probe(self, index: int) -> list[PlannedRun]:
-        case = self.cases[index]
-        steps = case.search.next()
-        if steps is None:
-            return []
-        return [
-            run
-            for start, scale in enumerate(self.definition.offsets)
-            for run in self.planned(
-                _point(index, steps, start), case.setting, case.steps.value(steps), case.seeds,
-                _start(case.setting, scale), {"offset_scale": scale},
-            )
-        ]  # fmt: skip
-
-
-def _start(setting: Setting, offset_scale: float) -> list[str]:
-    own = setting.base.scenario.robot.initial_offset_rad
-    return [override("robot.initial_offset_rad", (offset_scale * own).tolist())]
-
-
-def _case_summary(case: _Search) -> dict[str, Any]:
-    search = case.search
-
+def _search_findings(search: MarginSearch) -> dict[str, Any]:
     def value(steps: int | None) -> float | None:
-        return None if steps is None else case.steps.value(steps)
+        return None if steps is None else search.steps.value(steps)
 
     return {
-        **case.setting.tags,
         "margin": value(search.margin),
         "first_failure": value(search.first_failure),
-        "margin_on": {physics: value(steps) for physics, steps in _margins_elsewhere(case).items()},
-        "held_again": [value(steps) for steps in search.held_again],
-        "held_arm_ceiling_ms": min(case.ceilings_ms, default=None),
-        "growth": case.steps.growth,
-        "seeds": case.seeds,
+        "margin_on": {on: value(steps) for on, steps in _margins_elsewhere(search).items()},
+        "held_again": list(map(value, search.held_again)),
+        "growth": search.steps.growth,
         "completed": search.next() is None,
         "probes": [
-            _probe_summary(case, steps, sorted(rows, key=lambda row: (row["point"], row["seed"])))
-            for steps, rows in sorted(case.rows.items())
+            {
+                "value": value(steps),
+                "held": search.outcomes.get(steps),
+                "points": sorted({row["point"] for row in rows}),
+                "worst_point": max(_in_order(rows), key=badness)["point"],
+                **spread_of_runs(_in_order(rows)),
+            }
+            for steps, rows in sorted(search.rows.items())
         ],
     }
 
 
-def _margins_elsewhere(case: _Search) -> dict[str, int | None]:
+def _in_order(rows: list[Row]) -> list[Row]:
+    """Rows by point and seed, in whatever order the workers did them."""
+    return sorted(rows, key=lambda row: (row["point"], row["seed"]))
+
+
+def _margins_elsewhere(search: MarginSearch) -> dict[str, int | None]:
     """Of the values tried, the last one up to which all were kept, by other physics, in steps."""
-    kept = {steps: list(map(_kept_elsewhere, rows)) for steps, rows in sorted(case.rows.items())}
+    kept = {steps: list(map(_kept_elsewhere, rows)) for steps, rows in sorted(search.rows.items())}
     found: dict[str, int | None] = {}
     for physics in dict.fromkeys(name for rows in kept.values() for row in rows for name in row):
         found[physics] = None
@@ -248,18 +222,3 @@ def _margins_elsewhere(case: _Search) -> dict[str, int | None]:
 def _kept_elsewhere(row: Row) -> dict[str, bool]:
     """Whether a run kept its bounds, by other physics; of a failed one nothing is known."""
     return dict(zip(row.get("confirmed_on") or (), row.get("confirmed_kept") or (), strict=True))
-
-
-def _probe_summary(case: _Search, steps: int, rows: list[Row]) -> dict[str, Any]:
-    return {
-        "value": case.steps.value(steps),
-        "held": case.search.outcomes.get(steps),
-        "points": sorted({row["point"] for row in rows}),
-        "worst_point": max(rows, key=badness)["point"],
-        **spread_of_runs(rows),
-    }
-
-
-def _point(case: int, steps: int, start: int) -> str:
-    """Name of a point: case, value and start, so that names sort as they are searched."""
-    return f"{case:03d}-{steps:06d}-{start:02d}"

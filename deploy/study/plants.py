@@ -47,18 +47,28 @@ class UncertainDefinition(StudyDefinition):
 
 
 @dataclass(frozen=True)
-class Plant:
-    """An arm of a study.
+class Variant:
+    """An arm of a study: as the scenario has it, from another start, or as it was drawn.
 
     Attributes:
-        number: from 1 on; None for the arm as the scenario has it.
+        number: which it is; drawn ones count from 1 on.
         overrides: what is set for it.
-        columns: its number and its draws, by column of the table.
+        columns: what tells it from the others, by column of the table.
     """
 
-    number: int | None = None
+    number: int = 0
     overrides: tuple[str, ...] = ()
     columns: Mapping[str, Any] = field(default_factory=dict)
+
+    def refused(self, error: ScenarioError) -> ScenarioError:
+        """What to say where the scenario refuses it."""
+        if "plant" not in self.columns:
+            return error
+        drawn = {key: value for key, value in self.columns.items() if key != "plant"}
+        return ScenarioError(
+            f"plant {self.number}: {error}; must be impossible to draw, by narrower ranges under"
+            f" uncertainty. Drawn: {json.dumps(drawn)}"
+        )
 
 
 @dataclass(frozen=True)
@@ -102,7 +112,7 @@ def uncertainty_of(wanted: UncertainDefinition, base: Setup) -> Uncertainty:
     return base.scenario.uncertainty
 
 
-def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) -> list[Plant]:
+def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) -> list[Variant]:
     """The plants for a scenario.
 
     Args:
@@ -115,7 +125,7 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
         ConfigurationError: likewise.
     """
     if wanted.plants is None:
-        return [Plant()]
+        return [Variant()]
     uncertainty = uncertainty_of(wanted, base)
     _require_free(uncertainty, wanted.fixed, taken)
     scenario, joints = plain(base.scenario), base.robot.joints
@@ -126,7 +136,7 @@ def draw_plants(wanted: UncertainDefinition, base: Setup, taken: Iterable[str]) 
     for number in range(1, wanted.plants + 1):
         drawn = draw_plant(uncertainty, scenario, joints, seed=wanted.plant_seed, number=number)
         columns = {"plant": number, **drawn.draws}
-        plants.append(Plant(number, (*drawn.overrides, *settled), columns))
+        plants.append(Variant(number, (*drawn.overrides, *settled), columns))
     return plants
 
 
@@ -143,18 +153,7 @@ def draw_columns(wanted: UncertainDefinition, bases: Iterable[Setup]) -> dict[st
     return {"plant": "int64", **draws}
 
 
-def refused(plant: Plant, error: ScenarioError) -> ScenarioError:
-    """What to say of a plant that the scenario refuses."""
-    if plant.number is None:
-        return error
-    drawn = {key: value for key, value in plant.columns.items() if key != "plant"}
-    return ScenarioError(
-        f"plant {plant.number}: {error}; must be impossible to draw, by narrower ranges under"
-        f" uncertainty. Drawn: {json.dumps(drawn)}"
-    )
-
-
-def measured(uncertainty: Uncertainty, plants: list[Plant], base: Setup) -> list[Measured]:
+def measured(uncertainty: Uncertainty, plants: list[Variant], base: Setup) -> list[Measured]:
     """Everything that was drawn as one number of each plant, joint by joint.
 
     A number that got a random sign counts as two: how large it is, and its sign. One for the whole

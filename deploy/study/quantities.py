@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from bus_schema.configuration import ConfigurationError
 from bus_schema.errors import did_you_mean
-from bus_schema.link.configuration import LinkConfiguration
 from controller.reference import sample_positions
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import SEED, require_effect
@@ -57,22 +55,34 @@ class Steps:
         return round(self.origin + self.growth * steps * self.resolution, 9)
 
 
-class Quantity(ABC):
-    """Something that can be too much.
+@dataclass(frozen=True)
+class Quantity:
+    """Something that can be too much: by default a number of the scenario.
 
     Attributes:
         title: what it is called.
         unit: of its values, empty for none.
         keys: scenario keys that it sets.
-        starts_from_own: whether a search begins at the scenario's own value, and not at nothing.
+        origin: where a search begins: at the scenario's own value, or at nothing on a link.
+        is_of_link: whether it is delay, jitter or loss of the link.
+        share: of a value, what each key gets.
+        at_first: value that a running loop starts with.
+        resolution: size of a step, unless the study has another one.
+        first: the first value tried after the origin; a part of the way to the limit if None.
+        limit: the last value tried, unless the study has another one.
     """
 
     title: str
     unit: str
     keys: tuple[str, ...]
-    starts_from_own = False
+    origin: float = 0.0
+    is_of_link: bool = False
+    share: float = 1.0
+    at_first: float = 0.0
+    resolution: float | None = None
+    first: float | None = None
+    limit: float | None = None
 
-    @abstractmethod
     def overrides(self, value: float, *, running: bool) -> list[str]:
         """What to set for a value.
 
@@ -80,8 +90,17 @@ class Quantity(ABC):
             value: of the quantity.
             running: whether it comes gradually, to a loop that already runs.
         """
+        if not running:
+            return [override(key, self.share * value) for key in self.keys]
+        texts = []
+        for key in self.keys:
+            channel, _, name = key.rpartition(".")
+            ramp = {"kind": "ramp", "at_s": RAMP_FROM_S, "for_s": RAMP_FOR_S,
+                    name: self.share * value}  # fmt: skip
+            texts.append(override(key, self.share * min(value, self.at_first)))
+            texts.append(override(f"{channel}.schedule", [ramp]))
+        return texts
 
-    @abstractmethod
     def steps(self, resolution: float | None, limit: float | None) -> Steps:
         """The values of a search.
 
@@ -92,106 +111,37 @@ class Quantity(ABC):
         Raises:
             ConfigurationError: there are no such values.
         """
-
-
-@dataclass(frozen=True)
-class _LinkTraits:
-    title: str
-    title_one_way: str
-    unit: str
-    key: str
-    share: float
-    """Of a value, what each direction gets where both have some."""
-    at_first: float
-    """Value that a running loop starts with."""
-    resolution: float
-    first: float
-    limit: float
+        size = resolution or self.resolution
+        end = self.limit if limit is None else limit
+        if end is None or size is None:
+            missing = "limit" if end is None else "resolution"
+            raise ConfigurationError(missing, None, f"must be given for {self.title}")
+        growth = -1 if end < self.origin and not self.is_of_link else 1
+        last = math.floor(growth * (end - self.origin) / size + 1e-9)  # but for rounding
+        if last < 1:
+            away = "" if self.is_of_link else f" away from the scenario's own {self.origin:g}"
+            allowed = f"must be at least a step, {size:g} {self.unit}".rstrip()
+            raise ConfigurationError("limit", end, f"{allowed}{away}, for {self.title}")
+        first = last // 16 if self.first is None else round(self.first / size)
+        return Steps(self.origin, size, min(max(1, first), last), last, growth)
 
 
 _LINK = {
-    "delay": _LinkTraits("round trip", "delay", "ms", "delay_ms", 0.5, 2.0, 0.5, 1.0, 128.0),
-    "jitter": _LinkTraits("jitter each way", "jitter", "ms", "jitter_ms", 1.0, 0.0, 0.5, 1.0, 32.0),
-    "loss": _LinkTraits("loss each way", "loss", "", "loss", 1.0, 0.0, 0.005, 0.01, 0.9),
-}
-
-
-class LinkQuantity(Quantity):
-    """Delay, jitter or loss.
-
-    Args:
-        name: ``delay``, ``jitter`` or ``loss``.
-        direction: which way; a delay in both is half of a round trip each.
-    """
-
-    def __init__(self, name: str, direction: Direction) -> None:
-        self._traits = _LINK[name]
-        both = direction == "both"
-        self._directions = ("uplink", "downlink") if both else (direction,)
-        self._share = self._traits.share if both else 1.0
-        one_way = f"{direction} {self._traits.title_one_way}"
-        self.title = self._traits.title if both else one_way
-        self.unit = self._traits.unit
-        self.keys = tuple(f"link.{d}.{self._traits.key}" for d in self._directions)
-
-    def overrides(self, value: float, *, running: bool) -> list[str]:
-        share, key = self._share * value, self._traits.key
-        if not running:
-            return [override(f"link.{d}.{key}", share) for d in self._directions]
-        ramp = {"kind": "ramp", "at_s": RAMP_FROM_S, "for_s": RAMP_FOR_S, key: share}
-        at_first = self._share * min(value, self._traits.at_first)
-        return [
-            text
-            for d in self._directions
-            for text in (override(f"link.{d}.{key}", at_first),
-                         override(f"link.{d}.schedule", [ramp]))
-        ]  # fmt: skip
-
-    def steps(self, resolution: float | None, limit: float | None) -> Steps:
-        size = resolution or self._traits.resolution
-        end = self._traits.limit if limit is None else limit
-        last = _whole_steps(end, size)
-        if last < 1:
-            allowed = f"must be at least a step, {size:g} {self.unit}".rstrip()
-            raise ConfigurationError("limit", end, f"{allowed}, for {self.title}")
-        return Steps(0.0, size, min(max(1, round(self._traits.first / size)), last), last)
-
-    def require_unscheduled(self, link: LinkConfiguration) -> None:
-        """Refuse links whose schedule a running loop's would take the place of."""
-        for direction in self._directions:
-            if getattr(link, direction).schedule:
-                key = f"link.{direction}.schedule"
-                raise ConfigurationError(key, "given", "must be left out where running is on")
-
-
-class KeyQuantity(Quantity):
-    """A number of the scenario.
-
-    Args:
-        key: its dotted key.
-        own: the scenario's own value, from where on a search goes.
-    """
-
-    starts_from_own = True
-
-    def __init__(self, key: str, own: float) -> None:
-        self.title, self.unit, self.keys, self._own = key, _unit(key), (key,), own
-
-    def overrides(self, value: float, *, running: bool) -> list[str]:  # noqa: ARG002 (not on a link)
-        return [override(self.title, value)]
-
-    def steps(self, resolution: float | None, limit: float | None) -> Steps:
-        for key, given in (("limit", limit), ("resolution", resolution)):
-            if given is None:
-                raise ConfigurationError(key, None, f"must be given for {self.title}")
-        assert limit is not None
-        assert resolution is not None
-        last = _whole_steps(abs(limit - self._own), resolution)
-        if last < 1:
-            allowed = f"must be a step or more away from the scenario's own {self._own:g}"
-            raise ConfigurationError("limit", limit, allowed)
-        growth = 1 if limit > self._own else -1
-        return Steps(self._own, resolution, max(1, last // 16), last, growth)
+    "delay": Quantity(
+        "round trip", "ms", ("delay_ms",), is_of_link=True, share=0.5, at_first=2.0,
+        resolution=0.5, first=1.0, limit=128.0,
+    ),
+    "jitter": Quantity(
+        "jitter each way", "ms", ("jitter_ms",), is_of_link=True,
+        resolution=0.5, first=1.0, limit=32.0,
+    ),
+    "loss": Quantity(
+        "loss each way", "", ("loss",), is_of_link=True,
+        resolution=0.005, first=0.01, limit=0.9,
+    ),
+}  # fmt: skip
+"""Quantities of a link in both directions, with the keys of a direction. A delay is a round trip,
+half of it each way."""
 
 
 def build_quantity(name: str, direction: Direction, running: bool, base: Setup) -> Quantity:
@@ -207,11 +157,7 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
         ConfigurationError: there is none, or not for this scenario.
     """
     if name in _LINK:
-        quantity = LinkQuantity(name, direction)
-        if running:
-            quantity.require_unscheduled(base.scenario.link)
-            _require_longer_than_ramp(base.scenario.duration_s)
-        return quantity
+        return _link_quantity(name, direction, base if running else None)
     require_effect({name: None}, {SEED: "as seeds (--seeds)"})
     values: dict[str, Any] = plain(base.scenario)
     own = number_at(values, name)
@@ -223,20 +169,42 @@ def build_quantity(name: str, direction: Direction, running: bool, base: Setup) 
     for key, given, wanted in (("direction", direction, "both"), ("running", running, False)):
         if given != wanted:
             raise ConfigurationError(key, given, f"must be left out for {name}: it is of no link")
-    return KeyQuantity(name, float(own))
+    unit = next((unit for suffix, unit in _UNITS.items() if name.endswith(suffix)), "")
+    return Quantity(name, unit, (name,), float(own))
 
 
-def held_arm_ceiling_ms(setup: Setup) -> float | None:
-    """When the error of an arm that is held at its start leaves the funnel, ms.
+def _link_quantity(name: str, direction: Direction, running: Setup | None) -> Quantity:
+    """Delay, jitter or loss; `running` is the scenario of a loop that meets it gradually."""
+    quantity, (key,) = _LINK[name], _LINK[name].keys
+    if direction == "both":
+        channels = ["link.uplink", "link.downlink"]
+    else:
+        channels = [f"link.{direction}"]
+        quantity = replace(quantity, title=f"{direction} {name}", share=1.0)
+    if running is not None:
+        for channel in channels:
+            if getattr(running.scenario.link, channel.removeprefix("link.")).schedule:
+                allowed = "must be left out where running is on"
+                raise ConfigurationError(f"{channel}.schedule", "given", allowed)
+        duration_s, end_s = running.scenario.duration_s, RAMP_FROM_S + RAMP_FOR_S
+        if duration_s <= end_s:
+            allowed = f"must be above {end_s:g} s where running is on: until then it grows"
+            raise ConfigurationError("duration_s", duration_s, allowed)
+    return replace(quantity, keys=tuple(f"{channel}.{key}" for channel in channels))
+
+
+def held_arm_ceiling_ms(setup: Setup, direction: Direction = "both") -> float | None:
+    """The delay at which the error of an arm that is held at its start leaves the funnel, ms.
 
     No law can start under a longer delay: until the first command acts, one round trip after the
     start, the brakes hold the arm where it is, while reference and funnel move on.
 
     Args:
         setup: a scenario, of which reference, funnel and start count.
+        direction: in which the delay is; what the other has in the scenario counts as well.
 
     Returns:
-        The time to 0.1 ms; None if it is beyond the end of the run, or 5 s.
+        The delay to 0.1 ms; None if it is beyond the end of the run, or 5 s.
     """
     last_s = min(setup.scenario.duration_s, _LATEST_CEILING_S)
     for from_s in np.arange(0.0, last_s, _AT_A_TIME_S):
@@ -246,36 +214,9 @@ def held_arm_ceiling_ms(setup: Setup) -> float | None:
         upper, lower = setup.funnel.bounds(times)
         outside = ((error > upper) | (error < lower)).any(axis=1)
         if outside.any():
-            return round(1e3 * float(times[np.argmax(outside)]), 1)
+            ceiling = round(1e3 * float(times[np.argmax(outside)]), 1)
+            if direction == "both":
+                return ceiling
+            other_ms: float = getattr(setup.scenario.link, _OTHER_DIRECTION[direction]).delay_ms
+            return round(max(0.0, ceiling - other_ms), 1)
     return None
-
-
-def ceiling_of_value(setup: Setup, direction: Direction) -> float | None:
-    """The ceiling of a delay in both directions together, or in one beside that of the other, ms.
-
-    Args:
-        setup: a scenario.
-        direction: in which the delay is; what the other has in the scenario counts as well.
-    """
-    ceiling = held_arm_ceiling_ms(setup)
-    if ceiling is None or direction == "both":
-        return ceiling
-    other_ms: float = getattr(setup.scenario.link, _OTHER_DIRECTION[direction]).delay_ms
-    return round(max(0.0, ceiling - other_ms), 1)
-
-
-def _whole_steps(distance: float, size: float) -> int:
-    """How many steps fit; one that only rounding keeps out does."""
-    return math.floor(distance / size + 1e-9)
-
-
-def _require_longer_than_ramp(duration_s: float) -> None:
-    end_s = RAMP_FROM_S + RAMP_FOR_S
-    if duration_s <= end_s:
-        allowed = f"must be above {end_s:g} s where running is on: until then it grows"
-        raise ConfigurationError("duration_s", duration_s, allowed)
-
-
-def _unit(key: str) -> str:
-    """The unit that the name of a key ends with; empty where it is none or ambiguous."""
-    return next((unit for suffix, unit in _UNITS.items() if key.endswith(suffix)), "")

@@ -82,7 +82,7 @@ def carry_out(
                 wanted.extend(study.follow(run, values))
                 progress(values, study.expected, False)
     finally:
-        folder.flush()
+        folder.write()
     if stop.is_set():
         retrace(study, folder, wanted)
     return not stop.is_set()

@@ -63,14 +63,12 @@ def without_effect(
     idle = []
     for keys in varied:
         others = sorted(inputs - {"point", *keys})
-        alike: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
-        for row, result in zip(sound, results, strict=True):
-            told = (row[key] for key in others)
-            same = tuple(tuple(each) if isinstance(each, list) else each for each in told)
-            alike.setdefault(same, []).append(result)
-        if len(alike) < len(sound) and all(
-            result == found[0] for found in alike.values() for result in found
-        ):
+        first: dict[str, dict[str, Any]] = {}
+        same = [
+            first.setdefault(repr([row[key] for key in others]), result) == result
+            for row, result in zip(sound, results, strict=True)
+        ]
+        if len(first) < len(sound) and all(same):
             idle.append(", ".join(keys))
     return idle
 

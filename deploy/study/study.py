@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -18,14 +18,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from bus_schema.configuration import StrictModel
-from deploy.judge.conditions import (
-    Conditions,
-    host_of,
-    physics_of,
-    provenance_of,
-    set_text,
-    warnings_of,
-)
+from deploy.judge.conditions import Conditions, conditions_of_runs
 from deploy.judge.run_rows import Row, failed_row, row
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import execute
@@ -154,6 +147,14 @@ def failed(run: PlannedRun, error: str) -> Row:
     return {**failed_row(run.seed, error), **run.columns, "point": run.point}
 
 
+def rows_by(rows: Iterable[Row], key: Callable[[Row], str]) -> dict[str, list[Row]]:
+    """Rows that have something in common, such as their point."""
+    found: dict[str, list[Row]] = {}
+    for each in rows:
+        found.setdefault(key(each), []).append(each)
+    return found
+
+
 def column_type(values: Iterable[Any]) -> str:
     """The Parquet type that holds all values of a scenario's key."""
     types = {type(value) for value in values}
@@ -249,18 +250,15 @@ class StudyOfRuns(ABC):
         """
         durations = {base.scenario.name: f"{base.scenario.duration_s:g} s" for base in self.bases}
         return {
-            **provenance_of(manifest),
             "study": " ".join(dict.fromkeys([summary["kind"], summary["name"]])),
+            "quantity": _quantity(summary),
+            **conditions_of_runs(self.bases, manifest),
             "scenario": ", ".join(durations),
             "law": ", ".join(self.laws),
-            "physics": physics_of(self.bases),
-            "quantity": _quantity(summary),
             "duration": ", ".join(f"{name} {duration}" for name, duration in durations.items()),
             "starts": _starts(summary),
             "seeds": ", ".join(map(str, summary["seeds"])),
-            "set": set_text(self.definition.fixed_overrides),
-            **host_of(manifest),
-            **warnings_of(manifest),
+            "set": ", ".join(self.definition.fixed_overrides) or "nothing",
         }
 
 

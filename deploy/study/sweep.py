@@ -15,16 +15,10 @@ from pydantic import BeforeValidator
 
 from bus_schema.configuration import ConfigurationError
 from deploy.judge.run_rows import Row, held
+from deploy.scenario import study_keys
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import (
-    LAW,
-    SEED,
-    UNCERTAINTY,
-    require_effect,
-    require_link_effect,
-)  # fmt: skip
 from deploy.scenario.uncertainty import split_keys
 from deploy.scenario.yaml_files import (
     ScenarioError,
@@ -35,14 +29,7 @@ from deploy.scenario.yaml_files import (
     validated,
 )
 from deploy.study.losses import share_kept
-from deploy.study.plants import (
-    Plant,
-    UncertainDefinition,
-    draw_columns,
-    draw_plants,
-    refused,
-    with_ranges,
-)
+from deploy.study.plants import UncertainDefinition, Variant, draw_columns, draw_plants, with_ranges
 from deploy.study.statistics import badness, spread_of_runs, without_effect
 from deploy.study.study import (
     SHIPPED,
@@ -52,6 +39,7 @@ from deploy.study.study import (
     digest_of,
     is_sweep,
     require_different,
+    rows_by,
     scenario_name,
 )
 
@@ -121,13 +109,15 @@ class Sweep(StudyOfRuns):
             scenario = scenario_name(given.scenario, source.parent)
             self.definition = given.model_copy(update={"scenario": scenario})
             self.bases = [load_setup(scenario, given.fixed_overrides, "set")]
-            self.plants = draw_plants(given, self.bases[0], [*axes, SEED])
+            self.plants = draw_plants(given, self.bases[0], [*axes, study_keys.SEED])
             self.columns = {**axes, **draw_columns(given, self.bases)}
             self._check()
 
     @property
     def laws(self) -> list[str]:
-        return next((values for keys, values in self.axes.items() if LAW in keys), super().laws)
+        return next(
+            (values for keys, values in self.axes.items() if study_keys.LAW in keys), super().laws
+        )
 
     @property
     def expected(self) -> int:
@@ -156,12 +146,10 @@ class Sweep(StudyOfRuns):
         return (replace(run, seed=seed) for run in self.points() for seed in self.definition.seeds)
 
     def findings(self, rows: list[Row]) -> dict[str, Any]:
-        by_point: dict[str, list[Row]] = {}
-        for row in rows:
-            by_point.setdefault(_grid_point(row["point"]), []).append(row)
+        by_point = rows_by(rows, lambda row: _grid_point(row["point"]))
         base = self.bases[0]
         runs = itertools.islice(self.points(), 0, None, len(self.plants))
-        completed, varied = len(rows) == self.expected, [*self.axes, (SEED,)]
+        completed, varied = len(rows) == self.expected, [*self.axes, (study_keys.SEED,)]
         return {
             "scenario": base.scenario.name,
             "completed": completed,
@@ -190,15 +178,15 @@ class Sweep(StudyOfRuns):
                 try:
                     setup = load_setup(run.scenario, run.overrides, "grid")
                 except ScenarioError as error:
-                    raise refused(plant, error) from error
+                    raise plant.refused(error) from error
                 by_kind.setdefault(setup.scenario.link.kind, setup)
                 files |= _file_digests(setup)
         of_base = _file_digests(self.bases[0])
         self.files = {name: digest for name, digest in files.items() if name not in of_base}
-        require_link_effect(self.definition.fixed, by_kind.values())
+        study_keys.require_link_effect(self.definition.fixed, by_kind.values())
         for keys, values in self.axes.items():
             for key, value in itertools.product(keys, values):
-                require_link_effect({key: value}, by_kind.values())
+                study_keys.require_link_effect({key: value}, by_kind.values())
 
     def _point_summary(self, run: PlannedRun, rows: list[Row]) -> dict[str, Any]:
         """What came of a point of the grid; of uncertain plants also how many were kept."""
@@ -210,11 +198,10 @@ class Sweep(StudyOfRuns):
         }
         if self.definition.plants is None:
             return summary
-        by_plant: dict[str, list[bool]] = {}
-        for row in rows:
-            by_plant.setdefault(row["point"], []).append(held(row))
-        whole = [runs for runs in by_plant.values() if len(runs) == len(self.definition.seeds)]
-        return {**summary, **share_kept(sum(map(all, whole)), len(whole))}
+        by_plant = rows_by(rows, lambda row: row["point"]).values()
+        whole = [runs for runs in by_plant if len(runs) == len(self.definition.seeds)]
+        kept = sum(all(map(held, runs)) for runs in whole)
+        return {**summary, **share_kept(kept, len(whole))}
 
 
 def load_sweep(
@@ -240,8 +227,8 @@ def load_sweep(
     return Sweep(values, path)
 
 
-def _point(index: int, plant: Plant) -> str:
-    return f"{index:05d}" if plant.number is None else f"{index:05d}-{plant.number:04d}"
+def _point(index: int, plant: Variant) -> str:
+    return f"{index:05d}-{plant.number:04d}" if plant.number else f"{index:05d}"
 
 
 def _grid_point(point: str) -> str:
@@ -259,20 +246,20 @@ def _check_keys(axes: Mapping[tuple[str, ...], list[Any]], given: SweepDefinitio
     for key in keys:
         if keys.count(key) > 1:
             raise ScenarioError(f"{key}: must be given {once}")
-    own = {SEED: "under seeds, not in grid or set"}
+    own = {study_keys.SEED: "under seeds, not in grid or set"}
     if given.plants is None:
-        own[UNCERTAINTY] = "beside plants (--plants)"
-        for key in ("plant_seed", UNCERTAINTY):
+        own[study_keys.UNCERTAINTY] = "beside plants (--plants)"
+        for key in ("plant_seed", study_keys.UNCERTAINTY):
             value = getattr(given, key)
             if value != type(given).model_fields[key].default:  # which study.yaml has
                 raise ConfigurationError(key, value, "must be left out without plants")
     elif given.uncertainty is not None:
-        own[UNCERTAINTY] = "as uncertainty of the sweep (--uncertainty)"
-    require_effect(given.fixed, own | dict.fromkeys(keys, once))
+        own[study_keys.UNCERTAINTY] = "as uncertainty of the sweep (--uncertainty)"
+    study_keys.require_effect(given.fixed, own | dict.fromkeys(keys, once))
     for key, tried in values.items():
         others = dict.fromkeys((other for other in keys if other != key), once)
         for value in tried:
-            require_effect({key: value}, own | others)
+            study_keys.require_effect({key: value}, own | others)
 
 
 def _check_runs(axes: Mapping[tuple[str, ...], Any], given: SweepDefinition) -> None:

@@ -8,7 +8,7 @@ has given every axis a new target.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,64 +17,12 @@ from bus_schema.arrays import Vector
 from bus_schema.can.frame import BUS_OFF, BUS_RESTARTED, CanFrame
 from bus_schema.errors import InvalidMessageError
 from bus_schema.messages.rejections import Rejections
-from plant_emulator.drives.drive import (
-    Drive,
-    DriveFault,
-    DriveSettings,
-    JointReading,
-    Loop,
-    Send,
-)
+from plant_emulator.arm_plant import ArmPlant
+from plant_emulator.drives.drive import Drive, DriveFault, DriveSettings, JointReading, Loop, Send
 
 logger = logging.getLogger(__name__)
 
-_OUTSIDE = (DriveFault.SILENT, DriveFault.ENCODER_FROZEN)
-"""Faults that a drive knows nothing of."""
-
-
-class _Axis:
-    """A drive with what can be broken about it from outside."""
-
-    def __init__(self, protocol: type[Drive], settings: DriveSettings, send: Send) -> None:
-        self._send = send
-        self.drive = protocol(settings, self._send_if_connected)
-        self.node_id = settings.node_id
-        self.targets_taken = 0
-        self._position_rad = 0.0
-        self.is_silent = self._is_frozen = False
-
-    def measure(self, position_rad: float, velocity_rad_s: float, torque_nm: float) -> None:
-        position_rad, velocity_rad_s = self.seen(position_rad, velocity_rad_s)
-        self._position_rad = position_rad
-        self.drive.measure(JointReading(position_rad, velocity_rad_s, torque_nm))
-
-    def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
-        """What its encoder shows of a motion."""
-        if self._is_frozen:
-            return self._position_rad, 0.0
-        return position_rad, velocity_rad_s
-
-    def inject(self, fault: DriveFault, now_ns: int) -> None:
-        if fault in _OUTSIDE:
-            self._set_outside(fault, is_on=True)
-        else:
-            self.drive.inject(fault, now_ns)
-
-    def clear(self, fault: DriveFault, now_ns: int) -> None:
-        if fault in _OUTSIDE:
-            self._set_outside(fault, is_on=False)
-        else:
-            self.drive.clear(fault, now_ns)
-
-    def _set_outside(self, fault: DriveFault, *, is_on: bool) -> None:
-        if fault is DriveFault.SILENT:
-            self.is_silent = is_on
-        else:
-            self._is_frozen = is_on
-
-    def _send_if_connected(self, frame: CanFrame) -> None:
-        if not self.is_silent:
-            self._send(frame)
+_MOST_BYTES = 8
 
 
 class DriveBank:
@@ -86,67 +34,62 @@ class DriveBank:
         send: takes every frame that a drive sends.
 
     Attributes:
+        node_ids: addresses, in the order of the joints.
         rejections: frames that no drive could use, by reason.
     """
 
     def __init__(
         self, protocol: type[Drive], settings: Sequence[DriveSettings], send: Send
     ) -> None:
-        self._axes = [_Axis(protocol, each, send) for each in settings]
-        self._torque_nm: Vector = np.zeros(len(self._axes))
-        self._loops: list[Loop | None] = [None] * len(self._axes)
-        self._no_loops, self._closes_loops = self._loops.copy(), False
-        self._braked: NDArray[np.bool_] = np.ones(len(self._axes), dtype=np.bool_)
+        self._drives = [protocol(each, send) for each in settings]
+        self.node_ids = tuple(each.node_id for each in settings)
+        self._torque_nm: Vector = np.zeros(len(self._drives))
+        self._loops: list[Loop | None] = [None] * len(self._drives)
+        self._no_loops = self._loops.copy()
+        self._braked: NDArray[np.bool_] = np.ones(len(self._drives), dtype=np.bool_)
         self._is_stale = True
         self._reads_fd = any(each.fd_process_data for each in settings)
         self.rejections = Rejections("frame", logger)
 
     @property
-    def node_ids(self) -> tuple[int, ...]:
-        """Addresses, in the order of the joints."""
-        return tuple(axis.node_id for axis in self._axes)
-
-    @property
     def samplings(self) -> int:
         """How often the controller has sampled every axis that is still on the bus."""
         fewest = -1
-        for axis in self._axes:  # a loop, as it is asked after every frame
-            if not axis.is_silent:
-                count = axis.drive.samplings
+        for drive in self._drives:  # a loop, as it is asked after every frame
+            if not drive.is_silent:
+                count = drive.samplings
                 fewest = count if fewest < 0 or count < fewest else fewest
         return max(fewest, 0)
 
     @property
     def faults(self) -> list[str]:
         """One sentence for each drive with a fault."""
-        return [
-            f"node {axis.node_id}: {axis.drive.fault}" for axis in self._axes if axis.drive.fault
-        ]
+        rows = zip(self.node_ids, self._drives, strict=True)
+        return [f"node {node_id}: {drive.fault}" for node_id, drive in rows if drive.fault]
 
     @property
     def statuses(self) -> list[str]:
         """State of each drive, and what is wrong with it."""
         return [
-            f"node {axis.node_id}: {axis.drive.status}"
-            + (f", {axis.drive.fault}" if axis.drive.fault else "")
-            for axis in self._axes
+            f"node {node_id}: {drive.status}" + (f", {drive.fault}" if drive.fault else "")
+            for node_id, drive in zip(self.node_ids, self._drives, strict=True)
         ]
 
     def take_targets(self) -> bool:
-        """Whether every axis still on the bus got a target since the last time it was so."""
-        for axis in self._axes:
-            if not axis.is_silent and axis.drive.targets <= axis.targets_taken:
+        """Whether every drive still on the bus got a target since the last time it was so."""
+        for drive in self._drives:  # asked after every frame, too
+            if not drive.is_silent and drive.targets <= drive.targets_taken:
                 return False
-        listening = [axis for axis in self._axes if not axis.is_silent]
-        for axis in listening:
-            axis.targets_taken = axis.drive.targets
+        listening = [drive for drive in self._drives if not drive.is_silent]
+        for drive in listening:
+            drive.targets_taken = drive.targets
         return bool(listening)
 
     def measure(self, position_rad: Vector, velocity_rad_s: Vector, torque_nm: Vector) -> None:
         """Show the drives their joints, shape (joints,) each."""
         rows = zip(position_rad.tolist(), velocity_rad_s.tolist(), torque_nm.tolist(), strict=True)
-        for axis, row in zip(self._axes, rows, strict=True):
-            axis.measure(*row)
+        for drive, (position, velocity, torque) in zip(self._drives, rows, strict=True):
+            drive.measure(JointReading(*drive.seen(position, velocity), torque))
         self._is_stale = True
 
     @property
@@ -163,16 +106,26 @@ class DriveBank:
 
     @property
     def closes_loops(self) -> bool:
-        """Whether the torque of any drive follows its joint's motion, see `close_loops`."""
+        """Whether the torque of any drive follows its joint's motion."""
         self._refresh()
-        return self._closes_loops
+        return self._loops != self._no_loops
 
-    def close_loops(self, position_rad: Vector, velocity_rad_s: Vector, step_s: float) -> None:
-        """Give the torques that follow the joints' motion, shape (joints,) each, for a step."""
-        for joint, (axis, loop) in enumerate(zip(self._axes, self._loops, strict=True)):
-            if loop is not None:
-                motion = float(position_rad[joint]), float(velocity_rad_s[joint])
-                self._torque_nm[joint] = loop.torque_nm(*axis.seen(*motion), step_s)
+    def stretches(
+        self, arm: ArmPlant, first: int, end: int, substep_s: float
+    ) -> Iterator[tuple[int, int]]:
+        """Stretches of substeps through which `torque_nm` holds, as the arm gets to each.
+
+        Where a drive's torque follows its joint's motion, each substep is one.
+        """
+        if not self.closes_loops:
+            yield first, end
+            return
+        for number in range(first, end):
+            for joint, (drive, loop) in enumerate(zip(self._drives, self._loops, strict=True)):
+                if loop is not None:
+                    motion = float(arm.position[joint]), float(arm.velocity[joint])
+                    self._torque_nm[joint] = loop.torque_nm(*drive.seen(*motion), substep_s)
+            yield number, number + 1
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Hand a frame from the bus to whom it concerns; whatever else it is, it is counted."""
@@ -187,24 +140,24 @@ class DriveBank:
 
     def advance(self, now_ns: int) -> None:
         """Let the drives do what is due at `now_ns`."""
-        for axis in self._axes:
-            axis.drive.advance(now_ns)
+        for drive in self._drives:
+            drive.advance(now_ns)
         self._is_stale = True
 
     def inject(self, joint: int, fault: DriveFault, now_ns: int) -> None:
         """Let something go wrong with the drive of a joint (counted from 0)."""
-        self._axes[joint].inject(fault, now_ns)
+        self._drives[joint].inject(fault, now_ns)
         self._is_stale = True
 
     def clear(self, joint: int, fault: DriveFault, now_ns: int) -> None:
         """Take the cause of a fault away."""
-        self._axes[joint].clear(fault, now_ns)
+        self._drives[joint].clear(fault, now_ns)
         self._is_stale = True
 
     def describe(self, frame: CanFrame) -> str:
         """A frame in words."""
-        for axis in self._axes:
-            text = axis.drive.describe(frame)
+        for drive in self._drives:
+            text = drive.describe(frame)
             if text is not None:
                 return text
         return "not for these drives"
@@ -214,18 +167,18 @@ class DriveBank:
         if is_strange or len(frame.data) > _MOST_BYTES:
             raise InvalidMessageError("no_classical_frame", f"drives do not read {frame}")
         understood = False
-        for axis in self._axes:
-            if not axis.is_silent and axis.drive.receive(frame, now_ns):
+        for drive in self._drives:
+            if not drive.is_silent and drive.receive(frame, now_ns):
                 understood = self._is_stale = True
         if not understood:
             raise InvalidMessageError("unknown_identifier", f"no drive listens to {frame}")
 
     def _take_controller_error(self, frame: CanFrame, now_ns: int) -> None:
-        for axis in self._axes:
+        for drive in self._drives:
             if frame.identifier & BUS_OFF:
-                axis.drive.lose_bus(now_ns)
+                drive.lose_bus(now_ns)
             if frame.identifier & BUS_RESTARTED:
-                axis.drive.regain_bus(now_ns)
+                drive.regain_bus(now_ns)
         self._is_stale = True
 
     def _refresh(self) -> None:
@@ -233,11 +186,6 @@ class DriveBank:
         if not self._is_stale:
             return
         self._is_stale = False  # first: what a thread brings in meanwhile is for the next time
-        for joint, axis in enumerate(self._axes):
-            self._torque_nm[joint], is_released = axis.drive.demand()
-            self._loops[joint] = axis.drive.loop()
+        for joint, drive in enumerate(self._drives):
+            self._torque_nm[joint], is_released, self._loops[joint] = drive.demand()
             self._braked[joint] = not is_released
-        self._closes_loops = self._loops != self._no_loops
-
-
-_MOST_BYTES = 8

@@ -62,11 +62,6 @@ class JointLoop(NamedTuple):
     step_rad: float
     most_nm: float
 
-    @property
-    def is_closed(self) -> bool:
-        """Whether the torque depends on the joint's motion."""
-        return self.stiffness_nm_rad > 0.0 or self.damping_nm_s > 0.0
-
     def torque_nm(self, position_rad: float, velocity_rad_s: float, step_s: float = 0.0) -> float:  # noqa: ARG002
         """Torque of the motor where the joint is and as it moves."""
         seen_rad = round(position_rad / self.step_rad) * self.step_rad
@@ -84,10 +79,12 @@ class JointDemand(NamedTuple):
     Attributes:
         torque_nm: torque of the motor, at the joint; 0 while the brake is engaged.
         is_released: power stage on and holding brake released.
+        loop: gives the torque from now on; None if no motion of the joint changes it.
     """
 
     torque_nm: float
     is_released: bool
+    loop: Loop | None = None
 
 
 AT_REST = JointDemand(0.0, is_released=False)
@@ -172,12 +169,17 @@ class Drive(ABC):
     Args:
         settings: how it is commissioned.
         send: takes the frames that it sends.
+
+    Attributes:
+        is_silent: its bus connection is cut.
+        targets_taken: targets that the bank has counted.
     """
 
     def __init__(self, settings: DriveSettings, send: Send) -> None:
         self._settings, self._send = settings, send
         self._reading = JointReading()
-        self._is_hot = self._is_off_bus = False
+        self._is_hot = self._is_off_bus = self._is_frozen = self.is_silent = False
+        self.targets_taken = 0
 
     @property
     @abstractmethod
@@ -219,18 +221,33 @@ class Drive(ABC):
     def demand(self) -> JointDemand:
         """What the drive does to its joint as things are."""
 
-    def loop(self) -> Loop | None:
-        """Where the torque of `demand` comes from; None if no motion of the joint changes it."""
-        return None
+    def seen(self, position_rad: float, velocity_rad_s: float) -> tuple[float, float]:
+        """What its encoder shows of a motion."""
+        if self._is_frozen:
+            return self._reading.position_rad, 0.0
+        return position_rad, velocity_rad_s
 
-    @abstractmethod
     def inject(self, fault: DriveFault, now_ns: int) -> None:
-        """Let ``DRIVE`` or ``OVER_TEMPERATURE`` happen."""
+        """Let something go wrong."""
+        self._set(fault, is_there=True)
+        if fault in (DriveFault.DRIVE, DriveFault.OVER_TEMPERATURE):
+            self._fail(fault, now_ns)
 
     def clear(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
         """Remove a lasting fault's cause; its consequences stay until they are reset."""
-        if fault is DriveFault.OVER_TEMPERATURE:
-            self._is_hot = False
+        self._set(fault, is_there=False)
+
+    def _set(self, fault: DriveFault, *, is_there: bool) -> None:
+        if fault is DriveFault.SILENT:
+            self.is_silent = is_there
+        elif fault is DriveFault.ENCODER_FROZEN:
+            self._is_frozen = is_there
+        elif fault is DriveFault.OVER_TEMPERATURE:
+            self._is_hot = is_there
+
+    @abstractmethod
+    def _fail(self, fault: DriveFault, now_ns: int) -> None:
+        """React to ``DRIVE`` or ``OVER_TEMPERATURE``, the faults that a drive notices."""
 
     def lose_bus(self, now_ns: int) -> None:  # noqa: ARG002 (some need the time)
         """The drive's CAN controller went bus-off. Most drives notice by their timeout only."""
@@ -245,5 +262,5 @@ class Drive(ABC):
         return None
 
     def _transmit(self, frame: CanFrame) -> None:
-        if not self._is_off_bus:
+        if not (self._is_off_bus or self.is_silent):
             self._send(frame)

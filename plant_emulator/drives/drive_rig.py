@@ -98,22 +98,12 @@ class DriveRig:
         """Let the physics catch up with the clock."""
         arm, bank = self._arm, self._bank
         arm.hold(bank.braked)
-        arm.command(bank.torque_nm)
         self.counts.skipped += tick - self.counts.ticks - 1
-        while self.counts.ticks < tick:
-            first = self.counts.ticks * self._grid.substeps
-            if bank.closes_loops:
-                self._advance_closed(first)
-            else:
-                arm.advance(first, first + self._grid.substeps)
-            self.counts.ticks += 1
-
-    def _advance_closed(self, first: int) -> None:
-        """Advance by a tick in which drives close loops of their own, at every substep."""
-        for number in range(first, first + self._grid.substeps):
-            self._bank.close_loops(self._arm.position, self._arm.velocity, self._grid.substep_s)
-            self._arm.command(self._bank.torque_nm)
-            self._arm.advance(number, number + 1)
+        first, end = (each * self._grid.substeps for each in (self.counts.ticks, tick))
+        for stretch in bank.stretches(arm, first, end, self._grid.substep_s):
+            arm.command(bank.torque_nm)
+            arm.advance(*stretch)
+        self.counts.ticks = tick
 
     def _measure(self) -> None:
         self._arm.read_encoders()

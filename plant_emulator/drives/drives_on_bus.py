@@ -137,11 +137,6 @@ class DrivenArm(ArmPlant):
         self._drives.handle_due(self._grid.substep_ns(first))
         bank = self._drives.bank
         self.hold(bank.braked)
-        if not bank.closes_loops:
+        for stretch in bank.stretches(self, first, end, self._grid.substep_s):
             np.copyto(self._commanded, bank.torque_nm)
-            super().advance(first, end)
-            return
-        for number in range(first, end):
-            bank.close_loops(self.position, self.velocity, self._grid.substep_s)
-            np.copyto(self._commanded, bank.torque_nm)
-            super().advance(number, number + 1)
+            super().advance(*stretch)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
-from typing import Literal, NamedTuple, Protocol
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -34,24 +35,10 @@ class EncoderReading(NamedTuple):
     velocity_rad_s: float
 
 
-class FaultyEncoder(NamedTuple):
-    """An encoder as a fault finds it.
-
-    Attributes:
-        reading: what it would show now.
-        first: what it would have shown when the fault began.
-        random: source of noise, drawn from the scenario's seed.
-    """
-
-    reading: EncoderReading
-    first: EncoderReading
-    random: np.random.Generator
-
-
 class ArmFault(Fault):
     """A fault of the arm."""
 
-    def begin(self, arm: ArmHardware) -> None:
+    def begin(self, arm: ArmHardware, _now_ns: int) -> None:
         """Do what is done once, at the beginning."""
 
 
@@ -71,8 +58,16 @@ class EncoderFault(JointFault):
     """A fault of the encoder of a joint."""
 
     @abstractmethod
-    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
-        """What the encoder shows while the fault lasts."""
+    def faulty(
+        self, now: EncoderReading, first: EncoderReading, random: np.random.Generator
+    ) -> EncoderReading:
+        """What the encoder shows while the fault lasts.
+
+        Args:
+            now: what it would show.
+            first: what it would have shown when the fault began.
+            random: source of noise, drawn from the scenario's seed.
+        """
 
 
 class ActuatorFault(JointFault):
@@ -88,8 +83,8 @@ class EncoderStuck(EncoderFault):
 
     kind: Literal["encoder_stuck"]
 
-    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
-        return EncoderReading(encoder.first.position_rad, 0.0)
+    def faulty(self, _now: EncoderReading, first: EncoderReading, _random: Any) -> EncoderReading:
+        return EncoderReading(first.position_rad, 0.0)
 
 
 class EncoderBiased(EncoderFault):
@@ -98,9 +93,8 @@ class EncoderBiased(EncoderFault):
     kind: Literal["encoder_biased"]
     bias_rad: Number
 
-    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
-        position_rad, velocity_rad_s = encoder.reading
-        return EncoderReading(position_rad + self.bias_rad, velocity_rad_s)
+    def faulty(self, now: EncoderReading, _first: EncoderReading, _random: Any) -> EncoderReading:
+        return EncoderReading(now.position_rad + self.bias_rad, now.velocity_rad_s)
 
 
 class EncoderNoisy(EncoderFault):
@@ -110,12 +104,13 @@ class EncoderNoisy(EncoderFault):
     noise_rad: NonNegative = 0.0
     noise_rad_s: NonNegative = 0.0
 
-    def faulty_reading(self, encoder: FaultyEncoder) -> EncoderReading:
-        position_rad, velocity_rad_s = encoder.reading
-        noise = encoder.random.standard_normal(2).tolist()
-        return EncoderReading(
-            position_rad + self.noise_rad * noise[0], velocity_rad_s + self.noise_rad_s * noise[1]
-        )
+    def faulty(
+        self, now: EncoderReading, _first: EncoderReading, random: np.random.Generator
+    ) -> EncoderReading:
+        added, added_rate = (
+            random.standard_normal(2) * (self.noise_rad, self.noise_rad_s)
+        ).tolist()
+        return EncoderReading(now.position_rad + added, now.velocity_rad_s + added_rate)
 
 
 class TorqueOffset(ActuatorFault):
@@ -156,7 +151,7 @@ class PayloadFault(ArmFault):
     def payload_after_kg(self, carried_kg: float) -> float:
         """What the arm carries from then on, given what it carried before."""
 
-    def begin(self, arm: ArmHardware) -> None:
+    def begin(self, arm: ArmHardware, _now_ns: int) -> None:
         arm.carry(self.payload_after_kg(arm.payload_kg))
 
 
@@ -222,7 +217,7 @@ class ArmFaults:
         self._random = random
         self._first: dict[int, EncoderReading] = {}
         self._beginnings = FaultScheduler(
-            ScheduledAction(fault.start_ns, str(fault), _beginning(fault, arm))
+            ScheduledAction(fault.start_ns, str(fault), partial(fault.begin, arm))
             for fault in faults
             if isinstance(fault, ArmFault)
         )
@@ -252,8 +247,4 @@ class ArmFaults:
                 joint = self._joint[fault.joint]
                 reading = EncoderReading(*motion[:, joint].tolist())
                 first = self._first.setdefault(index, reading)
-                motion[:, joint] = fault.faulty_reading(FaultyEncoder(reading, first, self._random))
-
-
-def _beginning(fault: ArmFault, arm: ArmHardware) -> Callable[[int], None]:
-    return lambda _now_ns: fault.begin(arm)
+                motion[:, joint] = fault.faulty(reading, first, self._random)

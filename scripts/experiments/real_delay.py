@@ -3,7 +3,7 @@
 ``python -m scripts.experiments.real_delay paper_arm --set duration_s=10
 --round-trips 48,64 --repetitions 3 --out FOLDER`` simulates the scenario once with each round trip,
 constant and half of it each way, and runs it several times in real time, one run after another,
-over a relay that holds every byte back for as long (`deploy.run.network.delay_relay`). A run
+over a relay that holds every byte back for as long (`deploy.run.processes.relay`). A run
 that was held up for more than 20 ms is counted apart: it says something of the host.
 """
 

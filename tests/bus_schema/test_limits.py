@@ -39,34 +39,31 @@ def limited(wanted, motion=REST, before=(0.0, 0.0, 0.0), step_s=0.001, **changes
     return out.tolist(), Hit(hits)
 
 
-def test_torque_within_all_limits_is_left_alone():
-    assert limited([9.0, -10.0, 0.0], [[1.0, -1.0, 0.0], [2.0, -2.0, 0.0]]) == (
-        [9.0, -10.0, 0.0], Hit(0),
-    )  # fmt: skip
+BEYOND = [[1.1, -1.1, 1.1], [0.0, 0.0, 0.0]]
+FAST = [[0.0, 0.0, 0.0], [2.1, -2.1, 2.1]]
+INWARDS = [4.0, -4.0, -4.0]
 
 
-def test_torque_is_clipped_and_told():
-    assert limited([11.0, -11.0, 3.0]) == ([10.0, -10.0, 3.0], Hit.TORQUE)
+@pytest.mark.parametrize(
+    ("wanted", "motion", "changes", "torque", "hits"),
+    [
+        ([9.0, -10.0, 0.0], [[1.0, -1.0, 0.0], [2.0, -2.0, 0.0]], {}, [9.0, -10.0, 0.0], Hit(0)),
+        ([11.0, -11.0, 3.0], REST, {}, [10.0, -10.0, 3.0], Hit.TORQUE),
+        (INWARDS, BEYOND, {}, [0.0, 0.0, -4.0], Hit.POSITION),
+        (INWARDS, BEYOND, {"cuts_position": False}, INWARDS, Hit.POSITION),
+        (INWARDS, FAST, {"cuts_velocity": True}, [0.0, 0.0, -4.0], Hit.VELOCITY),
+        (INWARDS, FAST, {}, INWARDS, Hit.VELOCITY),  # only counted
+    ],
+    ids=["within", "clipped", "beyond the range", "counted", "too fast", "counted too"],
+)
+def test_torque_is_limited_and_what_it_hit_is_told(wanted, motion, changes, torque, hits):
+    assert limited(wanted, motion, **changes) == (torque, hits)
 
 
 def test_change_of_torque_is_limited_by_the_time_since_the_last():
     rates = {"torque_rate_nm_s": np.full(3, 1000.0)}
     assert limited([5.0, -5.0, 0.5], step_s=0.002, **rates) == ([2.0, -2.0, 0.5], Hit.TORQUE_RATE)
     assert limited([5.0, -5.0, 0.5], step_s=0.0, **rates) == ([5.0, -5.0, 0.5], Hit(0))
-
-
-def test_beyond_its_range_a_joint_is_pushed_inwards_only():
-    beyond = [[1.1, -1.1, 1.1], [0.0, 0.0, 0.0]]
-    assert limited([4.0, -4.0, -4.0], beyond) == ([0.0, 0.0, -4.0], Hit.POSITION)
-    assert limited([4.0, -4.0, -4.0], beyond, cuts_position=False)[0] == [4.0, -4.0, -4.0]
-
-
-def test_beyond_its_speed_a_joint_is_only_slowed_down():
-    fast = [[0.0, 0.0, 0.0], [2.1, -2.1, 2.1]]
-    assert limited([4.0, -4.0, -4.0], fast, cuts_velocity=True) == (
-        [0.0, 0.0, -4.0], Hit.VELOCITY,
-    )  # fmt: skip
-    assert limited([4.0, -4.0, -4.0], fast) == ([4.0, -4.0, -4.0], Hit.VELOCITY)  # only counted
 
 
 def test_cut_goes_before_the_limit_of_change():

@@ -2,15 +2,11 @@
 
 import numpy as np
 
-from bus_schema.drive_feedback import no_drive_feedback
 from bus_schema.limits import JointLimits
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.runtime.clock import VirtualClock
-from controller.compensation.arm_belief import nominal_arm
-from controller.compensation.delay_compensation import DelayCompensation
-from controller.compensation.model_identification import identification
 from controller.configuration import ControllerConfiguration
 from controller.control_law import Diagnostics
 from controller.control_loop import ControlLoop, ControlTask
@@ -18,6 +14,7 @@ from controller.funnel import FunnelConfiguration
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
 from tests.arms import PAPER_ARM
+from tests.controller.compensation.prediction_bench import compensation_of
 
 ROBOT = PAPER_ARM
 NAMES = ROBOT.joint_names
@@ -83,13 +80,7 @@ class Bench:
 
 
 def predicting(first_horizon_ns=20 * MS):
-    loaded = ManipulatorModel(ROBOT, payload_kg=1.0)
-    return DelayCompensation(
-        nominal_arm(ManipulatorModel(ROBOT), loaded, ROBOT.effort_limits_nm),
-        identification(INERTIA, model=True, friction=True),
-        no_drive_feedback(3),
-        observer_bandwidth_rad_s=60.0, least_horizon_ns=0, first_horizon_ns=first_horizon_ns,
-    )  # fmt: skip
+    return compensation_of(model=True, friction=True, first_ns=first_horizon_ns)
 
 
 def state(stamp_ns, position, velocity=(0.0, 0.0, 0.0)):

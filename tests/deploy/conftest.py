@@ -32,6 +32,17 @@ def funnel_hil():
 
 
 @pytest.fixture
+def import_folder(tmp_path, monkeypatch):
+    """The current folder, in which Python also finds modules of the user's own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None)).startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+@pytest.fixture
 def nothing_starts(monkeypatch):
     """Whatever would start a process or a simulation fails the test."""
 

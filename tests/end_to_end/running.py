@@ -29,14 +29,7 @@ from deploy import cli
 from deploy.judge.run_data import RunData
 from deploy.run.network.links import free_ports
 from deploy.run.run_folder import load_run
-from tests.warm_process import (
-    FUNNEL_HIL,
-    HANG_S,
-    ROOT,
-    WITHOUT_REPORT,
-    WarmProcess,
-    no_report,
-)
+from tests.warm_process import FUNNEL_HIL, HANG_S, ROOT, WITHOUT_REPORT, WarmProcess, no_report
 
 PERIOD_S = 0.001
 PAPER_ARM_JOINTS = ("base_yaw", "shoulder", "elbow")
@@ -162,6 +155,17 @@ class Running:
     def end(self) -> Finished:
         output, _ = self.process.communicate()
         return Finished(self.folder, self.process.wait(), output)
+
+    def end_later(
+        self, more_s: float = 1.0, number: signal.Signals = signal.SIGINT
+    ) -> tuple[Finished, float]:
+        """End the run once it has gone on for so much of its own time; how far it came at least."""
+        with Watcher(self.plant_endpoint()) as watcher:
+            watcher.await_time(0.0, self)
+            come_s = watcher.last_stamp_ns * 1e-9 + more_s
+            watcher.await_time(come_s, self)
+        self.send(number)
+        return self.end(), come_s
 
 
 @contextmanager

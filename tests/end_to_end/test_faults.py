@@ -232,6 +232,32 @@ def test_no_process_outlives_a_run_that_was_killed_not_even_a_frozen_one(tmp_pat
     assert ticks < 3_000_000  # of 3,600,000: they left, and did not just come to their end
 
 
+def test_recorder_frozen_beyond_its_lease_records_again_and_the_gap_is_unknown(
+    tmp_path: Path,
+) -> None:
+    """Others close a connection over which nothing has come for 10 s."""
+    realtime = settings(clock="realtime", plant__command_timeout_ms=60_000.0)
+    words = ["run", "paper_arm", *ENDLESS, *realtime]
+    with started(*words, out=tmp_path / "run") as run, Watcher(run.plant_endpoint()) as watcher:
+
+        def wait(duration_s: float) -> None:
+            watcher.await_time(watcher.last_stamp_ns * 1e-9 + duration_s, run)
+
+        watcher.await_time(0.5, run)
+        run.send(signal.SIGSTOP, "recorder")
+        wait(11.5)
+        run.send(signal.SIGCONT, "recorder")
+        wait(5.0)
+        run.send(signal.SIGINT)
+        ended = run.end()
+    assert (ended.code, ended.summary["faults"]) == (130, []), ended.output
+    recording = ended.summary["recording"]
+    assert recording["damage"] == []  # it has the plant's end
+    (first_s, last_s), *_ = recording["gaps_s"]
+    assert last_s - first_s > 5.0  # what a loop keeps of its own is asked for again
+    assert ended.summary["verdict"] == "unknown"
+
+
 @pytest.mark.parametrize(
     ("alone", "missed", "timeout_s"),
     [("plant", "controller", 2), ("controller", "plant", 0.5), ("record", "plant", 0.5)],

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
+import subprocess
+import sys
 from collections import Counter
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 from impostor import OWN_ID, Impostor
-from running import ENDLESS, Finished, Running, Watcher, assert_as_simulated, settings, started
+from running import (
+    ENDLESS,
+    Finished,
+    Watcher,
+    assert_as_simulated,
+    await_true,
+    free_endpoint,
+    settings,
+    started,
+)
 
 from bus_schema.link.in_process import InProcessBus, InProcessControllerLink, InProcessPlantLink
 from bus_schema.link.interface import CommandArrival
@@ -100,15 +113,6 @@ def test_garbage_on_the_command_key_is_counted_and_changes_nothing(tmp_path: Pat
     assert_as_simulated(run, come_s, tmp_path / "simulation", *names)
 
 
-def stopped_later(run: Running) -> Finished:
-    """The run, once it has gone on for so long that all that was sent has come."""
-    with Watcher(run.plant_endpoint()) as watcher:
-        watcher.await_time(0.0, run)
-        watcher.await_time(watcher.last_stamp_ns * 1e-9 + LATER_S, run)
-    run.send(signal.SIGINT)
-    return run.end()
-
-
 @pytest.mark.parametrize("ids", ["own", "copied"])
 def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
     tmp_path: Path, ids: str
@@ -120,7 +124,7 @@ def test_who_speaks_as_the_plant_is_named_and_leaves_the_verdict_unknown(
         newest = stranger.spans[-1]
         sender, number = (OWN_ID, 1) if ids == "own" else (newest.sender, newest.last)
         stranger.speak_as_plant(stranger.truth, sender, number)
-        ended = stopped_later(run)
+        ended, _ = run.end_later(LATER_S)
     assert ended.code == 130, ended.output
     recording = ended.summary["recording"]
     reason = "second_plant" if ids == "own" else "altered_bundle"
@@ -137,7 +141,7 @@ def test_second_recorder_that_has_everything_ends_no_run(tmp_path: Path) -> None
     with started(*words, out=tmp_path / "run") as run, Impostor(run.plant_endpoint()) as stranger:
         stranger.await_plant(run)
         stranger.speak_as_recorder()
-        ended = stopped_later(run)
+        ended, _ = run.end_later(LATER_S)
     assert (ended.code, ended.summary["faults"]) == (130, []), ended.output
 
 
@@ -200,3 +204,53 @@ def test_one_forged_number_bars_no_genuine_command_and_is_a_fault() -> None:
     (counts,) = [event.values() for event in events if event.kind == EventKind.COUNTS]
     assert counts["downlink"]["sent"] == setup.ticks
     assert {why: n for why, n in counts["downlink"]["rejected"].items() if n} == {"stale": 1}
+
+
+LONG_S = 4.0
+"""In which four times as much is sent as there is room for between a sender and a subscriber."""
+
+
+@contextmanager
+def frozen_subscriber(endpoint: str, mode: str) -> Iterator[subprocess.Popen[bytes]]:
+    script = str(Path(__file__).with_name("frozen_subscriber.py"))
+    with subprocess.Popen(
+        [sys.executable, script, endpoint, mode], stdout=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            yield process
+        finally:
+            process.kill()
+
+
+def is_frozen(process: subprocess.Popen[bytes]) -> bool:
+    pid, status = os.waitpid(process.pid, os.WUNTRACED | os.WNOHANG)
+    assert not pid or os.WIFSTOPPED(status), "it ended"
+    return bool(pid)
+
+
+@pytest.mark.parametrize(("clock", "mode"), [("lockstep", "client"), ("realtime", "peer")])
+def test_frozen_subscriber_changes_nothing(tmp_path: Path, clock: str, mode: str) -> None:
+    endpoint = free_endpoint()
+    patient = settings(
+        clock=clock,
+        link__plant_endpoint=endpoint,
+        link__controller_endpoint=free_endpoint(),
+        plant__command_timeout_ms=30_000.0,
+    )
+    with (
+        frozen_subscriber(endpoint, mode) as stranger,
+        started("run", "paper_arm", *ENDLESS, *patient, out=tmp_path / "run") as run,
+    ):
+        await_true(lambda: is_frozen(stranger), "it has heard something")
+        ended, come_s = run.end_later(LONG_S)
+        assert stranger.returncode is None
+    assert (ended.code, ended.summary["faults"]) == (130, []), ended.output
+    lost = ended.summary["recorder"]["lost_by_topic"].get("plant_truth", 0)
+    skipped = ended.summary["recording"]["ticks_skipped"]
+    assert len(ended.log.payloads["plant_truth"]) + lost + skipped >= round(1000 * come_s)
+    if clock == "lockstep":  # in real time a busy machine may keep the recorder from its work
+        assert ended.summary["recorder"]["lost"] == 0
+        names = ("joint_states", "joint_commands", "plant_status", "plant_truth")
+        assert_as_simulated(ended, come_s, tmp_path / "simulation", *names)

@@ -15,17 +15,7 @@ from typing import Any
 from urllib.request import urlopen
 
 import pytest
-from running import (
-    ENDLESS,
-    Finished,
-    Running,
-    Watcher,
-    assert_as_simulated,
-    await_true,
-    processes_of,
-    settings,
-    started,
-)
+from running import ENDLESS, assert_as_simulated, await_true, processes_of, settings, started
 
 from tests.warm_process import HANG_S, WarmProcess
 
@@ -69,23 +59,6 @@ def source_of(page: str) -> str:
         return str(json.load(document)["source"])
 
 
-def end_later(run: Running) -> tuple[Finished, float]:
-    """End a run once it has gone on for a second of its time; how far it has come at least, s."""
-    with Watcher(run.plant_endpoint()) as watcher:
-        watcher.await_time(0.0, run)
-        come_s = watcher.last_stamp_ns * 1e-9 + 1.0
-        watcher.await_time(come_s, run)
-    run.send(signal.SIGTERM)
-    return run.end(), come_s
-
-
-def assert_it_was_the_same_run(run: Finished, come_s: float, out: Path) -> None:
-    """As if nobody had watched it."""
-    assert (run.code, run.summary["faults"]) == (130, []), run.output
-    assert run.summary["recorder"]["lost"] == 0
-    assert_as_simulated(run, come_s, out, "joint_states", "joint_commands", "plant_truth")
-
-
 @LINUX
 def test_a_viewer_that_is_flooded_and_frozen_changes_nothing(tmp_path: Path) -> None:
     with started("run", "paper_arm", "--live", *LONG, out=tmp_path / "run") as run:
@@ -99,8 +72,11 @@ def test_a_viewer_that_is_flooded_and_frozen_changes_nothing(tmp_path: Path) -> 
             for place in places:
                 stranger.sendto(bytes([size % 251]) * size, str(place))
         run.send(signal.SIGSTOP, "viewer")
-        ended, come_s = end_later(run)
-    assert_it_was_the_same_run(ended, come_s, tmp_path / "simulation")
+        ended, come_s = run.end_later(number=signal.SIGTERM)
+    assert (ended.code, ended.summary["faults"]) == (130, []), ended.output
+    assert ended.summary["recorder"]["lost"] == 0
+    names = ("joint_states", "joint_commands", "plant_truth")
+    assert_as_simulated(ended, come_s, tmp_path / "simulation", *names)
     assert not any(place.exists() for place in places)
     assert processes_of(tmp_path) == {}
 

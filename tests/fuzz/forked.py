@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import os
+import multiprocessing
 import resource
 import signal
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO
 
 _BUSY_S, _HANG_S = 60, 600
 """What no trial takes, of CPU time, and on a busy machine of wall time."""
@@ -30,6 +30,11 @@ class Outcomes:
     counts: Counter[str] = field(default_factory=Counter)
     findings: dict[int, str] = field(default_factory=dict)
 
+    def note(self, number: int, kind: str, text: str) -> None:
+        self.counts[kind] += 1
+        if kind == "finding":
+            self.findings[number] = text
+
 
 def try_forked(trial: Callable[[int], str], numbers: range) -> Outcomes:
     """Make trials by number; each gives its outcome, or raises what is a finding.
@@ -47,31 +52,25 @@ def try_forked(trial: Callable[[int], str], numbers: range) -> Outcomes:
 
 def _one_child(trial: Callable[[int], str], numbers: range, outcomes: Outcomes) -> int:
     """Make trials in one child until it is through, or dies; how many were made."""
-    from_child, to_parent = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(from_child)
-        with os.fdopen(to_parent, "w") as pipe:
-            _be_child(trial, numbers, pipe)
-        os._exit(0)
-    os.close(to_parent)
+    from_child, to_parent = multiprocessing.Pipe(duplex=False)
+    fork = multiprocessing.get_context("fork")
+    child = fork.Process(target=_be_child, args=(trial, numbers, to_parent))
+    child.start()
+    to_parent.close()
     done = 0
-    with os.fdopen(from_child) as pipe:
-        for line in pipe:
-            kind, text = json.loads(line)
-            outcomes.counts[kind] += 1
-            if kind == "finding":
-                outcomes.findings[numbers[done]] = text
+    with suppress(EOFError):
+        while True:
+            kind, text = from_child.recv()
+            outcomes.note(numbers[done], kind, text)
             done += 1
-    _, status = os.waitpid(child, 0)
-    if status:
-        outcomes.counts["finding"] += 1
-        outcomes.findings[numbers[done]] = f"the process died: wait status {status}"
+    child.join()
+    if child.exitcode:
+        outcomes.note(numbers[done], "finding", f"the process died: exit code {child.exitcode}")
         done += 1
     return done
 
 
-def _be_child(trial: Callable[[int], str], numbers: range, pipe: IO[str]) -> None:
+def _be_child(trial: Callable[[int], str], numbers: range, parent: Connection) -> None:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + _MEMORY_BYTES, used + _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -81,8 +80,7 @@ def _be_child(trial: Callable[[int], str], numbers: range, pipe: IO[str]) -> Non
         signal.setitimer(signal.ITIMER_PROF, _BUSY_S)
         signal.alarm(_HANG_S)
         try:
-            answer = [trial(number), ""]
+            answer = trial(number), ""
         except BaseException:  # noqa: BLE001 (whatever it is, it is a finding)
-            answer = ["finding", traceback.format_exc()]
-        pipe.write(json.dumps(answer) + "\n")
-        pipe.flush()
+            answer = "finding", traceback.format_exc()
+        parent.send(answer)

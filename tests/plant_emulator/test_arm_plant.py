@@ -6,7 +6,7 @@ from bus_schema.runtime.modes import Mode
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
-from tests.arms import PAPER_ARM, shipped_arm
+from tests.arms import PAPER_ARM, forward_dynamics, shipped_arm
 
 GRID = TickGrid(1000.0, 4)
 SUBSTEP_S = GRID.substep_s
@@ -71,7 +71,7 @@ def test_first_command_releases_the_brakes(bench):
     released.arm.command(np.zeros(3))
     assert released.arm.mode is Mode.TRACKING
     model = ManipulatorModel(ROBOT)
-    fall = model.forward_dynamics(released.arm.position, np.zeros(3), np.zeros(3))
+    fall = forward_dynamics(model, released.arm.position, np.zeros(3), np.zeros(3))
     _, velocities = released.run(4 * SUBSTEP_S)
     # After 1 ms of falling from rest: v = a t, but for the 0.3 mrad/s at which the brakes creep.
     np.testing.assert_allclose(velocities[-1], fall * 1e-3, atol=5e-4, rtol=0.01)

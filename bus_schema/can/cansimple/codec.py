@@ -12,23 +12,36 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
 from bus_schema.link.can_configuration import CanSimpleConfiguration
 
 COMMAND_BITS = 5
-HEARTBEAT, SET_AXIS_STATE, GET_ENCODER_ESTIMATES = 0x01, 0x07, 0x09
-SET_CONTROLLER_MODE, SET_INPUT_POS, SET_INPUT_TORQUE, CLEAR_ERRORS = 0x0B, 0x0C, 0x0E, 0x18
 TURN_RAD = 2.0 * math.pi
 
 _ESTIMATES = struct.Struct("<ff")
 _WORD = np.iinfo(np.int16)
+
+
+class Command(IntEnum):
+    """What a message says: the lowest bits of its identifier."""
+
+    HEARTBEAT = 0x01
+    SET_AXIS_STATE = 0x07
+    GET_ENCODER_ESTIMATES = 0x09
+    SET_CONTROLLER_MODE = 0x0B
+    SET_INPUT_POS = 0x0C
+    SET_INPUT_TORQUE = 0x0E
+    CLEAR_ERRORS = 0x18
+    SET_POS_GAIN = 0x1A
+    SET_VEL_GAINS = 0x1B
 
 
 class CanSimpleMode(NamedTuple):
@@ -42,17 +55,17 @@ class CanSimpleMode(NamedTuple):
     """
 
     control: int
-    input: int
+    input: Command
     layout: struct.Struct
     cycle: CycleFrames
 
 
 TORQUE = CanSimpleMode(
-    1, SET_INPUT_TORQUE, struct.Struct("<f"),
+    1, Command.SET_INPUT_TORQUE, struct.Struct("<f"),
     CycleFrames((), (0, 8, 4), "{n} × (request + encoder estimates 8 bytes + torque 4 bytes)"),
 )  # fmt: skip
 POSITION = CanSimpleMode(
-    3, SET_INPUT_POS, struct.Struct("<fhh"),
+    3, Command.SET_INPUT_POS, struct.Struct("<fhh"),
     CycleFrames((), (0, 8, 8), "{n} × (request + encoder estimates 8 bytes + position 8 bytes)"),
 )  # fmt: skip
 
@@ -84,7 +97,7 @@ class CanSimpleCodec:
         self.gains, self._scales = gains, scales or CanSimpleConfiguration()
         self.mode = TORQUE if gains is None else POSITION
         self.cycle = self.mode.cycle
-        estimates = [identifier(node_id, GET_ENCODER_ESTIMATES) for node_id in node_ids]
+        estimates = [identifier(node_id, Command.GET_ENCODER_ESTIMATES) for node_id in node_ids]
         self._inputs = [identifier(node_id, self.mode.input) for node_id in node_ids]
         self._requests = tuple(CanFrame(each, is_remote=True) for each in estimates)
         self._joint_of_estimates = {each: joint for joint, each in enumerate(estimates)}
@@ -100,7 +113,7 @@ class CanSimpleCodec:
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint_of_estimates.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, _ESTIMATES.size):
+        if joint is None or not is_data(frame, _ESTIMATES.size):
             return None
         turns, turns_per_s = _ESTIMATES.unpack(frame.data)
         position[joint] = turns * TURN_RAD
@@ -115,17 +128,14 @@ class CanSimpleCodec:
             torques = zip(self._inputs, torque_nm.tolist(), strict=True)
             return [CanFrame(each, pack(torque)) for each, torque in torques]
         turns, turns_s = (self._seen if target is None else target) / TURN_RAD
-        columns = (
-            turns.tolist(),
-            _words(turns_s * self._scales.input_vel_scale),
-            _words(torque_nm * self._torque_scale),
-        )
-        rows = zip(self._inputs, *columns, strict=True)
+        velocities = _words(turns_s * self._scales.input_vel_scale)
+        forwards = _words(torque_nm * self._torque_scale)
+        rows = zip(self._inputs, turns.tolist(), velocities, forwards, strict=True)
         return [CanFrame(each, pack(*values)) for each, *values in rows]
 
     def read_torque(self, frame: CanFrame, torque_nm: Vector) -> int | None:
         joint = self._joint_of_input.get(frame.identifier)
-        if joint is None or not is_classical_data(frame, self.mode.layout.size):
+        if joint is None or not is_data(frame, self.mode.layout.size):
             return None
         torque_nm[joint] = self.mode.layout.unpack(frame.data)[-1] / self._torque_scale
         return joint

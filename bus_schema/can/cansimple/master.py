@@ -3,41 +3,32 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable
 
 import numpy as np
 
 from bus_schema.arrays import Vector
 from bus_schema.can.cansimple.codec import (
-    CLEAR_ERRORS,
     COMMAND_BITS,
-    HEARTBEAT,
-    SET_AXIS_STATE,
-    SET_CONTROLLER_MODE,
-    SET_INPUT_POS,
-    SET_INPUT_TORQUE,
     TURN_RAD,
     CanSimpleCodec,
+    Command,
     identifier,
 )
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.can.master import CanMaster
 from bus_schema.link.can_configuration import CanConfiguration
 
 _IDLE, _CLOSED_LOOP_CONTROL = 1, 8
 _PASSTHROUGH = 1
-_SET_POS_GAIN, _SET_VEL_GAINS = 0x1A, 0x1B
 _U32, _TWO_U32 = struct.Struct("<I"), struct.Struct("<II")
 _GAIN, _GAINS = struct.Struct("<f"), struct.Struct("<ff")
 _BEAT = struct.Struct("<IBB")
-_COMMANDS = {
-    SET_AXIS_STATE: "Set_Axis_State", SET_CONTROLLER_MODE: "Set_Controller_Mode",
-    SET_INPUT_POS: "Set_Input_Pos", SET_INPUT_TORQUE: "Set_Input_Torque",
-    CLEAR_ERRORS: "Clear_Errors",
+_OF_MASTER = {
+    Command.SET_AXIS_STATE, Command.SET_CONTROLLER_MODE, Command.SET_INPUT_POS,
+    Command.SET_INPUT_TORQUE, Command.CLEAR_ERRORS,
 }  # fmt: skip
-_POLL_S = 0.05
-_AGAIN_S = 0.3
+"""Commands that tell of another master."""
 
 
 class CanSimpleMaster(CanMaster):
@@ -57,62 +48,47 @@ class CanSimpleMaster(CanMaster):
         self._errors = [0] * len(node_ids)
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        give_up_s = time.monotonic() + timeout_s
-        while not self._try_to_enable(is_stop_requested):
-            if is_stop_requested():
-                return False
-            if time.monotonic() > give_up_s:
-                raise DriveError(self._not_enabled(timeout_s))
+        if not self._await_drives(timeout_s, is_stop_requested):
+            return False
         self._faults.clear()
         return True
 
     def command(self, torque_nm: Vector) -> None:
         if self._is_stopping:
-            self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
+            self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
             torque_nm = np.zeros_like(torque_nm)
         super().command(torque_nm)
 
     def leave(self) -> None:
-        self._send_to_all(SET_AXIS_STATE, _U32.pack(_IDLE))
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_IDLE))
 
-    def _try_to_enable(self, is_stop_requested: Callable[[], bool]) -> bool:
-        """Ask all axes to follow their inputs, and watch for a while whether they do."""
+    def _ask(self) -> None:
+        """Ask all axes to follow their inputs, and for the heartbeats that say whether they do."""
         self._send_gains()
         self._states = [0] * len(self._node_ids)
         self._is_powered = [False] * len(self._node_ids)
-        self._send_to_all(CLEAR_ERRORS, b"\0")
+        self._send_to_all(Command.CLEAR_ERRORS, b"\0")
         self._send_to_all(
-            SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
+            Command.SET_CONTROLLER_MODE, _TWO_U32.pack(self._codec.mode.control, _PASSTHROUGH)
         )
-        self._send_to_all(SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
+        self._send_to_all(Command.SET_AXIS_STATE, _U32.pack(_CLOSED_LOOP_CONTROL))
         self._send_heartbeat()
-        until_s = time.monotonic() + _AGAIN_S
-        while time.monotonic() < until_s and not is_stop_requested():
-            frame = self._bus.receive(_POLL_S)
-            if frame is not None:
-                self._handle(frame)
-            if all(self._is_powered):
-                return True
-        return False
 
     def _send_gains(self) -> None:
         """Tune the loops that axes close in position control."""
         if self._codec.gains is None:
             return
         _, stiffnesses, dampings = self._codec.gains
-        for node_id, stiffness, damping in zip(
-            self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True
-        ):
-            position_gain = _GAIN.pack(stiffness / damping)
-            velocity_gains = _GAINS.pack(damping * TURN_RAD, 0.0)
-            self._send(
-                (
-                    CanFrame(identifier(node_id, _SET_POS_GAIN), position_gain),
-                    CanFrame(identifier(node_id, _SET_VEL_GAINS), velocity_gains),
-                )
-            )
+        rows = zip(self._node_ids, stiffnesses.tolist(), dampings.tolist(), strict=True)
+        for node_id, stiffness, damping in rows:
+            position = _GAIN.pack(stiffness / damping)
+            velocity = _GAINS.pack(damping * TURN_RAD, 0.0)
+            self._send((
+                CanFrame(identifier(node_id, Command.SET_POS_GAIN), position),
+                CanFrame(identifier(node_id, Command.SET_VEL_GAINS), velocity),
+            ))  # fmt: skip
 
-    def _not_enabled(self, timeout_s: float) -> str:
+    def _who_is_absent(self, timeout_s: float) -> str:
         sentences = []
         for node_id, state, errors in zip(self._node_ids, self._states, self._errors, strict=True):
             if state == 0:
@@ -126,7 +102,7 @@ class CanSimpleMaster(CanMaster):
 
     def _send_heartbeat(self) -> None:
         """Request the heartbeats of all axes; they need none of the master's."""
-        self._send_to_all(HEARTBEAT, is_remote=True)
+        self._send_to_all(Command.HEARTBEAT, is_remote=True)
 
     def _only_master_sends(self, frame: CanFrame) -> str | None:
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
@@ -134,13 +110,13 @@ class CanSimpleMaster(CanMaster):
             return None
         if frame.is_remote:
             return "requests"
-        return _COMMANDS.get(command)
+        return Command(command).name.title() if command in _OF_MASTER else None
 
     def _handle_report(self, frame: CanFrame) -> None:
         """Take in heartbeats."""
         node_id, command = divmod(frame.identifier, 1 << COMMAND_BITS)
         joint = self._joint_of.get(node_id)
-        if joint is None or command != HEARTBEAT or len(frame.data) < _BEAT.size:
+        if joint is None or command != Command.HEARTBEAT or len(frame.data) < _BEAT.size:
             return
         self._errors[joint], self._states[joint], _ = _BEAT.unpack_from(frame.data)
         self._is_powered[joint] = self._states[joint] == _CLOSED_LOOP_CONTROL

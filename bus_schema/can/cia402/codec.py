@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.frame import CanFrame, is_classical_data, is_data
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.configuration import ConfigurationError, expand
 from bus_schema.drive_feedback import DriveGains
@@ -136,7 +136,7 @@ class Cia402Codec:
         return _SYNC_FRAMES
 
     def is_sampling(self, frame: CanFrame) -> bool:
-        return frame.identifier == SYNC and is_classical_data(frame, 0)
+        return frame.identifier == SYNC and is_data(frame, 0)
 
     def read_state(self, frame: CanFrame, position: Vector, velocity: Vector) -> int | None:
         joint = self._joint_of_tpdo.get(frame.identifier)

@@ -40,7 +40,6 @@ _OPERATIONAL, _BOOT_UP = 5, 0
 _STATUSWORD, _EMERGENCY = struct.Struct("<H"), struct.Struct("<HB5s")
 _POWERED = ("OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT REACTION ACTIVE")
 _POLL_S = 0.005
-_BOOT_S = 1.0
 
 
 class Cia402Master(CanMaster):
@@ -50,6 +49,7 @@ class Cia402Master(CanMaster):
     contents each maker decides on: these are those of our description.
     """
 
+    ask_again_s = 1.0
     _codec: Cia402Codec
 
     def __init__(
@@ -62,11 +62,12 @@ class Cia402Master(CanMaster):
             BaseNode402(node_id, object_dictionary(can.eds or CIA402_EDS, node_id))
             for node_id in node_ids
         ]
-        for node in self._nodes:
+        for joint, node in enumerate(self._nodes):
             node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_SWITCH_OP_MODE = can.answer_timeout_s
             node.TIMEOUT_SWITCH_STATE_FINAL = can.answer_timeout_s
             node.TIMEOUT_SWITCH_STATE_SINGLE = can.answer_timeout_s
             self._network.add_node(node)
+            node.nmt.add_heartbeat_callback(partial(self._note_boot, joint))
         self._last_heartbeat_ns = [0] * len(node_ids)
         self._is_in_cycle = [False] * len(node_ids)
         self._start_timeout_ms = float(can.heartbeat_timeout_ms)
@@ -76,7 +77,9 @@ class Cia402Master(CanMaster):
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
         self._start_timeout_ms = max(1000.0 * timeout_s, self._can.heartbeat_timeout_ms)
         with self._listening():
-            if not self._await_boot(timeout_s, is_stop_requested):
+            if not self._await_drives(
+                timeout_s, lambda: self._lost is not None or is_stop_requested()
+            ):
                 return False
             for joint, node in enumerate(self._nodes):
                 try:
@@ -99,26 +102,17 @@ class Cia402Master(CanMaster):
     def leave(self) -> None:
         self._network.nmt.state = "PRE-OPERATIONAL"
 
-    def _await_boot(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        """Reset all drives until each has reported its boot-up; false if asked to stop."""
-        give_up_s = time.monotonic() + timeout_s
-        missing = set(self._joint_of)
-        for node_id, node in zip(self._node_ids, self._nodes, strict=True):
-            node.nmt.add_heartbeat_callback(partial(_note_boot, missing, node_id))
+    def _ask(self) -> None:
+        for joint in sorted(self._absent):
+            self._nodes[joint].nmt.state = "RESET"
 
-        def must_end() -> bool:
-            return self._lost is not None or is_stop_requested()
+    def _listen(self) -> None:
+        time.sleep(_POLL_S)  # meanwhile, another thread hands over what comes
 
-        while missing and not must_end():
-            for node_id in sorted(missing):
-                self._network[node_id].nmt.state = "RESET"
-            again_s = time.monotonic() + _BOOT_S
-            while missing and time.monotonic() < again_s and not must_end():
-                time.sleep(0.005)
-            if missing and time.monotonic() > give_up_s:
-                nodes = ", ".join(str(node_id) for node_id in sorted(missing))
-                raise DriveError(f"no answer from drive {nodes} within {timeout_s:g} s")
-        return not missing
+    def _note_boot(self, joint: int, state: int) -> None:
+        """A heartbeat has come; a drive that has just booted has turned up."""
+        if state == _BOOT_UP:
+            self._absent.discard(joint)
 
     def _check(self, joint: int, node: BaseNode402) -> None:
         """Whether the drive is what the scenario says it is."""
@@ -278,9 +272,3 @@ class Cia402Master(CanMaster):
             thread.join()
             if self._lost is not None:
                 raise self._lost
-
-
-def _note_boot(missing: set[int], node_id: int, state: int) -> None:
-    """A heartbeat has come; a node that has just booted is missing no longer."""
-    if state == _BOOT_UP:
-        missing.discard(node_id)

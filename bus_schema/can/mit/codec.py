@@ -16,11 +16,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.can.frame import CanFrame, is_classical_data
+from bus_schema.can.frame import CanFrame, is_data
 from bus_schema.can.frame_timing import CycleFrames
 from bus_schema.drive_feedback import DriveGains
 
-_LONG, _SHORT = 16, 12
 _SPECIAL = b"\xff" * 7
 COMMAND_BYTES = 8
 REPLY_BYTES = (6, 8)
@@ -89,81 +88,82 @@ def special_of(data: bytes) -> Special | None:
     return Special(data[-1])
 
 
+class _Number(NamedTuple):
+    """How a number is written.
+
+    Attributes:
+        name: attribute of its range, and of what it is part of.
+        bits: how many it has.
+        is_signed: its range reaches from minus to plus.
+    """
+
+    name: str
+    bits: int
+    is_signed: bool
+
+
+_POSITION, _VELOCITY = _Number("position_rad", 16, True), _Number("velocity_rad_s", 12, True)
+_STIFFNESS, _DAMPING = _Number("stiffness_nm_rad", 12, False), _Number("damping_nm_s", 12, False)
+_TORQUE = _Number("torque_nm", 12, True)
+_COMMAND = (_POSITION, _VELOCITY, _STIFFNESS, _DAMPING, _TORQUE)
+_STATE = (_POSITION, _VELOCITY, _TORQUE)
+"""What frames hold, the first one in the highest bits."""
+
+
 def packed_command(command: MitCommand, ranges: MitRanges) -> bytes:
     """The eight bytes of a command; what is beyond its range is at its end."""
-    position, velocity, stiffness, damping, torque = command
-    return (
-        _signed(position, ranges.position_rad, _LONG) << 48
-        | _signed(velocity, ranges.velocity_rad_s, _SHORT) << 36
-        | _steps(stiffness, ranges.stiffness_nm_rad, _SHORT) << 24
-        | _steps(damping, ranges.damping_nm_s, _SHORT) << 12
-        | _signed(torque, ranges.torque_nm, _SHORT)
-    ).to_bytes(COMMAND_BYTES, "big")
+    return _packed(command, _COMMAND, ranges).to_bytes(COMMAND_BYTES, "big")
 
 
 def command_of(data: bytes, ranges: MitRanges) -> MitCommand:
     """What eight bytes that are not `special_of` command."""
-    bits = int.from_bytes(data, "big")
-    return MitCommand(
-        _number(bits >> 48, ranges.position_rad, _LONG),
-        _number(bits >> 36, ranges.velocity_rad_s, _SHORT),
-        _share(bits >> 24, _SHORT) * ranges.stiffness_nm_rad,
-        _share(bits >> 12, _SHORT) * ranges.damping_nm_s,
-        _number(bits, ranges.torque_nm, _SHORT),
-    )
+    return MitCommand(*_unpacked(int.from_bytes(data, "big"), _COMMAND, ranges))
 
 
 def packed_reply(reply: MitReply, ranges: MitRanges, reply_bytes: int) -> bytes:
     """The bytes of a reply, as many as the firmware sends."""
-    state = (
-        (reply.node_id & _BYTE) << 40
-        | _signed(reply.position_rad, ranges.position_rad, _LONG) << 24
-        | _signed(reply.velocity_rad_s, ranges.velocity_rad_s, _SHORT) << 12
-        | _signed(reply.torque_nm, ranges.torque_nm, _SHORT)
-    ).to_bytes(REPLY_BYTES[0], "big")
-    return (state + bytes([reply.temperature_c - _COLDEST_C, reply.error]))[:reply_bytes]
+    bits = (reply.node_id & _BYTE) << 40 | _packed(reply, _STATE, ranges)
+    rest = bytes([reply.temperature_c - _COLDEST_C, reply.error])
+    return (bits.to_bytes(REPLY_BYTES[0], "big") + rest)[:reply_bytes]
 
 
 def reply_of(data: bytes, ranges: MitRanges) -> MitReply:
     """What six or eight bytes report."""
-    bits = int.from_bytes(data[: REPLY_BYTES[0]], "big")
-    reply = MitReply(
-        data[0],
-        _number(bits >> 24, ranges.position_rad, _LONG),
-        _number(bits >> 12, ranges.velocity_rad_s, _SHORT),
-        _number(bits, ranges.torque_nm, _SHORT),
-    )
+    packed = int.from_bytes(data[: REPLY_BYTES[0]], "big")
+    position, velocity, torque = _unpacked(packed, _STATE, ranges)
+    reply = MitReply(data[0], position, velocity, torque)
     if len(data) == REPLY_BYTES[0]:
         return reply
     return reply._replace(temperature_c=data[6] + _COLDEST_C, error=data[7])
 
 
+def _packed(values: MitCommand | MitReply, numbers: Sequence[_Number], ranges: MitRanges) -> int:
+    packed = 0
+    for name, bits, is_signed in numbers:
+        value, limit = getattr(values, name), getattr(ranges, name)
+        share = (value + limit) / (2.0 * limit) if is_signed else value / limit
+        packed = packed << bits | int(min(max(share, 0.0), 1.0) * ((1 << bits) - 1))
+    return packed
+
+
+def _unpacked(packed: int, numbers: Sequence[_Number], ranges: MitRanges) -> list[float]:
+    values = []
+    for name, bits, is_signed in reversed(numbers):
+        most = (1 << bits) - 1
+        share = (packed & most) / most
+        values.append((2.0 * share - 1.0 if is_signed else share) * getattr(ranges, name))
+        packed >>= bits
+    return values[::-1]
+
+
 def is_command(frame: CanFrame) -> bool:
     """Whether a frame has the form of a command or a special one."""
-    return is_classical_data(frame, COMMAND_BYTES)
+    return is_data(frame, COMMAND_BYTES)
 
 
 def is_reply(frame: CanFrame) -> bool:
     """Whether a frame has the form of a reply."""
-    return any(is_classical_data(frame, length) for length in REPLY_BYTES)
-
-
-def _signed(value: float, limit: float, bits: int) -> int:
-    return _steps(value + limit, 2.0 * limit, bits)
-
-
-def _steps(value: float, span: float, bits: int) -> int:
-    most = (1 << bits) - 1
-    return int(min(max(value / span, 0.0), 1.0) * most)
-
-
-def _share(bits: int, length: int) -> float:
-    most = (1 << length) - 1
-    return (bits & most) / most
-
-
-def _number(bits: int, limit: float, length: int) -> float:
-    return (2.0 * _share(bits, length) - 1.0) * limit
+    return any(is_data(frame, length) for length in REPLY_BYTES)
 
 
 class MitCodec:

@@ -7,12 +7,10 @@ from collections.abc import Callable
 
 from bus_schema.arrays import Vector
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.master import CanMaster, DriveError
+from bus_schema.can.master import POLL_S, CanMaster, DriveError
 from bus_schema.can.mit.codec import MitCodec, Special
 from bus_schema.link.can_configuration import CanConfiguration
 
-_POLL_S = 0.05
-_AGAIN_S = 0.3
 _QUIET_S, _LONGEST_QUIET_S = 0.1, 1.0
 
 
@@ -37,16 +35,8 @@ class MitMaster(CanMaster):
         self._is_leaving = False
 
     def enable(self, timeout_s: float, is_stop_requested: Callable[[], bool]) -> bool:
-        give_up_s = time.monotonic() + timeout_s
-        missing = set(self._joint_of.values())
-        while missing:
-            self._send(self._codec.special_frames(Special.EXIT)[joint] for joint in sorted(missing))
-            missing = self._unanswered(missing, is_stop_requested)
-            if is_stop_requested():
-                return False
-            if missing and time.monotonic() > give_up_s:
-                nodes = ", ".join(str(self._node_ids[joint]) for joint in sorted(missing))
-                raise DriveError(f"no answer from drive {nodes} within {timeout_s:g} s")
+        if not self._await_drives(timeout_s, is_stop_requested):
+            return False
         self._await_quiet()
         if errors := self._missed_heartbeats():
             raise DriveError("; ".join(errors))
@@ -81,19 +71,18 @@ class MitMaster(CanMaster):
     def leave(self) -> None:
         self._send(self._codec.special_frames(Special.EXIT))
 
-    def _unanswered(self, missing: set[int], is_stop_requested: Callable[[], bool]) -> set[int]:
-        """Which of some drives do not reply for a while."""
-        missing, until_s = set(missing), time.monotonic() + _AGAIN_S
-        while missing and time.monotonic() < until_s and not is_stop_requested():
-            if (joint := self._next_answering(_POLL_S)) is not None:
-                missing.discard(joint)
-        return missing
+    def _ask(self) -> None:
+        frames = self._codec.special_frames(Special.EXIT)
+        self._send(frames[joint] for joint in sorted(self._absent))
+
+    def _listen(self) -> None:
+        self._absent -= {self._next_answering(POLL_S)}
 
     def _await_quiet(self) -> None:
         """Let all replies come to what had to be said more than once."""
         began_s = quiet_since_s = time.monotonic()
         while time.monotonic() < min(quiet_since_s + _QUIET_S, began_s + _LONGEST_QUIET_S):
-            if self._next_answering(_POLL_S) is not None:
+            if self._next_answering(POLL_S) is not None:
                 quiet_since_s = time.monotonic()
 
     def _next_answering(self, timeout_s: float) -> int | None:

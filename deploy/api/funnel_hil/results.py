@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import plotly.graph_objects as go
 
@@ -15,7 +15,7 @@ from deploy.judge.run_data import RunData, Table
 from deploy.judge.run_rows import Row, row
 from deploy.judge.time_series import SERIES, TRACKING, Columns, series
 from deploy.judge.verdict import Verdict, verdict_of
-from deploy.reports.figure_json import template, without_template
+from deploy.reports.figure_json import no_template, template
 from deploy.reports.figures.study_figures import DrawnStudy
 from deploy.reports.page import Panel
 from deploy.reports.run_panels import LAW_PANELS, RECORDED_PANELS, RUN_PANELS
@@ -52,7 +52,8 @@ class _Drawn:
             InputError: there is none of that name, or there is nothing to draw in it.
         """
         panel = self._panels[_known(name, self.figure_names, "figure")]
-        figure = without_template(panel.draw, self._shown)
+        with no_template():
+            figure = panel.draw(self._shown)
         if not isinstance(figure, go.Figure):
             raise InputError(f"figure {name!r}: there is nothing to draw")
         return figure.update_layout(template=template())
@@ -156,7 +157,24 @@ class Run(_Drawn):
         return super().figure(name)
 
 
-class Comparison(_Table):
+class _SideBySide(_Table):
+    """Runs by what tells one from the others."""
+
+    _key: ClassVar[str]
+
+    def __init__(self, panels: Sequence[Panel[Any]], compared: ComparedRuns) -> None:
+        super().__init__(panels, compared)
+        self.runs = {run.law: Run(run.data, run.summary, run.path) for run in compared.runs}
+        self.rows = [row(run.summary, run.seed) for run in compared.runs]
+
+    def __getitem__(self, name: str) -> Run:
+        return self.runs[_known(name, list(self.runs), self._key)]
+
+    def figure(self, name: str = "errors") -> go.Figure:
+        return super().figure(name)
+
+
+class Comparison(_SideBySide):
     """Runs of one scenario under several laws.
 
     Attributes:
@@ -164,19 +182,13 @@ class Comparison(_Table):
         rows: one for each law, as in ``comparison.parquet``.
     """
 
+    _key = "law"
+
     def __init__(self, compared: ComparedRuns) -> None:
         super().__init__(LAW_PANELS, compared)
-        self.runs = _by_name(compared.runs)
-        self.rows = [row(run.summary, run.seed) for run in compared.runs]
-
-    def __getitem__(self, law: str) -> Run:
-        return self.runs[_known(law, list(self.runs), "law")]
-
-    def figure(self, name: str = "errors") -> go.Figure:
-        return super().figure(name)
 
 
-class Diff(_Table):
+class Diff(_SideBySide):
     """Recorded runs side by side; the first is what the others are held against.
 
     Attributes:
@@ -188,19 +200,16 @@ class Diff(_Table):
             as far as both recordings have them.
     """
 
+    _key = "run"
+
     def __init__(self, compared: RecordedRuns) -> None:
-        super().__init__(RECORDED_PANELS, compared.comparison)
-        self.runs = _by_name(compared.runs)
-        self.rows = [{"run": run.law, **row(run.summary, run.seed)} for run in compared.runs]
+        super().__init__(RECORDED_PANELS, compared)
+        self.rows = [
+            {"run": label, **each} for label, each in zip(self.runs, self.rows, strict=True)
+        ]
         self.differing = compared.differing
         ticks = [None if each is None else each.tick for each in compared.partings]
         self.first_different_ticks = dict(zip(compared.labels[1:], ticks[1:], strict=True))
-
-    def __getitem__(self, label: str) -> Run:
-        return self.runs[_known(label, list(self.runs), "run")]
-
-    def figure(self, name: str = "errors") -> go.Figure:
-        return super().figure(name)
 
 
 class Study(_Table):
@@ -226,10 +235,6 @@ class Study(_Table):
         if len(found) < len(cases) or not cases:
             raise InputError("margins: must be asked of margins with one case a law; see summary")
         return found
-
-
-def _by_name(runs: Sequence[JudgedRun]) -> dict[str, Run]:
-    return {run.law: Run(run.data, run.summary, run.path) for run in runs}
 
 
 def _known(name: str, names: Sequence[str], what: str) -> str:

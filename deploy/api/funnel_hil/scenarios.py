@@ -20,14 +20,7 @@ from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import SHIPPED, build_setup, file_values, given_values
 from deploy.scenario.setup import Setup
 from deploy.scenario.study_keys import LAW
-from deploy.scenario.yaml_files import (
-    ScenarioError,
-    find_yaml,
-    override,
-    plain,
-    set_value,
-    to_yaml,
-)
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, override, plain, set_value, to_yaml
 
 __all__ = ["InputError", "Law", "Scenario", "ScenarioLike", "named_law", "scenarios"]
 

@@ -47,13 +47,7 @@ from deploy.run.execute import How, InProcess, JudgedRun, Lockstep
 from deploy.run.exit_codes import FAULT, FINISHED
 from deploy.run.new_folder import new_folder
 from deploy.run.processes.program import require_program
-from deploy.run.run_folder import (
-    ResultFolder,
-    RunFolder,
-    load_run,
-    provenance,
-    read_summary,
-)
+from deploy.run.run_folder import ResultFolder, RunFolder, load_run, provenance, read_summary
 from deploy.run.stop_signals import on_stop, stop_at_once
 from deploy.scenario.setup import Setup
 from deploy.study.comparison.comparison import KIND, ComparedRuns, ComparisonFolder, load_setups
@@ -66,8 +60,7 @@ from deploy.study.folder import STUDY_FILE
 def compare(
     scenario: ScenarioArgument = "paper_arm",
     laws: Annotated[
-        str | None,
-        typer.Option("--laws", metavar="A,B,…", help="Laws to compare; all by default."),
+        str | None, typer.Option(metavar="A,B,…", help="Laws to compare; all by default.")
     ] = None,
     settling: Annotated[
         bool,

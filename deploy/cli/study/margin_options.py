@@ -11,103 +11,116 @@ from deploy.cli.common import parse_laws
 from deploy.cli.options import Confirm, Out, Overrides, Overwrite
 from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override
 
-WorkerCount = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, help="Processes to run on; one per core by default."),
-]
-Scheduler = Annotated[
-    str | None,
-    typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786."),
-]
+
+@dataclass(kw_only=True)
+class StudyOptions:
+    """The options that `sweep` and `margin` have in common."""
+
+    plants: Annotated[
+        int | None, typer.Option(metavar="N", help="Try N plants, drawn from what is uncertain.")
+    ] = None
+    plant_seed: Annotated[
+        int | None, typer.Option(help="Another one draws other plants; default 1.")
+    ] = None
+    uncertainty: Annotated[
+        str | None, typer.Option(help="A file of ranges to draw from; shipped are full, half.")
+    ] = None
+    overrides: Overrides = None
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes to run on; one per core by default.")
+    ] = None
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler: tcp://host:8786.")
+    ] = None
+    out: Out = None
+    overwrite: Overwrite = False
+    confirm: Confirm = False
+
+    def fixed(self) -> dict[str, Any]:
+        """What ``--set`` gives, by dotted key."""
+        return dict(map(parse_override, self.overrides or []))
+
+    def definition(self) -> dict[str, Any]:
+        """What is given of a study's definition, but for what ``--set`` gives."""
+        given = {
+            "plants": self.plants, "plant_seed": self.plant_seed, "uncertainty": self.uncertainty,
+            "confirm": self.confirm or None,
+        }  # fmt: skip
+        return {key: value for key, value in given.items() if value is not None}
 
 
-Plants = Annotated[
-    int | None,
-    typer.Option("--plants", metavar="N", help="Try N plants, drawn from what is uncertain."),
-]
-PlantSeed = Annotated[
-    int | None, typer.Option("--plant-seed", help="Another one draws other plants; default 1.")
-]
-UncertaintyOption = Annotated[
-    str | None,
-    typer.Option("--uncertainty", help="A file of ranges to draw from; shipped are full, half."),
-]
+@dataclass(kw_only=True)
+class SweepOptions(StudyOptions):
+    """The options of `sweep`."""
+
+    sweep: Annotated[
+        str, typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a shipped one.")
+    ]
 
 
-@dataclass
-class MarginOptions:
-    """The options of `margin`, which are too many for parameters."""
+@dataclass(kw_only=True)
+class MarginOptions(StudyOptions):
+    """The options of `margin`."""
 
     scenario: Annotated[
         list[str] | None,
         typer.Argument(help="Scenario files or names of shipped ones; default paper_arm."),
     ] = None
-    laws: Annotated[
-        str | None, typer.Option("--laws", metavar="A,B,…", help="Laws; all by default.")
-    ] = None
+    laws: Annotated[str | None, typer.Option(metavar="A,B,…", help="Laws; all by default.")] = None
     compensation: Annotated[
-        str | None,
-        typer.Option("--compensation", metavar="off,on", help="Delay compensation off, on, both."),
+        str | None, typer.Option(metavar="off,on", help="Delay compensation off, on, both.")
     ] = None
     drive_feedback: Annotated[
-        str | None,
-        typer.Option("--drive-feedback", metavar="off,on", help="Feedback at the drives likewise."),
+        str | None, typer.Option(metavar="off,on", help="Feedback at the drives likewise.")
     ] = None
     running: Annotated[
-        str | None,
-        typer.Option("--running", metavar="off,on", help="From the start; ramped up, 1 s to 3 s."),
+        str | None, typer.Option(metavar="off,on", help="From the start; ramped up, 1 s to 3 s.")
     ] = None
     quantity: Annotated[
-        str | None,
-        typer.Option("--quantity", help="delay (round trip), jitter, loss, or a scenario's key."),
+        str | None, typer.Option(help="delay (round trip), jitter, loss, or a scenario's key.")
     ] = None
     direction: Annotated[
-        str | None, typer.Option("--direction", help="Of the link: both, uplink or downlink.")
+        str | None, typer.Option(help="Of the link: both, uplink or downlink.")
     ] = None
     seeds: Annotated[
         str | None, typer.Option("--seeds", metavar="N", help="How many, or a list [3, 5].")
     ] = None
     offsets: Annotated[
-        str | None,
-        typer.Option("--offsets", metavar="A,B,…", help="Factors on the initial offset."),
+        str | None, typer.Option(metavar="A,B,…", help="Factors on the initial offset.")
     ] = None
     duration: Annotated[
-        float | None, typer.Option("--duration", help="Length of each run, s; the scenario's own.")
+        float | None, typer.Option(help="Length of each run, s; the scenario's own.")
     ] = None
-    resolution: Annotated[
-        float | None,
-        typer.Option("--resolution", help="To which the margin is found."),
-    ] = None
+    resolution: Annotated[float | None, typer.Option(help="To which the margin is found.")] = None
     limit: Annotated[
-        float | None, typer.Option("--limit", help="The last value tried, in the quantity's unit.")
+        float | None, typer.Option(help="The last value tried, in the quantity's unit.")
     ] = None
-    plants: Plants = None
-    plant_seed: PlantSeed = None
-    uncertainty: UncertaintyOption = None
     values: Annotated[
-        str | None,
-        typer.Option("--values", metavar="A,B,…", help="Values to try on all plants."),
+        str | None, typer.Option(metavar="A,B,…", help="Values to try on all plants.")
     ] = None
     kept_share: Annotated[
         float | None, typer.Option("--kept-share", help="Plants to be kept; default 0.95.")
     ] = None
     study: Annotated[
-        str | None,
-        typer.Option("--study", help="A file with all of this, or the name of a shipped one."),
+        str | None, typer.Option(help="A file with all of this, or the name of a shipped one.")
     ] = None
-    overrides: Overrides = None
-    workers: WorkerCount = None
-    scheduler: Scheduler = None
-    out: Out = None
-    overwrite: Overwrite = False
-    confirm: Confirm = False
+
+    def definition(self) -> dict[str, Any]:
+        given: dict[str, Any] = {
+            "scenarios": self.scenario or None,
+            "laws": parse_laws(self.laws),
+            "seeds": None if self.seeds is None else option_value("--seeds", self.seeds),
+            "duration_s": self.duration,
+        }
+        given |= {name: getattr(self, name) for name in _AS_GIVEN}
+        given |= {name: _listed(name, getattr(self, name)) for name in _LISTED}
+        return super().definition() | {
+            key: value for key, value in given.items() if value is not None
+        }
 
 
 _LISTED = ("compensation", "drive_feedback", "running", "offsets", "values")
-_AS_GIVEN = (
-    "quantity", "direction", "resolution", "limit", "plants", "plant_seed", "uncertainty",
-    "kept_share",
-)  # fmt: skip
+_AS_GIVEN = ("quantity", "direction", "resolution", "limit", "kept_share")
 """Options that are called as a study's file has them: lists of values, and others."""
 
 
@@ -117,16 +130,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
     Raises:
         ScenarioError: options contradict each other.
     """
-    given = {name: getattr(options, name) for name in _AS_GIVEN}
-    given |= {name: _listed(name, getattr(options, name)) for name in _LISTED}
-    given |= {
-        "scenarios": options.scenario or None,
-        "laws": parse_laws(options.laws),
-        "seeds": None if options.seeds is None else option_value("--seeds", options.seeds),
-        "duration_s": options.duration,
-        "confirm": options.confirm or None,
-    }
-    fixed = dict(map(parse_override, options.overrides or []))
+    given, fixed = options.definition(), options.fixed()
     if options.duration is not None and "duration_s" in fixed:
         raise ScenarioError("--duration and --set duration_s: must not be given together")
     own = values.get("set") or {}
@@ -136,8 +140,7 @@ def definition_with(options: MarginOptions, values: dict[str, Any]) -> dict[str,
         own = {key: value for key, value in own.items() if key != "duration_s"}
     if "duration_s" in fixed:
         values = {key: value for key, value in values.items() if key != "duration_s"}
-    values = values | {key: value for key, value in given.items() if value is not None}
-    return values | {"set": {**own, **fixed}}
+    return values | given | {"set": {**own, **fixed}}
 
 
 def _listed(name: str, text: str | None) -> list[Any] | None:

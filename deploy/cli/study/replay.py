@@ -25,8 +25,7 @@ def replay(
     allow_custom_law: Annotated[
         bool,
         typer.Option(
-            "--allow-custom-law",
-            help="Run the law of one's own that the recording names.",
+            "--allow-custom-law", help="Run the law of one's own that the recording names."
         ),
     ] = False,
 ) -> None:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
 import threading
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from rich.console import Console
 
 from deploy.cli.common import judging, say_oddities, show_places
-from deploy.cli.options import Confirm, Out, Overrides, Overwrite
+from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
     MarginOptions,
-    Plants,
-    PlantSeed,
-    Scheduler,
-    UncertaintyOption,
-    WorkerCount,
+    StudyOptions,
+    SweepOptions,
     definition_with,
 )
 from deploy.cli.terminal.progress import CommandProgress
@@ -27,6 +23,7 @@ from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study_results
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import (
+    headlines,
     held_again,
     losses_table,
     margin_table,
@@ -40,14 +37,8 @@ from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.processes.program import require_program
 from deploy.run.run_folder import read_summary
 from deploy.run.stop_signals import on_stop
-from deploy.scenario.yaml_files import ScenarioError, find_yaml, parse_override, read_yaml
-from deploy.study.folder import (
-    StudyFolder,
-    changes_since,
-    create_folder,
-    find_folder,
-    read_study,
-)
+from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
+from deploy.study.folder import StudyFolder, changes_since, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out, retrace
 from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
@@ -63,54 +54,29 @@ _OPEN_SCHEDULER = (
 )
 
 
-def sweep(
-    definition: Annotated[
-        str, typer.Argument(metavar="SWEEP", help="A sweep file, or the name of a shipped one.")
-    ],
-    plants: Plants = None,
-    plant_seed: PlantSeed = None,
-    uncertainty: UncertaintyOption = None,
-    overrides: Overrides = None,
-    workers: WorkerCount = None,
-    scheduler: Scheduler = None,
-    out: Out = None,
-    overwrite: Overwrite = False,
-    confirm: Confirm = False,
-) -> None:
+@taking(SweepOptions)
+def sweep(options: SweepOptions) -> None:
     """Run every point of a grid with every seed, on all cores or a Dask cluster.
 
     With --plants every point with each of so many uncertain plants. Interrupted or killed, the same
     command goes on where it stopped.
     """
-    given = {
-        "plants": plants, "plant_seed": plant_seed, "uncertainty": uncertainty,
-        "confirm": confirm or None,
-    }  # fmt: skip
-    more = {key: value for key, value in given.items() if value is not None}
-    fixed = dict(map(parse_override, overrides or []))
-    _conduct(load_sweep(definition, more, fixed), workers, scheduler, out, overwrite=overwrite)
+    _conduct(load_sweep(options.sweep, options.definition(), options.fixed()), options)
 
 
-def margin(**words: Any) -> None:
+@taking(MarginOptions)
+def margin(options: MarginOptions) -> None:
     """Find the largest delay, or anything else, at which each law keeps its bounds.
 
     Bracketing and bisection, from several starts with several seeds; with --plants the share of
     uncertain plants that keep them, at each of --values. Interrupted or killed, the same command
     goes on where it stopped.
     """
-    options = MarginOptions(**words)
     path, values = Path("margin"), dict[str, Any]()
     if options.study is not None:
         path = find_yaml(options.study, SHIPPED, fits=lambda file: not is_sweep(file))
         values = read_yaml(path)
-    values = definition_with(options, values)
-    _conduct(
-        margin_study(values, path), options.workers, options.scheduler, options.out,
-        overwrite=options.overwrite,
-    )  # fmt: skip
-
-
-vars(margin)["__signature__"] = inspect.signature(MarginOptions, eval_str=True)  # for typer
+    _conduct(margin_study(definition_with(options, values), path), options)
 
 
 class RunCounter:
@@ -152,29 +118,22 @@ def report_study(path: Path, console: Console) -> None:
         _show(summary, folder, console)
 
 
-def _conduct(
-    study: StudyOfRuns,
-    workers: int | None,
-    scheduler: str | None,
-    out: Path | None,
-    *,
-    overwrite: bool,
-) -> None:
+def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
     """Carry a study out, or on, and show what came of it."""
-    if workers is not None and scheduler is not None:
+    scheduler, out, overwrite = options.scheduler, options.out, options.overwrite
+    if options.workers is not None and scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
-    if scheduler is None:  # else it has to be on the hosts of the cluster
-        for base in study.bases:
-            require_program(base)
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
-    if study.definition.confirm:
-        for base in study.bases:
+    for base in study.bases:
+        if scheduler is None:  # else it has to be on the hosts of the cluster
+            require_program(base)
+        if study.definition.confirm:
             check_confirmable(base)
     say_oddities(*study.bases)
     console, stop = Console(), threading.Event()
     path = None if overwrite else find_folder(study, out)
-    with DaskWorkers(workers, scheduler, study.laws) as team:
+    with DaskWorkers(options.workers, scheduler, study.laws) as team:
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
             warning = _OPEN_SCHEDULER.format(scheduler)
             Console(stderr=True).print(warning, markup=False, soft_wrap=True)
@@ -218,7 +177,7 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
     """The result as a table."""
     if summary["kind"] == "margin":
         print_table(console, margin_table(summary))
-        for sentence in held_again(summary):
+        for sentence in [*headlines(summary), *held_again(summary)]:
             console.print(sentence, markup=False)
     elif summary["kind"] == "robustness":
         for table in (robustness_table(summary), losses_table(summary)):

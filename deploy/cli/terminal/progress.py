@@ -56,10 +56,7 @@ class CommandProgress:
         )
         self._shape = 0
         self._bar = Progress(
-            *self._columns,
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
+            *self._columns, console=console, transient=True, disable=not console.is_terminal
         )
         self._task = self._bar.add_task(name, total=total, line="starting")
         self._started_s = self._printed_s = time.monotonic()

@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from bus_schema.arrays import Matrix, Vector
 from bus_schema.messages import topics
 from controller.manipulator_model import ManipulatorModel
-from deploy.judge.identified import identified, series, truth_over_time
+from deploy.judge.identified import identified, series, truth_of
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.reports.figures import style
 from deploy.reports.tables import Column, Table
@@ -54,7 +54,7 @@ def learned_over_time(run: RunData, key: str) -> go.Figure | None:
     values = series(run, key)
     if values is None:
         return None
-    truth, (title, unit) = getattr(truth_over_time(run.setup), key), _UNITS[key]
+    truth, (title, unit) = truth_of(run.setup)[key], _UNITS[key]
     if values.ndim > 1:
         names, steps = run.setup.robot.joint_names, [[(0.0, value)] for value in truth]
     else:

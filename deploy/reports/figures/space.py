@@ -27,66 +27,34 @@ _MARK = {"size": 5, "color": style.INK}
 _GHOST = {"color": style.MUTED, "width": 18}
 _ROOM = 0.05
 """On every side, as a share of the longest one."""
-_FROM = np.array([1.5, 1.3, 0.7])
-_TAN_HALF_VIEW = 0.92 * np.tan(np.pi / 8)  # plotly looks through 45°; some is for ticks and titles
-_LOWERED = 0.1
-"""How far below the middle of the box the camera looks: most ticks and titles are at its foot."""
+_CAMERA = {"eye": {"x": 1.86, "y": 1.61, "z": 0.74}, "center": {"x": 0, "y": 0, "z": -0.12}}
+"""It looks through 45° at all of a box with the diagonal of a cube of side 1, whatever its form, a
+little below its middle: most ticks and titles are at its foot."""
 
 
-def show_in_space(figure: go.Figure, points: NDArray[np.float64], **scene: object) -> None:
-    """Give a figure a scene that holds all points, as `still_space`, and nothing around it."""
-    margin = {"l": 0, "r": 0, "b": 0}
-    figure.update_layout(scene={**still_space(points), **scene}, margin=margin, legend={"y": 0})
-
-
-def still_space(points: NDArray[np.float64]) -> dict[str, object]:
-    """Axes and camera of a scene of one scale along all axes, which holds all points.
+def show_in_space(figure: go.Figure, points: NDArray[np.float64], **more: object) -> None:
+    """Give a figure a scene of one scale along all axes, and nothing around it.
 
     Left to itself, the scale would follow what is shown at the instant.
 
     Args:
+        figure: the figure.
         points: all that the scene has to hold, shape (..., 3), m; NaN where there is none.
+        more: what else the scene has.
     """
     flat = points.reshape(-1, 3)
     lower, upper = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
     room = _ROOM * max(float((upper - lower).max()), 1e-3)
     lower, upper = lower - room, upper + room
     spans = upper - lower
-    aspects = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, whatever its form
+    sides = spans / np.sqrt(np.mean(spans**2))  # as large as a cube, whatever its form
     axes = {
         f"{name}axis": {"title": {"text": f"{name} (m)"}, "nticks": 6, "range": [low, high]}
         for name, low, high in zip("xyz", lower.tolist(), upper.tolist(), strict=True)
     }
-    return {
-        "aspectmode": "manual",
-        "aspectratio": dict(zip("xyz", aspects.tolist(), strict=True)),
-        "camera": whole_view(aspects),
-        **axes,
-    }
-
-
-def whole_view(sides: Vector) -> dict[str, object]:
-    """The camera that sees a whole box around the origin in a picture as wide as it is high.
-
-    Args:
-        sides: of the box, shape (3,), in plotly's unit.
-    """
-    back = _FROM / np.linalg.norm(_FROM)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    down = np.array([0.0, 0.0, -_LOWERED])
-    corners = _corners(sides) - down
-    aside = np.abs(corners @ np.column_stack([right, np.cross(back, right)])).max(axis=1)
-    distance = float((aside / _TAN_HALF_VIEW + corners @ back).max())
-    return {
-        "eye": dict(zip("xyz", (distance * back + down).tolist(), strict=True)),
-        "center": dict(zip("xyz", down.tolist(), strict=True)),
-    }
-
-
-def _corners(sides: Vector) -> Matrix:
-    signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
-    return np.asarray(signs * sides)
+    ratio = dict(zip("xyz", sides.tolist(), strict=True))
+    scene = {"aspectmode": "manual", "aspectratio": ratio, "camera": _CAMERA, **axes, **more}
+    figure.update_layout(scene=scene, margin={"l": 0, "r": 0, "b": 0}, legend={"y": 0})
 
 
 def arm_motion(run: RunData) -> Motion | None:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import plotly.graph_objects as go
 
 from deploy.reports.figures import style
+from deploy.reports.page import Panel
 from deploy.reports.study_tables import margin_figure, setting_text, shown_value
 from deploy.reports.tables import scaled
 
@@ -69,13 +70,6 @@ PLANTS_KEPT = StudyQuantity(
 )
 
 
-def share_spread(share: Mapping[str, Any]) -> dict[str, Any]:
-    """The share of plants kept and its interval, as a spread under the key of `PLANTS_KEPT`."""
-    low, high = share["wilson_95"] or (None, None)
-    spread = {"mean": share["fraction"], "lowest": low, "highest": high}
-    return {PLANTS_KEPT.key: spread}
-
-
 class Point(NamedTuple):
     """Several runs of one point: swept value, what `spread_of_runs` says, command to rerun it."""
 
@@ -88,6 +82,15 @@ class Point(NamedTuple):
         return scaled(self.runs[quantity.key][which], quantity.factor)
 
 
+def point_of(x: Any, runs: Mapping[str, Any], name: str, study: DrawnStudy) -> Point:
+    """A point by its name; where plants were counted, their share and its interval are a spread."""
+    if "wilson_95" in runs:
+        low, high = runs["wilson_95"] or (None, None)
+        share = {"mean": runs["fraction"], "lowest": low, "highest": high}
+        runs = {**runs, PLANTS_KEPT.key: share}
+    return Point(x, runs, study.rerun(name))
+
+
 @dataclass(frozen=True)
 class Curve:
     """One line over a swept value: its name, and the numbers of its colour and dash pattern."""
@@ -96,6 +99,21 @@ class Curve:
     colour: int
     dash: int
     points: Sequence[Point]
+
+
+def curves_panel(
+    section: str,
+    name: str,
+    title: str,
+    lines: Sequence[Curve],
+    x_title: str,
+    quantity: StudyQuantity,
+    caption: str,
+) -> Panel[DrawnStudy]:
+    """A panel of `curves`."""
+    return Panel(
+        section, name, title, lambda _: curves(lines, x_title, quantity), caption, is_clickable=True
+    )
 
 
 def curves(lines: Sequence[Curve], x_title: str, quantity: StudyQuantity) -> go.Figure | None:

@@ -5,7 +5,7 @@ Functions that draw give None where a run has nothing to draw.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -90,11 +90,9 @@ def mode_spans(run: RunData, role: Role) -> list[tuple[Mode, float, float]]:
     """Mode, start and end in s of all that a side told of."""
     told = [e for e in run.events if e.source == role and e.kind == EventKind.MODE]
     changes = [(mode, e.stamp_ns * 1e-9) for e in told if (mode := mode_in(e.detail)) is not None]
-    if not changes:
-        return []
     ends = [start_s for _, start_s in changes[1:]]
-    ends.append(max(event.stamp_ns * 1e-9 for event in run.events))
-    return [(mode, start, end) for (mode, start), end in zip(changes, ends, strict=True)]
+    ends.append(max((event.stamp_ns * 1e-9 for event in run.events), default=0.0))
+    return [(mode, start, end) for (mode, start), end in zip(changes, ends, strict=False)]
 
 
 def with_faults(draw: Callable[[ComparedRuns], T]) -> Callable[[ComparedRuns], T]:
@@ -115,16 +113,12 @@ def with_faults(draw: Callable[[ComparedRuns], T]) -> Callable[[ComparedRuns], T
 
 def fault_spans_s(run: RunData) -> list[tuple[float, float]]:
     """Begin and end of every fault within the run; one of an instant is wide enough to be seen."""
-    times_s = run.times_s(topics.PLANT_TRUTH)
-    if not len(times_s):
-        return []
-    end_s = float(times_s[-1])
-    spans = []
-    for fault in run.setup.scenario.faults:
-        if fault.at_s <= end_s:
-            until_s = min(fault.end_ns * 1e-9, end_s)
-            spans.append((fault.at_s, max(until_s, fault.at_s + _LEAST_SHADE * end_s)))
-    return spans
+    end_s = float(run.times_s(topics.PLANT_TRUTH).max(initial=-1.0))
+    return [
+        (fault.at_s, max(min(fault.end_ns * 1e-9, end_s), fault.at_s + _LEAST_SHADE * end_s))
+        for fault in run.setup.scenario.faults
+        if fault.at_s <= end_s
+    ]
 
 
 def _shade(figure: go.Figure, run: RunData) -> None:
@@ -144,28 +138,25 @@ def _shade(figure: go.Figure, run: RunData) -> None:
 
 def times_of_run(run: RunData) -> go.Figure | None:
     """Every time of a run as a curve over its percentiles."""
-    return _percentiles({TIMES[key]: values for key, values in times_us(run).items()}, 460)
+    series = [(TIMES[key], values) for key, values in times_us(run).items() if len(values)]
+    return _percentiles(
+        [(name, values, style.palette(at)) for at, (name, values) in enumerate(series)], 460
+    )
 
 
 def time_of_runs(runs: ComparedRuns, key: str) -> go.Figure | None:
     """One time of every run as a curve over its percentiles; None where it is 0 in all."""
-    of_all = {run.law: times_us(run.data)[key] for run in runs.runs}
-    colours = {run.law: colour_of(runs, run.law) for run in runs.runs}
-    return _percentiles({law: v for law, v in of_all.items() if v.any()}, 380, colours)
+    series = [(run.law, times_us(run.data)[key], colour_of(runs, run.law)) for run in runs.runs]
+    return _percentiles([each for each in series if each[1].any()], 380)
 
 
-def _percentiles(
-    series: Mapping[str, Vector], height_px: float, colours: Mapping[str, str] | None = None
-) -> go.Figure | None:
-    """A line for each series, over percentiles spaced by 1 / (1 − p)."""
-    known = {name: values for name, values in series.items() if len(values)}
-    if not known:
+def _percentiles(series: Sequence[tuple[str, Vector, str]], height_px: float) -> go.Figure | None:
+    """A line for each name, values and colour, over percentiles spaced by 1 / (1 − p)."""
+    if not series:
         return None
-    figure = go.Figure()
-    for index, (name, values) in enumerate(known.items()):
-        figure.add_trace(_curve(name, values, (colours or {}).get(name, style.palette(index))))
+    figure = go.Figure([_curve(*each) for each in series])
     style.apply(figure, height_px, legend=True)
-    longest = max(map(len, known.values()))
+    longest = max(len(values) for _, values, _ in series)
     ticks = [p for p in _PERCENTILES if 1.0 / (1.0 - p / 100.0) <= 1.5 * longest]
     figure.update_xaxes(
         type="log",

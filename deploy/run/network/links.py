@@ -61,9 +61,7 @@ def require_keys(setup: Setup, *roles: Role) -> None:
     """
     security = setup.scenario.link.security
     if security.enabled:
-        from deploy.run.network.keys import (
-            check_keys,  # needs libraries that no other run does
-        )
+        from deploy.run.network.keys import check_keys  # needs libraries that no other run does
 
         check_keys(security.keys, roles)
 

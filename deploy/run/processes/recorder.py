@@ -53,6 +53,8 @@ _AT_ONCE = 10_000
 _CLOSE_TIMEOUT_S = 2.0
 """How long the backlog is still written once the recorder has to leave."""
 _MOST_COMMANDS = 1 << 40
+_FROZEN_S, _RETURN_S = 2.0, 12.0
+"""A recorder that stood still for so long gives its peers time to connect again."""
 _PAUSE_S = 0.02
 """Between two looks into the mailbox: waking up for each message would cost the loops time."""
 
@@ -143,10 +145,7 @@ class Recorder:
         lossless = self._is_virtual = setup.scenario.clock == "lockstep"
         self._pacing = {topic.name for topic in topics.TOPICS if lossless and topic.paces}
         self._node = ZenohNode(
-            setup.scenario.link,
-            Role.RECORDER,
-            lossless=lossless,
-            agreement=agreement_of(setup),
+            setup.scenario.link, Role.RECORDER, lossless=lossless, agreement=agreement_of(setup)
         )
         self._mailbox = self._node.listen_to_all(_LARGEST_BACKLOG_BYTES, lossless=lossless)
         rejected = self._mailbox.rejected
@@ -187,8 +186,12 @@ class Recorder:
         """
         give_up_s = time.monotonic() + self._setup.scenario.link.connect_timeout_s
         has_received = False
+        looked_s = stay_until_s = time.monotonic()
         silences = [self._node.watch_silence(role) for role in (Role.PLANT, Role.CONTROLLER)]
         while not is_stop_requested():
+            if time.monotonic() > looked_s + _FROZEN_S:
+                stay_until_s = time.monotonic() + _RETURN_S
+            looked_s = time.monotonic()
             a_peer_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
             if not has_received:
                 for role in (Role.PLANT, Role.CONTROLLER):
@@ -199,7 +202,9 @@ class Recorder:
             if a_peer_is_there or has_written:
                 continue
             if has_received:
-                return
+                if looked_s > stay_until_s:
+                    return
+                continue
             for silence in silences:
                 silence.look()
             if time.monotonic() > give_up_s:

@@ -16,30 +16,15 @@ from controller.laws import LAWS
 from controller.laws.custom import custom_laws_left_out
 from deploy.judge.conditions import Conditions, conditions_of_runs
 from deploy.judge.run_rows import row, write_rows
+from deploy.run import run_folder
 from deploy.run.confirmation import CONFIRMATION, confirmation_of
 from deploy.run.execute import How, JudgedRun, execute, lockstep_setup
 from deploy.run.new_folder import new_folder, resolved_out
-from deploy.run.run_folder import (
-    ResultFolder,
-    RunFolder,
-    RunFolderError,
-    grown_from,
-    load_run,
-    manifest_of,
-    read_manifest,
-    read_summary,
-)
 from deploy.run.simulate import require_simulable
+from deploy.scenario import study_keys
 from deploy.scenario.effective import portable_scenario, values_in_common
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.study_keys import (
-    LAW,
-    UNCERTAINTY,
-    laws_beside,
-    require_effect,
-    require_link_effect,
-)
 from deploy.scenario.yaml_files import ScenarioError, naming, parse_override
 from deploy.study.comparison.settling import SettlingTest
 
@@ -62,12 +47,14 @@ def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str] | N
     """
     with naming(Path("compare")):
         given = dict(map(parse_override, overrides))
-        require_effect(given, {LAW: "as --laws", UNCERTAINTY: "to sweep or margin"})
+        study_keys.require_effect(
+            given, {study_keys.LAW: "as --laws", study_keys.UNCERTAINTY: "to sweep or margin"}
+        )
     if laws is None:
-        laws = laws_beside(load_setup(scenario, overrides).scenario.controller.law)
+        laws = study_keys.laws_beside(load_setup(scenario, overrides).scenario.controller.law)
     setups = [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
     with naming(Path("compare")):
-        require_link_effect(given, setups)
+        study_keys.require_link_effect(given, setups)
     for setup in setups:
         if setup.scenario.controller.process is None:
             require_simulable(setup)
@@ -96,7 +83,7 @@ class ComparedRuns:
         return [run.law for run in self.runs].index(law)
 
 
-class ComparisonFolder(ResultFolder):
+class ComparisonFolder(run_folder.ResultFolder):
     """The files of a comparison, with a folder for each law's run inside.
 
     A comparison of the same scenario may be made in the folder of an earlier one: it grows by laws,
@@ -123,12 +110,12 @@ class ComparisonFolder(ResultFolder):
             ScenarioError: as `new_folder`, or the folder has a comparison of something else.
         """
         laws = [setup.scenario.controller.name for setup in setups]
-        manifest = {**manifest_of(setups), "laws": laws}
-        before = {} if out is None or overwrite else read_manifest(out)
+        manifest = {**run_folder.manifest_of(setups), "laws": laws}
+        before = {} if out is None or overwrite else run_folder.read_manifest(out)
         if out is not None and isinstance(before.get("laws"), list):
             folder = ComparisonFolder(resolved_out(out))
             folder._require_same_scenario(setups, list(map(str, before["laws"])))
-            manifest, folder._grows = grown_from(before, manifest), True
+            manifest, folder._grows = run_folder.grown_from(before, manifest), True
         else:
             name = f"compare-{setups[0].scenario.name}"
             folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
@@ -139,19 +126,19 @@ class ComparisonFolder(ResultFolder):
     def known(self, setup: Setup) -> JudgedRun | None:
         """The whole run that is there already of a shipped law; others may have changed since."""
         law = setup.scenario.controller.name
-        folder = RunFolder(self._law_path(law))
-        is_whole = read_summary(folder.path).get("completed")
+        folder = run_folder.RunFolder(self._law_path(law))
+        is_whole = run_folder.read_summary(folder.path).get("completed")
         if not (self._grows and law in LAWS and is_whole):  # overwritten, it has folders of before
             return None
         try:
             same = folder.scenario.read_text(encoding="utf-8") == portable_scenario(setup)
             return judged_again(law, folder.path) if same else None
-        except (OSError, RunFolderError):
+        except (OSError, run_folder.RunFolderError):
             return None
 
     def earlier_settling(self) -> dict[str, SettlingTest]:
         """Settling tests that are there already, by law."""
-        told = SETTLING.validate_python(read_summary(self.path).get("settling", []))
+        told = SETTLING.validate_python(run_folder.read_summary(self.path).get("settling", []))
         return {test.law: test for test in told}
 
     def _require_same_scenario(self, setups: Sequence[Setup], laws: Sequence[str]) -> None:
@@ -168,7 +155,7 @@ class ComparisonFolder(ResultFolder):
                     " give --overwrite"
                 )
             with custom_laws_left_out():
-                there = load_setup(str(RunFolder(self._law_path(law)).scenario))
+                there = load_setup(str(run_folder.RunFolder(self._law_path(law)).scenario))
             found, wanted = (values_in_common(each) for each in (there, asked[law]))
             keys = sorted(key for key in found | wanted if found.get(key) != wanted.get(key))
             if set(keys) - {"clock"}:  # of a process, which runs in lockstep
@@ -182,7 +169,7 @@ class ComparisonFolder(ResultFolder):
         if setup.scenario.controller.process is not None:
             setup = lockstep_setup(setup)
         path = self._law_path(setup.scenario.controller.name)
-        folder = RunFolder.begin(setup, path, overwrite=True)
+        folder = run_folder.RunFolder.begin(setup, path, overwrite=True)
         run = execute(setup, how, folder)
         run.keep(folder)
         return run
@@ -196,7 +183,7 @@ class ComparisonFolder(ResultFolder):
     def conclude(self, comparison: ComparedRuns) -> Conditions:
         """Write rows and summary of all runs; under what conditions they came about."""
         setups = [run.data.setup for run in comparison.runs]
-        conditions = conditions_of_runs(setups, read_manifest(self.path))
+        conditions = conditions_of_runs(setups, run_folder.read_manifest(self.path))
         rows = [row(run.summary, run.seed) for run in comparison.runs]
         write_rows(rows, self.rows, conditions=conditions)
         write_json(self.summary, {**_summary(comparison), "conditions": conditions})
@@ -208,10 +195,10 @@ class ComparisonFolder(ResultFolder):
         Raises:
             RunFolderError: a run is missing or cannot be read.
         """
-        summary = read_summary(self.path)
+        summary = run_folder.read_summary(self.path)
         laws = summary.get("laws")
         if not isinstance(laws, dict) or not laws:
-            raise RunFolderError(f"{self.summary}: names no laws")
+            raise run_folder.RunFolderError(f"{self.summary}: names no laws")
         paths = {law: self._law_path(law) for law in laws}
         return ComparedRuns(
             [judged_again(law, path) for law, path in paths.items()],
@@ -228,8 +215,8 @@ def judged_again(name: str, path: Path) -> JudgedRun:
     Raises:
         RunFolderError: it cannot be read.
     """
-    data, _ = load_run(path)
-    run, before = JudgedRun(name, data, path=path), read_summary(path)
+    data, _ = run_folder.load_run(path)
+    run, before = JudgedRun(name, data, path=path), run_folder.read_summary(path)
     run.summary.update({CONFIRMATION: before[CONFIRMATION]} if CONFIRMATION in before else {})
     return run
 

@@ -17,12 +17,7 @@ from deploy.judge.recorded_ticks import tick_numbers
 from deploy.judge.run_data import RunData, stamps_s
 from deploy.run.execute import JudgedRun
 from deploy.run.processes.recorder import DATA_ATTACHMENTS
-from deploy.run.run_folder import (
-    RunFolderError,
-    load_run,
-    read_manifest,
-    read_summary,
-)
+from deploy.run.run_folder import RunFolderError, load_run, read_manifest, read_summary
 from deploy.run.simulate import CLOCK as SIMULATED
 from deploy.scenario.effective import values_in_common
 from deploy.scenario.yaml_files import ScenarioError
@@ -55,13 +50,12 @@ class Parting(NamedTuple):
     is_end: bool
 
 
-@dataclass(frozen=True)
-class RecordedRuns:
-    """Runs side by side; the first is what the others are held against.
+@dataclass(frozen=True, kw_only=True)
+class RecordedRuns(ComparedRuns):
+    """Runs side by side, by labels in place of laws; the others are held against the first.
 
     Attributes:
         paths: folders or MCAP files of the runs.
-        comparison: the runs, each by its label in place of a law.
         partings: of each run from the first; None where all ticks are the same bits that both
             recordings have.
         differing: values of the scenarios by run, as JSON, for each key that is not the same in
@@ -70,13 +64,8 @@ class RecordedRuns:
     """
 
     paths: Sequence[Path]
-    comparison: ComparedRuns
     partings: Sequence[Parting | None]
     differing: dict[str, list[str | None]]
-
-    @property
-    def runs(self) -> list[JudgedRun]:
-        return self.comparison.runs
 
     @property
     def labels(self) -> list[str]:
@@ -90,13 +79,13 @@ class RecordedRuns:
     @property
     def differences_of_arithmetic(self) -> dict[str, str]:
         """Why the last bits of a run may differ from the first one's, by its label."""
-        first, *others = zip(self.runs, self.manifests, strict=True)
-        said = {
-            run.law: difference_of_arithmetic(first[1], manifest)
-            for run, manifest in others
-            if run.summary["digest"] != first[0].summary["digest"]
+        first, *manifests = self.manifests
+        return {
+            run.law: sentence
+            for run, manifest in zip(self.runs[1:], manifests, strict=True)
+            if run.summary["digest"] != self.runs[0].summary["digest"]
+            and (sentence := difference_of_arithmetic(first, manifest))
         }
-        return {label: sentence for label, sentence in said.items() if sentence}
 
 
 def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
@@ -128,7 +117,7 @@ def recorded_runs(paths: Sequence[Path]) -> RecordedRuns:
         for key, values in _differing([each for _, each in read]).items()
         if _is_in_force(key, [run.data for run in runs])
     }
-    return RecordedRuns(places, ComparedRuns(runs), partings, differing)
+    return RecordedRuns(runs=runs, paths=places, partings=partings, differing=differing)
 
 
 def read_again(path: Path) -> RecordedRuns:

@@ -7,10 +7,7 @@ from enum import IntEnum, IntFlag
 
 from bus_schema.can.cansimple.codec import TURN_RAD
 from bus_schema.errors import InvalidMessageError
-from plant_emulator.drives.cansimple.controller import (
-    TORQUE_CONSTANT_NM_A,
-    Controller,
-)
+from plant_emulator.drives.cansimple.controller import TORQUE_CONSTANT_NM_A, Controller
 from plant_emulator.drives.drive import (
     AT_REST,
     Drive,
@@ -18,7 +15,6 @@ from plant_emulator.drives.drive import (
     DriveSettings,
     JointDemand,
     JointReading,
-    Loop,
     Send,
 )
 
@@ -88,7 +84,7 @@ class Axis(Drive):
             },
             "Get_Encoder_Estimates": self._estimates,
             "Get_Iq": lambda: {
-                "Iq_Setpoint": self._given_nm() / TORQUE_CONSTANT_NM_A,
+                "Iq_Setpoint": self.demand().torque_nm / TORQUE_CONSTANT_NM_A,
                 "Iq_Measured": self._reading.torque_nm / TORQUE_CONSTANT_NM_A,
             },
             "Get_Temperature": lambda: {
@@ -99,7 +95,7 @@ class Axis(Drive):
                 "Bus_Voltage": _BUS_VOLTAGE_V, "Bus_Current": self._power_w() / _BUS_VOLTAGE_V
             },
             "Get_Torques": lambda: {
-                "Torque_Target": self._given_nm(), "Torque_Estimate": self._reading.torque_nm
+                "Torque_Target": self.demand().torque_nm, "Torque_Estimate": self._reading.torque_nm
             },
             "Get_Powers": lambda: {
                 "Electrical_Power": self._power_w(), "Mechanical_Power": self._power_w()
@@ -126,10 +122,7 @@ class Axis(Drive):
             self._disarm(AxisError.VELOCITY_LIMIT_VIOLATION)
 
     def demand(self) -> JointDemand:
-        return JointDemand(self._given_nm(), is_released=True) if self._is_armed() else AT_REST
-
-    def loop(self) -> Loop | None:
-        return self.controller.loop() if self._is_armed() else None
+        return self.controller.demand(self._reading) if self._is_armed() else AT_REST
 
     def request(self, state: int) -> None:
         """Change the state, if the axis has it and nothing is wrong."""
@@ -169,13 +162,9 @@ class Axis(Drive):
             raise InvalidMessageError("out_of_range", f"this axis cannot do action {action}")
         self._start()
 
-    def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        """Let something go wrong."""
-        if fault is DriveFault.OVER_TEMPERATURE:
-            self._is_hot = True
-            self._disarm(AxisError.MOTOR_OVER_TEMP)
-        else:
-            self._disarm(AxisError.DRV_FAULT)
+    def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
+        is_hot = fault is DriveFault.OVER_TEMPERATURE
+        self._disarm(AxisError.MOTOR_OVER_TEMP if is_hot else AxisError.DRV_FAULT)
 
     def advance(self, now_ns: int) -> None:
         """Disarm if nothing has come for too long."""
@@ -198,9 +187,6 @@ class Axis(Drive):
             self.state = AxisState.IDLE
             self._disarm_reason = reason
         self._result = ProcedureResult.DISARMED
-
-    def _given_nm(self) -> float:
-        return self.controller.torque_nm(self._reading) if self._is_armed() else 0.0
 
     def _power_w(self) -> float:
         return self._reading.torque_nm * self._reading.velocity_rad_s

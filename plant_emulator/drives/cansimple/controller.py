@@ -10,7 +10,7 @@ from __future__ import annotations
 from bus_schema.can.cansimple.codec import TURN_RAD
 from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
-from plant_emulator.drives.drive import DriveSettings, JointReading
+from plant_emulator.drives.drive import DriveSettings, JointDemand, JointReading
 
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL, PASSTHROUGH = 1, 2, 3, 1
 TORQUE_CONSTANT_NM_A = 1.0
@@ -56,19 +56,13 @@ class Controller:
         self._velocity = self._torque_nm = 0.0
         self._integral = Integral()
 
-    def set_position(self, turns: float, turns_s: float, torque_nm: float) -> None:
-        """Take a position with its feed-forwards."""
-        self._position, self._velocity, self._torque_nm = turns, turns_s, torque_nm
-        self.targets += 1
-
-    def set_velocity(self, turns_s: float, torque_nm: float) -> None:
-        """Take a velocity with its feed-forward."""
-        self._velocity, self._torque_nm = turns_s, torque_nm
-        self.targets += 1
-
-    def set_torque(self, torque_nm: float) -> None:
-        """Take a torque."""
+    def take(
+        self, torque_nm: float, turns_s: float | None = None, turns: float | None = None
+    ) -> None:
+        """Take a torque, or a velocity or a position with its feed-forwards; the rest stays."""
         self._torque_nm = torque_nm
+        self._velocity = self._velocity if turns_s is None else turns_s
+        self._position = self._position if turns is None else turns
         self.targets += 1
 
     def set_position_gain(self, gain: float) -> None:
@@ -98,27 +92,22 @@ class Controller:
         counts = round((reading.position_rad - self._zero_rad) / TURN_RAD * counts_per_turn)
         return counts / counts_per_turn
 
-    def loop(self) -> CascadeLoop | None:
-        """The loop that the axis closes; None where it controls torque."""
+    def demand(self, reading: JointReading) -> JointDemand:
+        """What the axis does to its joint while it is armed."""
+        current_nm = self._current_limit * TORQUE_CONSTANT_NM_A
+        most_nm = min(current_nm, self._settings.max_torque_nm)
         if self._control == TORQUE_CONTROL:
-            return None
+            torque_nm = min(max(self._torque_nm, -most_nm), most_nm)
+            return JointDemand(torque_nm, is_released=True)
         is_position = self._control == POSITION_CONTROL
         gains = self._gains if is_position else self._gains._replace(position_1_s=0.0)
-        return CascadeLoop(
+        loop = CascadeLoop(
             self._position * TURN_RAD + self._zero_rad, self._velocity * TURN_RAD, self._torque_nm,
             gains, TURN_RAD / self._settings.counts_per_turn, self.velocity_limit * TURN_RAD,
-            self._most_nm(), self._integral,
+            most_nm, self._integral,
         )  # fmt: skip
-
-    def torque_nm(self, reading: JointReading) -> float:
-        """Torque of the motor where the joint is."""
-        loop = self.loop()
-        if loop is not None:
-            return loop.torque_nm(reading.position_rad, reading.velocity_rad_s)
-        return min(max(self._torque_nm, -self._most_nm()), self._most_nm())
-
-    def _most_nm(self) -> float:
-        return min(self._current_limit * TORQUE_CONSTANT_NM_A, self._settings.max_torque_nm)
+        torque_nm = loop.torque_nm(reading.position_rad, reading.velocity_rad_s)
+        return JointDemand(torque_nm, is_released=True, loop=loop)
 
 
 def _check(*values: float) -> None:

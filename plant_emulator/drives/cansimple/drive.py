@@ -60,11 +60,11 @@ class CanSimpleDrive(Axis):
             "Estop": lambda: self._disarm(AxisError.ESTOP_REQUESTED),
             "Set_Axis_State": self.request,
             "Set_Controller_Mode": self.set_mode,
-            "Set_Input_Pos": lambda turns, turns_s, torque_nm: controller.set_position(
-                turns, turns_s * steps_s, torque_nm * steps_nm
+            "Set_Input_Pos": lambda turns, turns_s, torque_nm: controller.take(
+                torque_nm * steps_nm, turns_s * steps_s, turns
             ),
-            "Set_Input_Vel": controller.set_velocity,
-            "Set_Input_Torque": controller.set_torque,
+            "Set_Input_Vel": lambda turns_s, torque_nm: controller.take(torque_nm, turns_s),
+            "Set_Input_Torque": controller.take,
             "Set_Pos_Gain": controller.set_position_gain,
             "Set_Vel_Gains": controller.set_velocity_gains,
             "Set_Limits": controller.set_limits,

@@ -10,14 +10,10 @@ from bus_schema.errors import InvalidMessageError
 from plant_emulator.drives.cia402.describe import describe
 from plant_emulator.drives.cia402.errors import SENTENCES, ErrorCode, ErrorLog
 from plant_emulator.drives.cia402.motor import Motor
-from plant_emulator.drives.cia402.network_state import (
-    HEARTBEAT,
-    NetworkState,
-    NmtCommand,
-    NmtState,
-)
-from plant_emulator.drives.cia402.node import SDO_BYTES, DriveNode
-from plant_emulator.drives.cia402.process_data import ProcessData, ReceivedPdo
+from plant_emulator.drives.cia402.network_state import HEARTBEAT, NetworkState, NmtCommand, NmtState
+from plant_emulator.drives.cia402.node import LAST_COMMUNICATION, SDO_BYTES, DriveNode
+from plant_emulator.drives.cia402.pdo import Pdo
+from plant_emulator.drives.cia402.process_data import ProcessData
 from plant_emulator.drives.cia402.state_machine import State
 from plant_emulator.drives.drive import (
     Drive,
@@ -25,14 +21,13 @@ from plant_emulator.drives.drive import (
     DriveSettings,
     JointDemand,
     JointReading,
-    Loop,
     Send,
 )
 
 _NMT = 0x000
 _NMT_BYTES = 2
 _ALL_NODES = 0
-_LAST_COMMUNICATION, _LAST_OBJECT = 0x1FFF, 0xFFFF
+_LAST_OBJECT = 0xFFFF
 _AFTER_COMMUNICATION_ERROR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}
 
 
@@ -44,20 +39,17 @@ class Cia402Drive(Drive):
         # When events were looked for last, if nothing has happened since that they could tell.
         self._looked_ns: int | None = None
         self._node = DriveNode(settings.node_id, self._transmit)
-        self._errors = ErrorLog(self._node, lambda: self._network.has_sdo)
-        self._network = NetworkState(
-            self._node, self._transmit, self._on_heartbeat_lost, self._on_heartbeat_back
-        )
+        self._network = NetworkState(self._node, self._transmit)
+        self._errors = ErrorLog(self._node, self._network)
         self._motor = Motor(self._node, self._errors, settings)
         self._process_data = ProcessData(
-            self._node, self._errors, self._transmit, self._on_rpdo_timeout,
-            is_fd=settings.fd_process_data,
-        )  # fmt: skip
+            self._node, self._errors, self._transmit, is_fd=settings.fd_process_data
+        )
         self._set_up()
 
     @property
     def targets(self) -> int:
-        return self._motor.targets
+        return self._node.targets
 
     @property
     def samplings(self) -> int:
@@ -74,18 +66,15 @@ class Cia402Drive(Drive):
 
     @property
     def fault(self) -> str | None:
-        code = self._motor.error_code
+        code = self._errors.fault
         return None if code is ErrorCode.NONE else f"{SENTENCES[code]} (0x{code:04X})"
 
     def measure(self, reading: JointReading) -> None:
-        self._looked_ns = None
+        self._reading, self._looked_ns = reading, None
         self._motor.measure(reading)
 
     def demand(self) -> JointDemand:
         return self._motor.demand()
-
-    def loop(self) -> Loop | None:
-        return self._motor.loop()
 
     def receive(self, frame: CanFrame, now_ns: int) -> bool:
         if self._is_off_bus or self._network.state is NmtState.INITIALISING:
@@ -117,17 +106,19 @@ class Cia402Drive(Drive):
             if self.state is State.NOT_READY_TO_SWITCH_ON:
                 self._motor.automaton.power_on()
                 if self._is_hot:
-                    self.inject(DriveFault.OVER_TEMPERATURE, now_ns)
-        self._network.advance()
-        if self._is_operational():
-            self._process_data.watch()
+                    self._fail(DriveFault.OVER_TEMPERATURE, now_ns)
+        if self._network.advance():
+            self._lose_master(ErrorCode.HEARTBEAT_LOST, lasting=True)
+            self._send_events()
+            self._leave_operational()
+        if self._is_operational() and self._process_data.has_overdue():
+            self._lose_master(ErrorCode.RPDO_TIMEOUT, lasting=False)
         self._motor.advance()
         self._send_events()
 
-    def inject(self, fault: DriveFault, now_ns: int) -> None:
+    def _fail(self, fault: DriveFault, now_ns: int) -> None:
         self._node.now_ns = now_ns
         is_hot = fault is DriveFault.OVER_TEMPERATURE
-        self._is_hot |= is_hot
         code = ErrorCode.OVER_TEMPERATURE if is_hot else ErrorCode.SHORT_CIRCUIT
         self._motor.fail(code, power_off=not is_hot)
         self._errors.note(code, lasting=is_hot)
@@ -157,7 +148,9 @@ class Cia402Drive(Drive):
 
     def _set_up(self) -> None:
         """Note who takes the data of which identifier, as the dictionary has it now."""
+        self._node.is_set_up_anew = False
         self._process_data.note_set_up()
+        self._network.note_set_up()
         takers: dict[int, Callable[[bytes], None]] = {
             HEARTBEAT + node_id: partial(self._take_heartbeat, node_id)
             for node_id in self._network.watched
@@ -173,12 +166,13 @@ class Cia402Drive(Drive):
         if self._is_operational() and self._process_data.sync(data):
             self._looked_ns = None
 
-    def _take_pdo(self, pdo: ReceivedPdo, data: bytes) -> None:
+    def _take_pdo(self, pdo: Pdo, data: bytes) -> None:
         if self._is_operational():
             self._process_data.receive(pdo, data)
 
     def _take_heartbeat(self, node_id: int, _data: bytes) -> None:
-        self._network.note_heartbeat(node_id)
+        if self._network.note_heartbeat(node_id):
+            self._errors.cause_gone(ErrorCode.HEARTBEAT_LOST)
 
     def _answer_remote(self, identifier: int) -> bool:
         pdo = self._process_data.sending(identifier)
@@ -192,7 +186,8 @@ class Cia402Drive(Drive):
             raise InvalidMessageError("sdo_length", f"an SDO request has 8 bytes: {data!r}")
         if self._network.has_sdo:
             self._node.sdo.on_request(self._node.sdo.rx_cobid, data, 0.0)
-            self._set_up()
+            if self._node.is_set_up_anew:
+                self._set_up()
 
     def _obey_master(self, data: bytes) -> None:
         if len(data) != _NMT_BYTES:
@@ -206,7 +201,7 @@ class Cia402Drive(Drive):
             self._restart()
         elif command is NmtCommand.RESET_COMMUNICATION:
             self._motor.abort_connection(ErrorCode.STOPPED)
-            self._reset(_LAST_COMMUNICATION)
+            self._reset(LAST_COMMUNICATION)
         else:
             if command is NmtCommand.STOP:
                 self._motor.abort_connection(ErrorCode.STOPPED)
@@ -217,13 +212,12 @@ class Cia402Drive(Drive):
         """As if the power had been off; the drive boots at its next turn."""
         self._motor.automaton.power_off()
         self._errors.forget()
-        self._motor.error_code = ErrorCode.NONE
         self._reset(_LAST_OBJECT)
         self._motor.restore()
 
     def _reset(self, last: int) -> None:
         self._node.restore_defaults(0x1000, last)
-        self._process_data.load()
+        self._process_data.rest()
         self._set_up()
         self._network.state = NmtState.INITIALISING
 
@@ -237,20 +231,11 @@ class Cia402Drive(Drive):
 
     def _leave_operational(self) -> None:
         """What object 0x1029 wants after an error of communication."""
-        state = _AFTER_COMMUNICATION_ERROR.get(self._node.value(0x1029, 1))
+        state = _AFTER_COMMUNICATION_ERROR.get(self._node.values[0x1029_01])
         if state is not None and self._is_operational():
             self._network.state = state
             self._process_data.rest()
 
-    def _on_heartbeat_lost(self) -> None:
-        self._motor.abort_connection(ErrorCode.HEARTBEAT_LOST)
-        self._errors.note(ErrorCode.HEARTBEAT_LOST, lasting=True)
-        self._send_events()
-        self._leave_operational()
-
-    def _on_heartbeat_back(self) -> None:
-        self._errors.cause_gone(ErrorCode.HEARTBEAT_LOST)
-
-    def _on_rpdo_timeout(self) -> None:
-        self._motor.abort_connection(ErrorCode.RPDO_TIMEOUT)
-        self._errors.note(ErrorCode.RPDO_TIMEOUT)
+    def _lose_master(self, code: ErrorCode, *, lasting: bool) -> None:
+        self._motor.abort_connection(code)
+        self._errors.note(code, lasting=lasting)

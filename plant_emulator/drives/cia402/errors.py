@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 
 from canopen.sdo.exceptions import SdoAbortedError
 
+from plant_emulator.drives.cia402.network_state import NetworkState
 from plant_emulator.drives.cia402.node import Abort, DriveNode
 
 _HISTORY = 8
@@ -47,18 +47,22 @@ class ErrorLog:
 
     Args:
         node: whose errors they are.
-        may_send: whether the state of the node allows emergency frames.
+        network: whether its state allows emergency frames.
+
+    Attributes:
+        fault: object 0x603F, the error that made the automaton fault.
     """
 
-    def __init__(self, node: DriveNode, may_send: Callable[[], bool]) -> None:
-        self._node = node
-        self._may_send = may_send
+    def __init__(self, node: DriveNode, network: NetworkState) -> None:
+        self._node, self._network = node, network
+        self.fault = ErrorCode.NONE
         self._lasting: dict[ErrorCode, bool] = {}
         self._history: list[int] = []
         node.readers[0x1001] = lambda _: self.register
         node.readers[0x1003] = self._read_history
+        node.readers[0x603F] = lambda _: self.fault
         node.writers[0x1003] = self._clear_history
-        node.writers[0x1014] = lambda _, value: check_identifier(value, node.value(0x1014))
+        node.writers[0x1014] = lambda _, value: check_identifier(value, node.values[0x1014_00])
 
     @property
     def any(self) -> bool:
@@ -99,16 +103,18 @@ class ErrorLog:
         if self._lasting:
             self._lasting.clear()
             self._emit(ErrorCode.NONE)
+        self.fault = ErrorCode.NONE
         return True
 
     def forget(self) -> None:
         """Power-on: no error, no history."""
         self._lasting.clear()
         self._history = []
+        self.fault = ErrorCode.NONE
 
     def _emit(self, code: ErrorCode) -> None:
-        identifier = self._node.value(0x1014)
-        if self._may_send() and not identifier & _NOT_VALID:
+        identifier = self._node.values[0x1014_00]
+        if self._network.has_sdo and not identifier & _NOT_VALID:
             self._node.emcy.cob_id = identifier
             self._node.emcy.send(code, self.register)
 

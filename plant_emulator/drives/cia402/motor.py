@@ -16,6 +16,7 @@ from plant_emulator.drives.drive import AT_REST, DriveSettings, JointDemand, Joi
 NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE = 0, 8, 10
 _MODES = (NO_MODE, CYCLIC_SYNCHRONOUS_POSITION, CYCLIC_SYNCHRONOUS_TORQUE)
 INT16, INT32 = (-(1 << 15), (1 << 15) - 1), (-(1 << 31), (1 << 31) - 1)
+_TARGET, _OFFSET, _MAX_TORQUE = 0x6071_00, 0x60B2_00, 0x6072_00
 _PER_MILLE = 1000
 _MILLI = 1e-3
 _ALWAYS_SET = Statusword.VOLTAGE_ENABLED | Statusword.REMOTE
@@ -42,7 +43,6 @@ class Motor:
 
     Attributes:
         automaton: its state.
-        error_code: object 0x603F.
     """
 
     def __init__(self, node: DriveNode, errors: ErrorLog, settings: DriveSettings) -> None:
@@ -53,17 +53,10 @@ class Motor:
         self._reading, self._velocity = JointReading(), 0
         self._position_mode = PositionMode(node, settings)
         self._position = self._position_mode.measure(self._reading)
-        self.automaton = Automaton(node, self._is_still, self._reset_errors)
-        self.error_code = ErrorCode.NONE
-        self._torques = 0
+        self.automaton = Automaton(node, self._is_still, errors.reset)
+        self._mode = NO_MODE
         self._fit()
-        self.restore()
         self._serve()
-
-    @property
-    def targets(self) -> int:
-        """Target torques and, in position mode, target positions taken so far."""
-        return self._torques + self._position_mode.targets
 
     def measure(self, reading: JointReading) -> None:
         """Take in what the sensors show."""
@@ -72,22 +65,19 @@ class Motor:
         self._velocity = clamp(round(reading.velocity_rad_s * self._counts_per_rad), INT32)
 
     def restore(self) -> None:
-        """Take the objects' values from the dictionary."""
-        value = self._node.value
-        self._mode = value(0x6060)
-        self._target, self._offset = value(0x6071), value(0x60B2)
-        self._max_torque = value(0x6072)
+        """The dictionary has its defaults again."""
+        self._mode = self._node.values[0x6060_00]
         self._position_mode.restore()
 
     def fail(self, code: ErrorCode, *, power_off: bool = False) -> None:
         """Let an error stop the drive; the automaton's faults have the first error's code."""
         if self.automaton.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-            self.error_code = code
+            self._errors.fault = code
         self.automaton.fault(power_off=power_off)
 
     def abort_connection(self, code: ErrorCode) -> None:
         """The connection to the master is gone: do what object 0x6007 says."""
-        option = self._node.value(0x6007)
+        option = self._node.values[0x6007_00]
         if option == _ABORT_FAULT:
             self.fail(code)
         elif option == _ABORT_DISABLE:
@@ -103,22 +93,15 @@ class Motor:
             return JointDemand(min(max(damping_nm, -most_nm), most_nm), is_released=True)
         if not self._follows():
             return AT_REST
-        loop = self.loop()
-        if loop is not None:
-            return JointDemand(loop.torque_nm(*self._reading[:2]), is_released=True)
+        if self._mode == CYCLIC_SYNCHRONOUS_POSITION:
+            loop = self._loop()
+            return JointDemand(loop.torque_nm(*self._reading[:2]), is_released=True, loop=loop)
         return JointDemand(self._nm(self._limited()[0]), is_released=True)
-
-    def loop(self) -> CascadeLoop | None:
-        """The loop that the motor closes: there is one in position mode, while it follows."""
-        if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
-            return None
-        offset_nm, most_nm = self._nm(self._offset), self._nm(self._most())
-        return self._position_mode.loop(offset_nm, most_nm)
 
     def advance(self) -> None:
         """Do what is due: the end of a slow-down, the window of a following error."""
         self.automaton.advance()
-        if self.loop() is None:
+        if self._mode != CYCLIC_SYNCHRONOUS_POSITION or not self.automaton.follows:
             self._position_mode.rest()
             return
         self._position_mode.follow()
@@ -133,7 +116,8 @@ class Motor:
             word |= Statusword.WARNING
         if self._follows():
             word |= Statusword.FOLLOWS_COMMAND
-            if self._is_limited():
+            in_position_mode = self._mode == CYCLIC_SYNCHRONOUS_POSITION
+            if self._is_loop_limited() if in_position_mode else self._limited()[1]:
                 word |= Statusword.INTERNAL_LIMIT_ACTIVE
         if self._position_mode.has_following_error:
             word |= Statusword.FOLLOWING_ERROR
@@ -147,26 +131,26 @@ class Motor:
     def _follows(self) -> bool:
         return self.automaton.follows and self._mode != NO_MODE
 
-    def _is_limited(self) -> bool:
-        """Whether a limit has a say in the torque, while the motor follows."""
-        loop = None if self._mode == CYCLIC_SYNCHRONOUS_TORQUE else self.loop()
-        if loop is None:
-            return self._limited()[1]
+    def _loop(self) -> CascadeLoop:
+        most = min(self._node.values[_MAX_TORQUE], self._hard_limit)
+        return self._position_mode.loop(self._nm(self._node.values[_OFFSET]), self._nm(most))
+
+    def _is_loop_limited(self) -> bool:
+        """Whether a limit has a say in the torque, while the motor closes its loop."""
+        loop = self._loop()
         is_torque_limited = abs(loop.torque_nm(*self._reading[:2])) >= loop.most_nm
         return self._position_mode.is_target_limited or is_torque_limited
 
-    def _most(self) -> int:
-        most, hard_limit = self._max_torque, self._hard_limit
-        return most if most < hard_limit else hard_limit
-
     def _limited(self) -> tuple[int, bool]:
         """The torque to give, per mille, and whether a limit has had a say."""
-        wanted = self._target + self._offset
-        most = self._most()
+        values, position, most = self._node.values, self._position, self._hard_limit
+        if values[_MAX_TORQUE] < most:
+            most = values[_MAX_TORQUE]
+        wanted = values[_TARGET] + values[_OFFSET]
         given = wanted if -most <= wanted <= most else clamp(wanted, (-most, most))
-        lowest, highest = self._position_mode.limits
-        position = self._position
-        if (position >= highest and given > 0) or (position <= lowest and given < 0):
+        if (given > 0 and position >= values[0x607D_02]) or (
+            given < 0 and position <= values[0x607D_01]
+        ):
             given = 0
         return given, given != wanted
 
@@ -174,25 +158,18 @@ class Motor:
         return per_mille * self._rated_mnm * (_MILLI / _PER_MILLE)
 
     def _is_still(self) -> bool:
-        return abs(self._velocity) <= self._node.value(0x606F)
-
-    def _reset_errors(self) -> bool:
-        is_reset = self._errors.reset()
-        if is_reset:
-            self.error_code = ErrorCode.NONE
-        return is_reset
+        return abs(self._velocity) <= self._node.values[0x606F_00]
 
     def _fit(self) -> None:
         """Objects whose defaults are this drive's own."""
         settings, fit = self._settings, self._node.fit
-        fit(0x6072, 0, clamp(self._hard_limit, (0, 0xFFFF)))
-        fit(0x6076, 0, self._rated_mnm)
-        for index in (0x608F, 0x6092):
-            fit(index, 1, settings.counts_per_turn)
+        fit(_MAX_TORQUE, clamp(self._hard_limit, (0, 0xFFFF)))
+        fit(0x6076_00, self._rated_mnm)
+        for place in (0x608F_01, 0x6092_01):
+            fit(place, settings.counts_per_turn)
 
     def _serve(self) -> None:
         node = self._node
-        node.readers[0x603F] = lambda _: self.error_code
         node.readers[0x6041] = self.statusword
         node.readers[0x6061] = lambda _: self._mode
         node.readers[0x6064] = lambda _: self._position
@@ -200,9 +177,7 @@ class Motor:
         node.readers[0x6077] = lambda _: self.torque()
         node.writers[0x6040] = lambda _, value: self.automaton.obey(value)
         node.writers[0x6060] = self._set_mode
-        node.writers[0x6071] = self._set_target
-        node.writers[0x6072] = self._set_max_torque
-        node.writers[0x60B2] = self._set_offset
+        node.writers[0x6071] = self._count_target
 
     def _set_mode(self, _subindex: int, value: int) -> None:
         if value not in _MODES:
@@ -211,12 +186,5 @@ class Motor:
             self._position_mode.rest()
         self._mode = value
 
-    def _set_target(self, _subindex: int, value: int) -> None:
-        self._target = value
-        self._torques += self._mode != CYCLIC_SYNCHRONOUS_POSITION
-
-    def _set_max_torque(self, _subindex: int, value: int) -> None:
-        self._max_torque = value
-
-    def _set_offset(self, _subindex: int, value: int) -> None:
-        self._offset = value
+    def _count_target(self, _subindex: int, _value: int) -> None:
+        self._node.targets += self._mode != CYCLIC_SYNCHRONOUS_POSITION

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 
 from canopen.sdo.exceptions import SdoAbortedError
@@ -49,23 +48,14 @@ class NetworkState:
     Args:
         node: the node.
         send: takes the frames it sends.
-        on_lost: called when a heartbeat fails to come.
-        on_heard: called when a heartbeat that had failed to come is back.
 
     Attributes:
         state: NMT state.
         watched: time in ns within which a heartbeat of each watched node is due.
     """
 
-    def __init__(
-        self,
-        node: DriveNode,
-        send: Send,
-        on_lost: Callable[[], None],
-        on_heard: Callable[[], None],
-    ) -> None:
+    def __init__(self, node: DriveNode, send: Send) -> None:
         self._node, self._send = node, send
-        self._on_lost, self._on_heard = on_lost, on_heard
         self.state = NmtState.INITIALISING
         self.watched: dict[int, int] = {}
         self._heartbeats = Cycle(0)
@@ -81,50 +71,54 @@ class NetworkState:
 
     def boot(self) -> None:
         """Say that the node is there; from now on it is pre-operational."""
-        self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([NmtState.INITIALISING])))
+        self._report()
         self.state = NmtState.PRE_OPERATIONAL
         self._heard_ns.clear()
         self._lost.clear()
-        self._watch([self._node.value(0x1016, subindex) for subindex in _CONSUMED])
-        self._on_period(0, self._node.value(0x1017))
+        self._on_period(0, self._node.values[0x1017_00])
+
+    def note_set_up(self) -> None:
+        """Object 0x1016 may have been written."""
+        entries = [self._node.values[0x1016_00 + subindex] for subindex in _CONSUMED]
+        self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
 
     def obey(self, command: NmtCommand) -> None:
         """Change the state; resets are for the drive as a whole to do."""
         self.state = _STATE_AFTER[command]
 
-    def note_heartbeat(self, node_id: int) -> None:
-        """A heartbeat of a watched node has come."""
+    def note_heartbeat(self, node_id: int) -> bool:
+        """A heartbeat of a watched node has come; whether it was the last one missed."""
         self._heard_ns[node_id] = self._node.now_ns
-        if node_id in self._lost:
-            self._lost.discard(node_id)
-            if not self._lost:
-                self._on_heard()
+        was_lost = node_id in self._lost
+        self._lost.discard(node_id)
+        return was_lost and not self._lost
 
-    def advance(self) -> None:
-        """Send a heartbeat if one is due, and miss those that are overdue."""
+    def advance(self) -> bool:
+        """Send a heartbeat if one is due; whether one that is awaited has failed to come."""
         now_ns = self._node.now_ns
         if self._heartbeats.is_due(now_ns):
-            self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
+            self._report()
+        has_failed = False
         for node_id, time_ns in self.watched.items():
-            heard_ns = self._heard_ns.get(node_id)
-            if heard_ns is not None and now_ns - heard_ns > time_ns and node_id not in self._lost:
+            is_overdue = now_ns - self._heard_ns.get(node_id, now_ns) > time_ns
+            if is_overdue and node_id not in self._lost:
                 self._lost.add(node_id)
-                self._on_lost()
+                has_failed = True
+        return has_failed
+
+    def _report(self) -> None:
+        self._send(CanFrame(HEARTBEAT + self._node.node_id, bytes([self.state])))
 
     def _on_period(self, _subindex: int, value: int) -> None:
         self._heartbeats = Cycle(value * _MS, self._node.now_ns + value * _MS)
 
-    def _watch(self, entries: list[int]) -> None:
-        self.watched = dict(_consumer(entry) for entry in entries if _is_used(entry))
-
     def _check_consumed(self, subindex: int, value: int) -> None:
         """Two entries may not watch the same node (CiA 301, 7.5.2.18)."""
-        others = [self._node.value(0x1016, other) for other in _CONSUMED if other != subindex]
+        others = [self._node.values[0x1016_00 + other] for other in _CONSUMED if other != subindex]
         nodes = [_consumer(other)[0] for other in others if _is_used(other)]
         if _is_used(value) and _consumer(value)[0] in nodes:
             raise SdoAbortedError(Abort.INCOMPATIBLE)
         self._heard_ns.pop(_consumer(value)[0], None)
-        self._watch([*others, value])
 
 
 def _consumer(entry: int) -> tuple[int, int]:

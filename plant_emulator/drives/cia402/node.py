@@ -7,12 +7,12 @@ length, sub-indices that a variable or an array does not have, limits of values.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import Any
 
 import canopen
-from canopen.objectdictionary import NUMBER_TYPES, ODVariable
+from canopen.objectdictionary import NUMBER_TYPES, ObjectDictionary, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 from canopen.sdo.server import SdoServer
 
@@ -21,6 +21,7 @@ from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.drive import Send
 
 SDO_BYTES = 8
+LAST_COMMUNICATION = 0x1FFF
 _COMMAND_MASK, _ABORTED = 0xE0, 0x80
 _DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT = 0x00, 0x60
 _EXPEDITED, _SIZED, _LAST_SEGMENT = 0x02, 0x01, 0x01
@@ -64,14 +65,14 @@ class StrictSdoServer(SdoServer):
     def on_request(self, can_id: int, data: bytes, timestamp: float) -> None:
         """Answer one request of eight bytes."""
         command = data[0] & _COMMAND_MASK
-        if command in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT) and self._pending != command:
-            self.abort(Abort.UNKNOWN_COMMAND)
-            return
-        if command == _ABORTED:
+        if command in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT):
+            if self._pending != command:
+                self.abort(Abort.UNKNOWN_COMMAND)
+                return
+        else:
             self._pending = None
-        elif command not in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT):
-            self._pending = None
-            _, self._index, self._subindex = _REQUEST.unpack_from(data)
+            if command != _ABORTED:
+                _, self._index, self._subindex = _REQUEST.unpack_from(data)
         super().on_request(can_id, data, timestamp)
 
     def init_upload(self, request: bytes) -> None:
@@ -116,7 +117,7 @@ class StrictSdoServer(SdoServer):
 
 
 class DriveNode(canopen.LocalNode):
-    """A node with the drive's dictionary.
+    """A node with the drive's dictionary, which holds the values of all its objects.
 
     Args:
         node_id: its address.
@@ -125,6 +126,9 @@ class DriveNode(canopen.LocalNode):
     Attributes:
         node_id: its address.
         now_ns: the time of what is being done.
+        targets: target torques and, in position mode, target positions taken so far.
+        is_set_up_anew: an object of the communication profile was written.
+        values: of the numeric objects that are stored, by index and sub-index, such as 0x1018_01.
         readers: where the values of objects come from that are not stored, by index.
         writers: what checks values that are written to objects, by index, before they are stored.
     """
@@ -135,34 +139,26 @@ class DriveNode(canopen.LocalNode):
         self.network = CanopenNetwork(send)
         self.sdo.network = self.emcy.network = self.network
         self.node_id = node_id
-        self.now_ns = 0
+        self.now_ns = self.targets = 0
+        self.is_set_up_anew = False
         self.readers: dict[int, Reader] = {}
         self.writers: dict[int, Writer] = {}
-        self._read_callbacks = [self._read_live]
-        self._write_callbacks = [self._write_checked]
-        self._factory: dict[tuple[int, int], int] = {}
+        self._read_callbacks = [self._read_number]
+        self._write_callbacks = [self._write_number]
+        self._defaults = dict(_defaults(self.object_dictionary))
+        self.values = self._defaults.copy()
 
-    def fit(self, index: int, subindex: int, value: int) -> None:
+    def fit(self, place: int, value: int) -> None:
         """Give an object of this drive another default than the EDS has."""
-        self._factory[index, subindex] = value
-        self._store(index, subindex, value)
-
-    def value(self, index: int, subindex: int = 0) -> int:
-        """Value of a numeric object."""
-        data = self.get_data(index, subindex)
-        return int(self.find(index, subindex).decode_raw(data))
+        self._defaults[place] = self.values[place] = value
 
     def restore_defaults(self, first: int, last: int) -> None:
         """Forget what was written to the objects from `first` to `last`."""
         for index in [index for index in self.data_store if first <= index <= last]:
             del self.data_store[index]
-        for (index, subindex), value in self._factory.items():
-            if first <= index <= last:
-                self._store(index, subindex, value)
-
-    def _store(self, index: int, subindex: int, value: int) -> None:
-        data = self.find(index, subindex).encode_raw(value)
-        self.data_store.setdefault(index, {})[subindex] = data
+        self.values.update(
+            (place, value) for place, value in self._defaults.items() if first <= place >> 8 <= last
+        )
 
     def find(self, index: int, subindex: int) -> ODVariable:
         """The description of an object.
@@ -180,11 +176,11 @@ class DriveNode(canopen.LocalNode):
 
     _find_object = find  # what canopen's own methods call
 
-    def _read_live(self, index: int, subindex: int, **_: Any) -> int | None:
+    def _read_number(self, index: int, subindex: int, **_: Any) -> int | None:
         read = self.readers.get(index)
-        return None if read is None else read(subindex)
+        return self.values.get(index << 8 | subindex) if read is None else read(subindex)
 
-    def _write_checked(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+    def _write_number(self, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         if od.data_type not in NUMBER_TYPES:
             return
         value = int(od.decode_raw(data))
@@ -195,3 +191,14 @@ class DriveNode(canopen.LocalNode):
         write = self.writers.get(index)
         if write is not None:
             write(subindex, value)
+        self.values[index << 8 | subindex] = value
+        self.is_set_up_anew |= index <= LAST_COMMUNICATION
+
+
+def _defaults(dictionary: ObjectDictionary) -> Iterator[tuple[int, int]]:
+    """Place and default of all numbers that have one."""
+    for entry in dictionary.values():
+        for each in (entry,) if isinstance(entry, ODVariable) else entry.values():
+            default = each.default if each.value is None else each.value
+            if each.data_type in NUMBER_TYPES and default is not None:
+                yield each.index << 8 | each.subindex, int(default)

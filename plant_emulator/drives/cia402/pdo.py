@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import NamedTuple
 
 from canopen.objectdictionary import ODVariable
@@ -18,6 +17,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from plant_emulator.drives.cia402.errors import check_identifier
 from plant_emulator.drives.cia402.node import Abort, DriveNode
 
+_RECEIVED, _SENT, _TO_MAPPING = 0x1400, 0x1800, 0x200
 _NOT_VALID, _NO_REMOTE = 1 << 31, 1 << 30
 _LAST_SYNCHRONOUS, _EVENT_DRIVEN = 240, (254, 255)
 _MOST_BITS = 64
@@ -35,12 +35,11 @@ class Entry(NamedTuple):
 
 
 class Pdo:
-    """One PDO: communication and mapping parameters, checked as they are written.
+    """One PDO: communication and mapping parameters, checked as they are written; its last data.
 
     Args:
         node: whose it is.
-        communication: index of its communication parameters.
-        mapping: index of its mapping parameters.
+        number: counted from 0.
         is_received: an RPDO.
 
     Attributes:
@@ -56,44 +55,50 @@ class Pdo:
         pack: gives the mapped objects' values.
         unpack: writes the mapped objects; raises `SdoAbortedError` if one does not take its value,
             those before it were written.
+        heard_ns: when it came last, if it is awaited again.
+        data: what was sent last, or has come and is in force from the next SYNC on.
+        sent_ns: when it was sent.
+        syncs: SYNCs since then.
     """
 
     pack: Callable[[], bytes]
     unpack: Callable[[bytes], None]
 
-    def __init__(
-        self, node: DriveNode, communication: int, mapping: int, *, is_received: bool
-    ) -> None:
-        self._node = node
-        self._communication, self._mapping = communication, mapping
-        self._is_received = is_received
-        node.writers[communication] = self._write_communication
-        node.writers[mapping] = self._write_mapping
-        self.load()
+    def __init__(self, node: DriveNode, number: int, *, is_received: bool) -> None:
+        self._node, self._is_received = node, is_received
+        self._communication = (_RECEIVED if is_received else _SENT) + number
+        self._mapping = self._communication + _TO_MAPPING
+        node.writers[self._communication] = self._check_communication
+        node.writers[self._mapping] = self._check_mapping
+        self.rest()
+        self._map([])
+        self.note_set_up()
 
-    def load(self) -> None:
-        """Take everything from the dictionary."""
-        for subindex in (_COB_ID, _TYPE, _INHIBIT, _EVENT):
-            self._take(subindex, self._node.value(self._communication, subindex))
-        self._set_entries(self._node.value(self._mapping, 0))
+    def note_set_up(self) -> None:
+        """Its parameters may have been written."""
+        cob_id, self.period, inhibit, event = (
+            self._parameter(each) for each in (_COB_ID, _TYPE, _INHIBIT, _EVENT)
+        )
+        self.identifier, self.is_valid = cob_id & 0x7FF, not cob_id & _NOT_VALID
+        self.answers_remote = not self._is_received and not cob_id & _NO_REMOTE
+        self.is_synchronous = self.period <= _LAST_SYNCHRONOUS
+        self.inhibit_ns, self.event_ns = inhibit * _INHIBIT_UNIT, event * _MS
+        entries = self._mapped(self._node.values[self._mapping << 8])
+        if entries != self.entries:
+            self._map(entries)
 
-    def _take(self, subindex: int, value: int) -> None:
-        """Take a communication parameter."""
-        if subindex == _COB_ID:
-            self.identifier = value & 0x7FF
-            self.is_valid = not value & _NOT_VALID
-            self.answers_remote = not self._is_received and not value & _NO_REMOTE
-        elif subindex == _TYPE:
-            self.is_synchronous = value <= _LAST_SYNCHRONOUS
-            self.period = value
-        elif subindex == _INHIBIT:
-            self.inhibit_ns = value * _INHIBIT_UNIT
-        elif subindex == _EVENT:
-            self.event_ns = value * _MS
+    def rest(self) -> None:
+        """Nothing is pending, awaited or sent."""
+        self.heard_ns: int | None = None
+        self.data: bytes | None = None
+        self.sent_ns = self.syncs = 0
 
-    def _set_entries(self, count: int) -> None:
-        self.entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(count)]
-        self.length = sum(entry.bits for entry in self.entries) // 8
+    def _parameter(self, subindex: int) -> int:
+        return self._node.values[(self._communication << 8) + subindex]
+
+    def _map(self, entries: list[Entry]) -> None:
+        self.entries, self.length = entries, sum(entry.bits for entry in entries) // 8
+        self.data = None  # what there is has another mapping
         # Tables are made at the first use: only then is it certain who serves the objects.
         self.pack, self.unpack = self._first_pack, self._first_unpack
 
@@ -105,35 +110,29 @@ class Pdo:
         self.unpack = unpacker(self._node, self.entries)
         self.unpack(data)
 
-    def _write_communication(self, subindex: int, value: int) -> None:
+    def _check_communication(self, subindex: int, value: int) -> None:
         if subindex == _COB_ID:
-            check_identifier(value & ~_NO_REMOTE, self._node.value(self._communication, _COB_ID))
+            check_identifier(value & ~_NO_REMOTE, self._parameter(_COB_ID))
         is_no_type = value > _LAST_SYNCHRONOUS and value not in _EVENT_DRIVEN
         # An inhibit time may not be changed while the PDO exists.
         if (subindex == _TYPE and is_no_type) or (subindex == _INHIBIT and self.is_valid):
             raise SdoAbortedError(Abort.INVALID_VALUE)
-        self._take(subindex, value)
         if subindex == _EVENT:
-            self.await_anew()
+            self.heard_ns = None  # watched from the next arrival on (CiA 301, 7.5.2.35)
 
-    def await_anew(self) -> None:
-        """The event time has changed."""
-
-    def _write_mapping(self, subindex: int, value: int) -> None:
+    def _check_mapping(self, subindex: int, value: int) -> None:
         """Destroy the PDO, set the count to 0, map, set the count, create it: else no access."""
-        if self.is_valid:
+        if self.is_valid or (subindex and self.entries):
             raise SdoAbortedError(Abort.UNSUPPORTED_ACCESS)
         if subindex == 0:
-            if value > _MOST_ENTRIES:
+            is_too_long = value > _MOST_ENTRIES
+            if is_too_long or sum(entry.bits for entry in self._mapped(value)) > _MOST_BITS:
                 raise SdoAbortedError(Abort.PDO_TOO_LONG)
-            entries = [self._entry(self._node.value(self._mapping, i + 1)) for i in range(value)]
-            if sum(entry.bits for entry in entries) > _MOST_BITS:
-                raise SdoAbortedError(Abort.PDO_TOO_LONG)
-            self._set_entries(value)
-        elif self.entries:
-            raise SdoAbortedError(Abort.UNSUPPORTED_ACCESS)
         elif value:  # 0 empties the slot
             self._entry(value)
+
+    def _mapped(self, count: int) -> list[Entry]:
+        return [self._entry(self._node.values[(self._mapping << 8) + i + 1]) for i in range(count)]
 
     def _entry(self, value: int) -> Entry:
         """A mapping parameter, if that can be mapped here."""
@@ -151,14 +150,15 @@ class Pdo:
 def packer(node: DriveNode, entries: Sequence[Entry]) -> Callable[[], bytes]:
     """A function that gives the present values."""
     pack = _layout(node, entries).pack
-    reads = [
-        (node.readers.get(index) or partial(node.value, index), subindex)
-        for index, subindex, _ in entries
-    ]
+    stored = node.values.__getitem__
+    reads: list[tuple[Callable[[int], int], int]] = []
+    for index, subindex, _ in entries:
+        read = node.readers.get(index)
+        reads.append((stored, index << 8 | subindex) if read is None else (read, subindex))
     if len(reads) == 1:  # a statusword alone, looked at after every frame
         ((read_alone, only),) = reads
         return lambda: pack(read_alone(only))
-    return lambda: pack(*[read(subindex) for read, subindex in reads])
+    return lambda: pack(*[read(place) for read, place in reads])
 
 
 def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], None]:
@@ -166,16 +166,14 @@ def unpacker(node: DriveNode, entries: Sequence[Entry]) -> Callable[[bytes], Non
 
     It raises `SdoAbortedError` if an object does not take its value; those before it were written.
     """
-    fields, end = [], 0
-    for index, subindex, bits in entries:
-        start, end = end, end + bits // 8
-        fields.append((index, subindex, node.writers[index], slice(start, end)))
-    layout, store = _layout(node, entries), node.data_store
+    layout, values = _layout(node, entries), node.values
+    fields = [(node.writers.get(index), index << 8 | subindex) for index, subindex, _ in entries]
 
     def unpack(data: bytes) -> None:
-        for (index, subindex, write, part), value in zip(fields, layout.unpack(data), strict=True):
-            write(subindex, value)
-            store.setdefault(index, {})[subindex] = data[part]
+        for (check, place), value in zip(fields, layout.unpack(data), strict=True):
+            if check is not None:
+                check(place & 0xFF, value)
+            values[place] = value
 
     return unpack
 

@@ -7,7 +7,6 @@ Target and velocity offset come with every cycle, the torque offset too; the gai
 from __future__ import annotations
 
 import math
-from functools import partial
 
 from canopen.sdo.exceptions import SdoAbortedError
 
@@ -15,13 +14,12 @@ from plant_emulator.drives.cascade import CascadeGains, CascadeLoop, Integral
 from plant_emulator.drives.cia402.node import Abort, DriveNode
 from plant_emulator.drives.drive import DriveSettings, JointReading
 
-_TARGET, _VELOCITY_OFFSET = 0x607A, 0x60B1
-_POSITION_LOOP, _VELOCITY_LOOP = 0x60FB, 0x60F9
-_WINDOW, _WINDOW_MS, _FAULTS = 0x6065, 0x6066, 0x2001
-_GAINS = ((_POSITION_LOOP, 1), (_VELOCITY_LOOP, 1), (_VELOCITY_LOOP, 2))
+_VELOCITY_OFFSET = 0x60B1_00
+_LOWER_LIMIT, _UPPER_LIMIT = 0x607D_01, 0x607D_02
+_WINDOW, _WINDOW_MS, _FAULTS = 0x6065_00, 0x6066_00, 0x2001_00
+_GAINS = (0x60FB_01, 0x60F9_01, 0x60F9_02)
 """In the order of `CascadeGains`."""
 
-_PARAMETERS = (*_GAINS, (_WINDOW, 0), (_WINDOW_MS, 0), (_FAULTS, 0))
 _NO_WINDOW = 0xFFFF_FFFF
 _INT32, _TURNOVER = (-(1 << 31), (1 << 31) - 1), 1 << 32
 _LARGEST_GAIN = 0xFFFF_FFFF
@@ -39,7 +37,6 @@ class PositionMode:
         settings: how it is commissioned.
 
     Attributes:
-        targets: target positions taken so far.
         has_following_error: the joint has been outside the window for its time.
     """
 
@@ -47,24 +44,16 @@ class PositionMode:
         self._node, self._settings = node, settings
         self._counts_per_rad = settings.counts_per_turn / (2.0 * math.pi)
         self._counts = 0
-        self.targets = 0
         self._fit()
         self.restore()
         node.readers[0x6062] = lambda _: self.demanded
         node.readers[0x60F4] = lambda _: self._error()
-        node.writers[_TARGET] = self._set_target
-        node.writers[_VELOCITY_OFFSET] = self._set_velocity_offset
-        node.writers[0x607D] = self._set_limit
-        for index in (_POSITION_LOOP, _VELOCITY_LOOP, _WINDOW, _WINDOW_MS, _FAULTS):
-            node.writers[index] = partial(self._set_parameter, index)
+        node.writers[0x607A] = self._set_target
+        node.writers[0x607D] = self._check_limit
 
     def restore(self) -> None:
-        """Take the objects' values from the dictionary."""
+        """No target was written yet."""
         self._target: int | None = None
-        self._velocity_offset = self._node.value(_VELOCITY_OFFSET)
-        self._parameters = {each: self._node.value(*each) for each in _PARAMETERS}
-        self._gains = self._gains_now()
-        self.limits = (self._node.value(0x607D, 1), self._node.value(0x607D, 2))
         self.rest()
 
     def rest(self) -> None:
@@ -80,12 +69,18 @@ class PositionMode:
         return self._actual
 
     @property
+    def limits(self) -> tuple[int, int]:
+        """The software limits, increments."""
+        return self._node.values[_LOWER_LIMIT], self._node.values[_UPPER_LIMIT]
+
+    @property
     def demanded(self) -> int:
         """Object 0x6062: the target within the software limits, increments."""
         target = self._target
         if target is None:
             target = self._actual if self._held is None else self._held
-        return min(max(target, self.limits[0]), self.limits[1])
+        lowest, highest = self.limits
+        return min(max(target, lowest), highest)
 
     @property
     def is_target_limited(self) -> bool:
@@ -96,19 +91,19 @@ class PositionMode:
         """The drive has its turn while it follows: watch the window."""
         if self._held is None:
             self._held = self._actual
-        window = self._parameters[_WINDOW, 0]
+        window = self._node.values[_WINDOW]
         if window == _NO_WINDOW or abs(self._error()) <= window:
             self._outside_since_ns, self.has_following_error = None, False
             return
         if self._outside_since_ns is None:
             self._outside_since_ns = self._node.now_ns
         outside_ns = self._node.now_ns - self._outside_since_ns
-        self.has_following_error = outside_ns >= self._parameters[_WINDOW_MS, 0] * _MS
+        self.has_following_error = outside_ns >= self._node.values[_WINDOW_MS] * _MS
 
     @property
     def error_is_fault(self) -> bool:
         """Whether a following error is one that the drive faults for (object 0x2001)."""
-        return self.has_following_error and self._parameters[_FAULTS, 0] == 1
+        return self.has_following_error and self._node.values[_FAULTS] == 1
 
     def loop(self, offset_nm: float, most_nm: float) -> CascadeLoop:
         """The loop that the drive closes now.
@@ -119,10 +114,11 @@ class PositionMode:
         """
         # The encoder counts turns beyond 32 bits, and the target means those nearest to the joint.
         turns = self._counts - self._actual
+        gains = CascadeGains(*(self._node.values[each] * _MILLI for each in _GAINS))
         return CascadeLoop(
             (self.demanded + turns) / self._counts_per_rad,
-            self._velocity_offset / self._counts_per_rad,
-            offset_nm, self._gains, 1.0 / self._counts_per_rad, math.inf, most_nm,
+            self._node.values[_VELOCITY_OFFSET] / self._counts_per_rad,
+            offset_nm, gains, 1.0 / self._counts_per_rad, math.inf, most_nm,
             self._integral,
         )  # fmt: skip
 
@@ -134,36 +130,25 @@ class PositionMode:
         """Object 0x60F4, increments."""
         return _wrapped(self.demanded - self._actual)
 
-    def _gains_now(self) -> CascadeGains:
-        return CascadeGains(*(self._parameters[each] * _MILLI for each in _GAINS))
-
     def _fit(self) -> None:
         """Objects whose defaults are this drive's own."""
         settings, fit = self._settings, self._node.fit
-        for subindex, limit_rad in ((1, settings.lower_rad), (2, settings.upper_rad)):
+        limits = ((_LOWER_LIMIT, settings.lower_rad), (_UPPER_LIMIT, settings.upper_rad))
+        for place, limit_rad in limits:
             if math.isfinite(limit_rad):
                 counts = round(limit_rad * self._counts_per_rad)
-                fit(0x607D, subindex, min(max(counts, _INT32[0]), _INT32[1]))
-        for (index, subindex), gain in zip(_GAINS, settings.gains, strict=True):
-            fit(index, subindex, min(round(gain / _MILLI), _LARGEST_GAIN))
-
-    def _set_parameter(self, index: int, subindex: int, value: int) -> None:
-        self._parameters[index, subindex] = value
-        self._gains = self._gains_now()
+                fit(place, min(max(counts, _INT32[0]), _INT32[1]))
+        for place, gain in zip(_GAINS, settings.gains, strict=True):
+            fit(place, min(round(gain / _MILLI), _LARGEST_GAIN))
 
     def _set_target(self, _subindex: int, value: int) -> None:
         self._target = value
-        self.targets += 1
+        self._node.targets += 1
 
-    def _set_velocity_offset(self, _subindex: int, value: int) -> None:
-        self._velocity_offset = value
-
-    def _set_limit(self, subindex: int, value: int) -> None:
+    def _check_limit(self, subindex: int, value: int) -> None:
         lowest, highest = self.limits
-        limits = (value, highest) if subindex == 1 else (lowest, value)
-        if limits[0] > limits[1]:
+        if (value > highest) if subindex == 1 else (value < lowest):
             raise SdoAbortedError(Abort.MAXIMUM_BELOW_MINIMUM)
-        self.limits = limits
 
 
 def _wrapped(counts: int) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from canopen.sdo.exceptions import SdoAbortedError
 
 from bus_schema.can.frame import CanFrame
@@ -17,40 +15,6 @@ _PDOS = 4
 _PRODUCES_SYNC = 1 << 30
 
 
-class ReceivedPdo(Pdo):
-    """An RPDO with what has come for it.
-
-    Attributes:
-        heard_ns: when it came last, if it is awaited again.
-        pending: data that comes into force at the next SYNC.
-    """
-
-    def rest(self) -> None:
-        """Nothing is pending or awaited."""
-        self.heard_ns: int | None = None
-        self.pending: bytes | None = None
-
-    def await_anew(self) -> None:
-        """A new event time is watched from the next arrival on (CiA 301, 7.5.2.35)."""
-        self.heard_ns = None
-
-
-class SentPdo(Pdo):
-    """A TPDO with what has gone of it.
-
-    Attributes:
-        data: data sent last.
-        sent_ns: when that was.
-        syncs: SYNCs since then.
-    """
-
-    def rest(self) -> None:
-        """Nothing has gone yet."""
-        self.data: bytes | None = None
-        self.sent_ns = 0
-        self.syncs = 0
-
-
 class ProcessData:
     """All PDOs of a drive.
 
@@ -58,62 +22,39 @@ class ProcessData:
         node: whose they are.
         errors: its errors.
         send: takes the frames it sends.
-        on_timeout: called when an RPDO is overdue.
         is_fd: what is sent goes in frames of CAN FD; what comes may have any format.
 
     Attributes:
         samplings: SYNCs on which values were sampled so far.
     """
 
-    def __init__(
-        self,
-        node: DriveNode,
-        errors: ErrorLog,
-        send: Send,
-        on_timeout: Callable[[], None],
-        *,
-        is_fd: bool = False,
-    ) -> None:
-        self._node, self._errors, self._send, self._on_timeout = node, errors, send, on_timeout
-        self._is_fd = is_fd
-        self._received = [
-            ReceivedPdo(node, 0x1400 + number, 0x1600 + number, is_received=True)
-            for number in range(_PDOS)
-        ]
-        self._sent = [
-            SentPdo(node, 0x1800 + number, 0x1A00 + number, is_received=False)
-            for number in range(_PDOS)
-        ]
-        self._pdos: list[ReceivedPdo | SentPdo] = [*self._received, *self._sent]
-        node.writers[0x1005] = self._move_sync
+    def __init__(self, node: DriveNode, errors: ErrorLog, send: Send, *, is_fd: bool) -> None:
+        self._node, self._errors, self._send, self._is_fd = node, errors, send, is_fd
+        self._received = [Pdo(node, number, is_received=True) for number in range(_PDOS)]
+        self._sent = [Pdo(node, number, is_received=False) for number in range(_PDOS)]
+        node.writers[0x1005] = _check_sync
         self.samplings = 0
-        self.load()
-
-    def load(self) -> None:
-        """Take everything from the dictionary."""
-        self.sync_identifier = self._node.value(0x1005) & 0x7FF
-        for pdo in self._pdos:
-            pdo.load()
-        self.rest()
         self.note_set_up()
 
     def rest(self) -> None:
         """The node is not operational: nothing is pending or awaited."""
-        for pdo in self._pdos:
+        for pdo in (*self._received, *self._sent):
             pdo.rest()
 
-    def received_by(self) -> dict[int, ReceivedPdo]:
+    def received_by(self) -> dict[int, Pdo]:
         """The RPDOs as they are set up now, by identifier; of several with one, the first."""
         return {pdo.identifier: pdo for pdo in reversed(self._received) if pdo.is_valid}
 
     def note_set_up(self) -> None:
-        """PDOs may have been set up anew."""
-        self._on_sync = [pdo for pdo in self._sent if pdo.is_valid and pdo.is_synchronous]
-        self._on_event = [
-            pdo for pdo in self._sent if pdo.is_valid and pdo.entries and not pdo.is_synchronous
-        ]
+        """Objects of SYNC or PDOs may have been written."""
+        self.sync_identifier = self._node.values[0x1005_00] & 0x7FF
+        for pdo in (*self._received, *self._sent):
+            pdo.note_set_up()
+        valid = [pdo for pdo in self._sent if pdo.is_valid]
+        self._on_sync = [pdo for pdo in valid if pdo.is_synchronous]
+        self._on_event = [pdo for pdo in valid if pdo.entries and not pdo.is_synchronous]
 
-    def sending(self, identifier: int) -> SentPdo | None:
+    def sending(self, identifier: int) -> Pdo | None:
         """The TPDO with this identifier."""
         for pdo in self._sent:
             if pdo.identifier == identifier and pdo.is_valid:
@@ -133,24 +74,24 @@ class ProcessData:
         self._errors.clear(ErrorCode.SYNC_LENGTH)
         self.samplings += 1
         for received in self._received:
-            if received.pending is not None:
-                data, received.pending = received.pending, None
+            if received.data is not None:
+                data, received.data = received.data, None
                 has_changed = True
                 _unpack(received, data)
         for sent in self._on_sync:
             self._send_on_sync(sent)
         return has_changed
 
-    def receive(self, pdo: ReceivedPdo, data: bytes) -> None:
+    def receive(self, pdo: Pdo, data: bytes) -> None:
         """Data for an RPDO has come."""
         self._check_length(pdo, data)
         pdo.heard_ns = self._node.now_ns
         if pdo.is_synchronous:
-            pdo.pending = data
+            pdo.data = data
         else:
             _unpack(pdo, data)
 
-    def transmit(self, pdo: SentPdo, data: bytes) -> None:
+    def transmit(self, pdo: Pdo, data: bytes) -> None:
         """Send a TPDO."""
         pdo.data, pdo.sent_ns, pdo.syncs = data, self._node.now_ns, 0
         self._send(CanFrame(pdo.identifier, data, is_fd=self._is_fd))
@@ -165,16 +106,17 @@ class ProcessData:
             if data != pdo.data or (pdo.event_ns and age_ns >= pdo.event_ns):
                 self.transmit(pdo, data)
 
-    def watch(self) -> None:
-        """Miss RPDOs that are overdue; each is awaited from its first arrival on."""
+    def has_overdue(self) -> bool:
+        """Whether an RPDO is overdue; each is awaited from its first arrival on."""
+        overdue = False
         for pdo in self._received:
             if pdo.heard_ns is None or not pdo.event_ns or not pdo.is_valid:
                 continue
             if self._node.now_ns - pdo.heard_ns > pdo.event_ns:
-                pdo.heard_ns = None
-                self._on_timeout()
+                pdo.heard_ns, overdue = None, True
+        return overdue
 
-    def _send_on_sync(self, pdo: SentPdo) -> None:
+    def _send_on_sync(self, pdo: Pdo) -> None:
         pdo.syncs += 1
         if pdo.syncs < pdo.period:
             return
@@ -193,11 +135,11 @@ class ProcessData:
             self._errors.clear(ErrorCode.PDO_TOO_SHORT)
             self._errors.clear(ErrorCode.PDO_TOO_LONG)
 
-    def _move_sync(self, _subindex: int, value: int) -> None:
-        if value & _PRODUCES_SYNC:
-            raise SdoAbortedError(Abort.INVALID_VALUE)
-        check_identifier(value, value)
-        self.sync_identifier = value & 0x7FF
+
+def _check_sync(_subindex: int, value: int) -> None:
+    if value & _PRODUCES_SYNC:
+        raise SdoAbortedError(Abort.INVALID_VALUE)
+    check_identifier(value, value)
 
 
 def _unpack(pdo: Pdo, data: bytes) -> None:

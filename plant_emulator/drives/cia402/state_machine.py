@@ -130,9 +130,9 @@ _COMMANDS = [
 ]
 
 _MS = 1_000_000
-_QUICK_STOP, _FAULT_REACTION = 0x605A, 0x605E
-_SLOW_DOWN_OPTIONS = {ControlCommand.SHUTDOWN: 0x605B, ControlCommand.SWITCH_ON: 0x605C}
-_LONGEST_SLOW_DOWN = 0x2000
+_QUICK_STOP, _FAULT_REACTION = 0x605A_00, 0x605E_00
+_SLOW_DOWN_OPTIONS = {ControlCommand.SHUTDOWN: 0x605B_00, ControlCommand.SWITCH_ON: 0x605C_00}
+_LONGEST_SLOW_DOWN = 0x2000_00
 _STAYS_IN_QUICK_STOP = (5, 6, 7, 8)
 _POWER_OFF = 0
 
@@ -221,7 +221,7 @@ class Automaton:
             return
         was_moving = self.state is State.OPERATION_ENABLED or self._slow_down is not None
         self.state = State.FAULT_REACTION_ACTIVE
-        if was_moving and not power_off and self._node.value(_FAULT_REACTION) != _POWER_OFF:
+        if was_moving and not power_off and self._node.values[_FAULT_REACTION] != _POWER_OFF:
             self._begin_slow_down(State.FAULT)
         else:
             self._enter(State.FAULT)
@@ -240,7 +240,7 @@ class Automaton:
         elif command is ControlCommand.QUICK_STOP and was_enabled:
             self._quick_stop()
         elif following is State.OPERATION_ENABLED and self.state is State.QUICK_STOP_ACTIVE:
-            if self._node.value(_QUICK_STOP) in _STAYS_IN_QUICK_STOP:  # else 16 is not possible
+            if self._node.values[_QUICK_STOP] in _STAYS_IN_QUICK_STOP:  # else 16 is not possible
                 self._enter(following)
         elif was_enabled and self._slows_down_for(command):
             if self._slow_down is None or self._slow_down.then is not following:
@@ -251,10 +251,10 @@ class Automaton:
     def _slows_down_for(self, command: ControlCommand) -> bool:
         """Whether an option code wants the joint at rest before the drive function ends."""
         option = _SLOW_DOWN_OPTIONS.get(command)
-        return option is not None and self._node.value(option) != _POWER_OFF
+        return option is not None and self._node.values[option] != _POWER_OFF
 
     def _quick_stop(self) -> None:
-        option = self._node.value(_QUICK_STOP)
+        option = self._node.values[_QUICK_STOP]
         if option == _POWER_OFF:
             self._enter(State.SWITCH_ON_DISABLED)
             return
@@ -263,7 +263,7 @@ class Automaton:
         self._begin_slow_down(State.QUICK_STOP_ACTIVE if stays else State.SWITCH_ON_DISABLED)
 
     def _begin_slow_down(self, then: State) -> None:
-        until_ns = self._node.now_ns + self._node.value(_LONGEST_SLOW_DOWN) * _MS
+        until_ns = self._node.now_ns + self._node.values[_LONGEST_SLOW_DOWN] * _MS
         self._slow_down = _SlowDown(then, until_ns)
 
     def _enter(self, state: State) -> None:

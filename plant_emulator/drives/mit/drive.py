@@ -83,17 +83,19 @@ class MitDrive(Drive):
             self._rest()
 
     def demand(self) -> JointDemand:
-        if self._command is None:
+        command = self._command
+        if command is None:
             return AT_REST
-        torque_nm = self._loop_of(self._command).torque_nm(*self._reading[:2])
-        return JointDemand(torque_nm, is_released=True)
+        loop = JointLoop(
+            command.position_rad + self._zero_rad, command.velocity_rad_s,
+            command.stiffness_nm_rad, command.damping_nm_s, command.torque_nm,
+            self._step_rad, self._most_nm,
+        )  # fmt: skip
+        is_closed = command.stiffness_nm_rad > 0.0 or command.damping_nm_s > 0.0
+        torque_nm = loop.torque_nm(*self._reading[:2])
+        return JointDemand(torque_nm, is_released=True, loop=loop if is_closed else None)
 
-    def loop(self) -> JointLoop | None:
-        loop = None if self._command is None else self._loop_of(self._command)
-        return loop if loop is not None and loop.is_closed else None
-
-    def inject(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
-        self._is_hot = self._is_hot or fault is DriveFault.OVER_TEMPERATURE
+    def _fail(self, fault: DriveFault, now_ns: int) -> None:  # noqa: ARG002 (the interface)
         hot, short = MitError.OVER_TEMPERATURE, MitError.OVER_CURRENT
         self._error = hot if fault is DriveFault.OVER_TEMPERATURE else short
         self._rest()
@@ -127,13 +129,6 @@ class MitDrive(Drive):
             self._error = MitError.OVER_TEMPERATURE if self._is_hot else MitError.NONE
         elif self._error is MitError.NONE:
             self._is_in_motor_mode = True
-
-    def _loop_of(self, command: MitCommand) -> JointLoop:
-        return JointLoop(
-            command.position_rad + self._zero_rad, command.velocity_rad_s,
-            command.stiffness_nm_rad, command.damping_nm_s, command.torque_nm,
-            self._step_rad, self._most_nm,
-        )  # fmt: skip
 
     def _rest(self) -> None:
         self._is_in_motor_mode = False

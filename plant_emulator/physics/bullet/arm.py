@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schema.arrays import Matrix, Vector
-from bus_schema.robot_description import RobotDescription, Shapes
+from bus_schema.robot_description import RobotDescription
 from bus_schema.runtime.compiled import bind, compiled
 from plant_emulator.arm.joint_torques import TOTAL, TorqueTables, joint_torques
 from plant_emulator.physics.bullet.server import (
@@ -23,6 +23,7 @@ from plant_emulator.physics.bullet.server import (
     request_state,
     require_loadable,
     set_torque,
+    shapes,
     step_simulation,
     submit,
 )
@@ -62,10 +63,7 @@ class BulletArm(ArmPhysics):
     def __init__(self, specification: ArmSpecification) -> None:
         super().__init__(specification)
         robot, grid, gui = specification.robot, specification.grid, specification.gui
-        self._server = BulletServer(
-            robot, grid.substep_s, payload_kg=specification.payload_kg,
-            loaded_kg=specification.loaded_kg, gui=gui, shapes=_shapes(gui=gui),
-        )  # fmt: skip
+        self._server = BulletServer(specification)
         limits = robot.effort_limits_nm
         self._brake_torques: Vector = np.where(
             np.isfinite(limits), _BRAKE_TO_EFFORT * limits, _BRAKE_TORQUE_NM
@@ -87,7 +85,7 @@ class BulletArm(ArmPhysics):
     @staticmethod
     def check(robot: RobotDescription, payload_kg: float, *, gui: bool) -> None:
         """Check that Bullet can load an arm; what it could load before, it need not load again."""
-        require_loadable(robot.path, robot.resolved_urdf(payload_kg, _shapes(gui=gui)))
+        require_loadable(robot.path, robot.resolved_urdf(payload_kg, shapes(gui=gui)))
 
     def place(self, position: Vector) -> None:
         self._server.place(position)
@@ -114,10 +112,6 @@ class BulletArm(ArmPhysics):
 
     def close(self) -> None:
         self._server.close()
-
-
-def _shapes(*, gui: bool) -> Shapes:
-    return "drawable" if gui else "none"
 
 
 @compiled

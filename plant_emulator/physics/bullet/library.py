@@ -24,27 +24,22 @@ def quiet() -> Iterator[None]:
 
     That goes for other threads too: to be used in the main thread, wherever there is a choice.
     """
-    with _ONE_AT_A_TIME, _redirected():  # or one could put back another's /dev/null
-        yield
-
-
-@contextlib.contextmanager
-def _redirected() -> Iterator[None]:
     flush = ctypes.CDLL(None).fflush
-    sys.stdout.flush()
-    kept = [os.dup(1), os.dup(2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        flush(None)
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        flush(None)
-        for descriptor, copy in enumerate(kept, start=1):
-            os.dup2(copy, descriptor)
-            os.close(copy)
-        os.close(nowhere)
+    with _ONE_AT_A_TIME:  # or one could put back another's /dev/null
+        sys.stdout.flush()
+        kept = [os.dup(1), os.dup(2)]
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        try:
+            flush(None)
+            os.dup2(nowhere, 1)
+            os.dup2(nowhere, 2)
+            yield
+        finally:
+            flush(None)
+            for descriptor, copy in enumerate(kept, start=1):
+                os.dup2(copy, descriptor)
+                os.close(copy)
+            os.close(nowhere)
 
 
 POINTER, INT, DOUBLE = ctypes.c_void_p, ctypes.c_int, ctypes.c_double

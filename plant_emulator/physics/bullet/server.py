@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from bus_schema.arrays import Vector
 from bus_schema.errors import RobotDescriptionError
-from bus_schema.robot_description import RobotDescription, Shapes
+from bus_schema.robot_description import Shapes
 from bus_schema.runtime.compiled import c_function, compiled
 from bus_schema.urdf.joints import Follower
 from bus_schema.urdf.resolved import PAYLOAD_LINK
@@ -31,6 +31,7 @@ from plant_emulator.physics.bullet.library import (
     quiet,
     setter,
 )
+from plant_emulator.physics.engine import ArmSpecification
 
 _GEAR = 6
 _LARGEST_FORCE = 1e9
@@ -151,6 +152,11 @@ def submit(server: int, command: int, has_window: bool) -> int:
     return status
 
 
+def shapes(*, gui: bool) -> Shapes:
+    """What a URDF has to have of its links: physics alone needs nothing."""
+    return "drawable" if gui else "none"
+
+
 def no_answer() -> ConnectionError:
     """What is raised where the server is gone, as when its window was closed."""
     return ConnectionError("Bullet's physics server does not answer")
@@ -160,12 +166,7 @@ class BulletServer:
     """A physics server with one arm on a fixed base, without damping of Bullet's own.
 
     Args:
-        robot: description of the arm.
-        substep_s: length of one physics step.
-        payload_kg: point mass at the tip.
-        loaded_kg: the same with which the arm is loaded, as Bullet cannot add a link later.
-        gui: open Bullet's window (needs a display).
-        shapes: of the links; physics needs none.
+        specification: what to make it of. A window needs a display.
 
     Attributes:
         handle: the server, as Bullet's functions take it.
@@ -176,19 +177,16 @@ class BulletServer:
         RobotDescriptionError: Bullet cannot load the arm.
     """
 
-    def __init__(
-        self, robot: RobotDescription, substep_s: float, *,
-        payload_kg: float = 0.0, loaded_kg: float = 0.0, gui: bool = False,
-        shapes: Shapes = "none",
-    ) -> None:  # fmt: skip
+    def __init__(self, specification: ArmSpecification) -> None:
+        robot, gui = specification.robot, specification.gui
         with quiet():
             self.handle: int = _connect_window(0, None) if gui else _connect()
         reset = _reset(self.handle)
         # One body that never touches anything: looking for contacts would be a tenth of a step.
         _set_reset_flags(reset, _USE_SIMPLE_BROADPHASE)
-        self.submit(reset)
+        self._carry_out(reset)
         try:
-            urdf = robot.resolved_urdf(loaded_kg, shapes)
+            urdf = robot.resolved_urdf(specification.loaded_kg, shapes(gui=gui))
             self.body = _load(self.handle, robot.path, urdf)
         except RobotDescriptionError:
             self.close()
@@ -198,8 +196,9 @@ class BulletServer:
         self._payload_links = [
             joint.link for joint, link_name in names.values() if link_name == PAYLOAD_LINK
         ]
-        if loaded_kg != payload_kg:
-            self.carry(payload_kg)
+        if specification.loaded_kg != specification.payload_kg:
+            self.carry(specification.payload_kg)
+        substep_s = specification.grid.substep_s
         self._set_up_world(substep_s, len(names), iterates=bool(robot.followers))
         self._followers = [
             (names[each.name][0], robot.joint_names.index(each.leader), each)
@@ -207,7 +206,7 @@ class BulletServer:
         ]
         for joint, leader, follower in self._followers:
             links = joint.link, self.joints[leader].link
-            tie(self.handle, self.body, links, follower, self.submit)
+            tie(self.handle, self.body, links, follower, self._carry_out)
 
     def place(self, position: Vector) -> None:
         """Put the joints at `position` (rad, shape (joints,)), at rest."""
@@ -219,7 +218,7 @@ class BulletServer:
             pose = _pose(self.handle, self.body)
             _set_position(self.handle, pose, joint.link, angle)
             _set_velocity(self.handle, pose, joint.link, 0.0)
-            self.submit(pose)
+            self._carry_out(pose)
 
     def hold_with(self, torques_nm: Sequence[float]) -> None:
         """Hold each joint at rest with so much torque at most; 0 lets it go."""
@@ -230,7 +229,7 @@ class BulletServer:
             _set_desired_velocity(motors, joint.velocity_index, 0.0)
             _set_velocity_gain(motors, joint.velocity_index, 1.0)
             _set_largest_force(motors, joint.velocity_index, torque_nm)
-        self.submit(motors)
+        self._carry_out(motors)
 
     def carry(self, payload_kg: float) -> None:
         """Carry this point mass at the tip from now on; one that was announced (see the class).
@@ -242,13 +241,13 @@ class BulletServer:
             _set_mass(change, self.body, link, payload_kg)
             # left to itself, Bullet makes up an inertia of what it takes for the link's extent
             _set_inertia(change, self.body, link, (DOUBLE * 3)())
-            self.submit(change)
+            self._carry_out(change)
 
     def close(self) -> None:
         """Free the server."""
         _disconnect(self.handle)
 
-    def submit(self, command: int) -> int:
+    def _carry_out(self, command: int) -> int:
         """Have a command carried out; its status.
 
         Raises:
@@ -276,13 +275,13 @@ class BulletServer:
         if iterates:  # else gears are left half solved
             _set_iterations(world, _MOST_ITERATIONS)
             _set_residual(world, 0.0)
-        self.submit(world)
+        self._carry_out(world)
         for link in range(_BASE_LINK, links):
             change = _dynamics(self.handle)
             _set_linear_damping(change, self.body, 0.0)
             _set_angular_damping(change, self.body, 0.0)
             _set_joint_damping(change, self.body, link, 0.0)
-            self.submit(change)
+            self._carry_out(change)
 
 
 @lru_cache(maxsize=16)

@@ -6,6 +6,7 @@ import contextlib
 import socket
 import uuid
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import can
@@ -14,7 +15,7 @@ import pytest
 from can.interfaces.udp_multicast.utils import pack_message
 
 from bus_schema.can.frame import CanBus, CanFrame
-from bus_schema.can.medium import candump_lines
+from bus_schema.can.medium import CandumpLog
 from bus_schema.can.session import check_can_bus, open_can_bus
 from bus_schema.configuration import ConfigurationError
 from bus_schema.link.can_configuration import CanConfiguration
@@ -42,24 +43,24 @@ FRAMES = [
 ]
 
 
+@contextlib.contextmanager
+def two_on(configuration: CanConfiguration) -> Iterator[tuple[CanBus, CanBus]]:
+    with closing(open_can_bus(configuration)) as one, closing(open_can_bus(configuration)) as other:
+        yield one, other
+
+
 def test_frames_reach_the_others_in_order_and_never_their_sender() -> None:
-    configuration = virtual()  # by UDP multicast: see test_multicast.py
-    ours, theirs = open_can_bus(configuration), open_can_bus(configuration)
-    try:
+    with two_on(virtual()) as (ours, theirs):  # by UDP multicast: see test_multicast.py
         for frame in FRAMES:
             ours.send(frame)
         assert [theirs.receive(1.0) for _ in FRAMES] == FRAMES
         theirs.send(FRAMES[0])
         assert ours.receive(1.0) == FRAMES[0]
         assert ours.receive(0.01) is None
-    finally:
-        _close(ours, theirs)
 
 
 def test_frames_that_nobody_was_in_time_for_are_counted() -> None:
-    configuration = multicast()
-    sender, slow = open_can_bus(configuration), open_can_bus(configuration)
-    try:
+    with two_on(multicast()) as (sender, slow):
         assert slow.dropped() == 0
         sent = 2000  # more than a queue of the usual 200 KiB holds
         for _ in range(sent):
@@ -69,8 +70,6 @@ def test_frames_that_nobody_was_in_time_for_are_counted() -> None:
             received += 1
         assert received < sent
         assert slow.dropped() == sent - received
-    finally:
-        _close(sender, slow)
     assert open_can_bus(virtual()).dropped() is None
 
 
@@ -84,16 +83,12 @@ def test_frames_leave_the_machine_only_if_they_are_to(hop_limit: int, leaves: bo
     except PermissionError:
         pytest.skip("watching the network takes CAP_NET_RAW")
     configuration = multicast(hop_limit=hop_limit)
-    bus, witness = open_can_bus(configuration), open_can_bus(configuration)
-    with wire:
+    with wire, two_on(configuration) as (bus, witness):
         wire.settimeout(0.3)
-        try:
-            bus.send(FRAMES[0])
-            assert witness.receive(1.0) == FRAMES[0]
-            group = socket.inet_aton(configuration.resolved_channel)
-            assert bool(list(_sent_to_network(wire, group))) == leaves
-        finally:
-            _close(bus, witness)
+        bus.send(FRAMES[0])
+        assert witness.receive(1.0) == FRAMES[0]
+        group = socket.inet_aton(configuration.resolved_channel)
+        assert bool(list(_sent_to_network(wire, group))) == leaves
 
 
 @pytest.mark.parametrize(("hop_limit", "is_heard"), [(0, False), (1, True)])
@@ -101,16 +96,12 @@ def test_what_is_not_sent_to_the_group_by_this_machine_is_not_heard(
     hop_limit: int, is_heard: bool
 ) -> None:
     configuration = multicast(hop_limit=hop_limit)
-    bus, sender = open_can_bus(configuration), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    with sender:
-        try:
-            message = can.Message(arbitration_id=0x123, data=b"x", is_extended_id=False)
-            sender.sendto(
-                pack_message(message), ("127.0.0.1", configuration.port)
-            )  # as from another machine
-            assert (bus.receive(0.3) is not None) == is_heard
-        finally:
-            _close(bus)
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with sender, closing(open_can_bus(configuration)) as bus:
+        message = can.Message(arbitration_id=0x123, data=b"x", is_extended_id=False)
+        as_from_another_machine = "127.0.0.1", configuration.port
+        sender.sendto(pack_message(message), as_from_another_machine)
+        assert (bus.receive(0.3) is not None) == is_heard
 
 
 def _sent_to_network(wire: socket.socket, group: bytes) -> Iterator[bytes]:
@@ -154,12 +145,9 @@ def test_bus_that_cannot_be_joined_is_a_configuration_error_with_advice(
         (CanFrame(0x040, bytes(8), is_error=True), "(1.000002) can0 20000040#" + "00" * 8),
     ],
 )
-def test_log_lines_are_those_of_candump(frame: CanFrame, line: str) -> None:
+def test_log_lines_are_those_of_candump(frame: CanFrame, line: str, tmp_path: Path) -> None:
+    log = CandumpLog(tmp_path / "can.log", "can0")
     times_ns = np.array([1_000_002_999, 12_345_678_901_234])
-    lines = candump_lines(times_ns, "can0", [frame, CanFrame(0x7AB, b"\x01")])
-    assert lines == f"{line}\n(12345.678901) can0 7AB#01\n"
-
-
-def _close(*buses: CanBus) -> None:
-    for bus in buses:
-        bus.close()
+    log.write(times_ns, [frame, CanFrame(0x7AB, b"\x01")])
+    log.close()
+    assert (tmp_path / "can.log").read_text() == f"{line}\n(12345.678901) can0 7AB#01\n"

@@ -83,6 +83,6 @@ def test_no_frame_is_longer_than_the_longest(
     assert bits.nominal <= longest.nominal
     assert 0.75 * longest.fast <= bits.fast <= longest.fast
     if data_bytes <= 8:
-        most = longest_classical_bits(data_bytes)
+        most = longest_classical_bits(data_bytes).nominal
         assert most == 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
         assert wire_bits(CanFrame(identifier, data)).nominal <= most

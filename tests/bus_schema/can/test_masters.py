@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bus_schema.can.cansimple.codec import CanSimpleCodec
@@ -56,6 +57,10 @@ def cansimple(bus: FrameBus) -> CanMaster:
     return CanSimpleMaster(bus, CAN, NODES, CanSimpleCodec(NODES))
 
 
+def read(master: CanMaster) -> bool:
+    return master.read(0.0, np.zeros(3), np.zeros(3))
+
+
 @pytest.mark.parametrize("build", [cia402, cansimple])
 def test_lost_bus_is_what_ends_enabling(build) -> None:
     booted = [CanFrame(0x700 + node, b"\0") for node in NODES]
@@ -69,14 +74,13 @@ def test_lost_bus_is_what_ends_enabling(build) -> None:
 def test_bus_off_is_told_when_it_is_read_and_expected_while_stopping(build) -> None:
     bus_off = CanFrame(BUS_OFF, is_error=True)
     master = build(FrameBus(bus_off))
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
     master.sample(0)
     with pytest.raises(DriveError, match="the CAN controller is bus-off"):
-        master.read(0.0, position, velocity)
+        read(master)
     stopping = build(FrameBus(bus_off))
     stopping.sample(0)
     stopping.begin_stop()
-    assert not stopping.read(0.0, position, velocity)
+    assert not read(stopping)
 
 
 @pytest.mark.parametrize(
@@ -88,32 +92,30 @@ def test_bus_off_is_told_when_it_is_read_and_expected_while_stopping(build) -> N
 )
 def test_drive_that_has_yet_to_answer_is_waited_for_until_it_is_given_up(build, powered) -> None:
     master = build(FrameBus(powered))
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
     master.sample(0)
-    assert not master.read(0.0, position, velocity)
+    assert not read(master)
     master.begin_stop()
     assert not master.is_stopped()
-    assert not master.read(0.0, position, velocity)
+    assert not read(master)
     master.give_up()
     assert master.is_stopped()
-    assert master.read(0.0, position, velocity)
+    assert read(master)
 
 
 def test_answers_are_awaited_of_all_but_those_given_up() -> None:
     bus = FrameBus(CanFrame(0x049, bytes(8)))  # estimates of node 2
     master = cansimple(bus)
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
-    assert master.read(0.0, position, velocity)
+    assert read(master)
     master.sample(0)
-    assert not master.read(0.0, position, velocity)
+    assert not read(master)
     assert master.missing() == "1, 3"
     master.give_up()
-    assert master.read(0.0, position, velocity)
+    assert read(master)
     master.sample(0)
     assert master.missing() == "2"
     master.give_up()
     master.sample(0)
-    assert master.read(0.0, position, velocity)
+    assert read(master)
 
 
 @pytest.mark.parametrize(
@@ -142,9 +144,8 @@ def test_who_else_acts_as_master_or_drive_is_named(
     build: Callable[[FrameBus], CanMaster], frames: list[CanFrame], words: str
 ) -> None:
     master = build(FrameBus(*frames))
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
     master.sample(0)
-    assert not master.read(0.0, position, velocity)
+    assert not read(master)
     told = master.strangers()
     assert words in told
     assert bool(words) == bool(told)
@@ -154,15 +155,14 @@ def test_drives_that_are_late_at_the_start_are_waited_for_and_watched_from_then_
     bus = FrameBus()
     master = cia402(bus)
     master._start_timeout_ms = 5000.0  # as enabling with this time for the drives to come
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
     late_ns = 4_000_000_000  # far beyond link.can.heartbeat_timeout_ms
     master.sample(late_ns)
-    assert not master.read(0.0, position, velocity)
+    assert not read(master)
     bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in NODES]
-    assert master.read(0.0, position, velocity)
+    assert read(master)
     master.sample(late_ns + 71_000_000)
     with pytest.raises(DriveError, match="drive 1: no heartbeat for 70 ms"):
-        master.read(0.0, position, velocity)
+        read(master)
 
 
 FAULT_OF_1 = CanFrame(0x281, b"\x1f\x02\x0a\x00\x00")  # fault reaction active
@@ -172,15 +172,14 @@ def test_one_silent_drive_is_named_before_what_followed_from_its_silence() -> No
     """The others got no torque for want of its state, and stopped for that."""
     bus = FrameBus()
     master = cia402(bus)
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
     for now_ms, nodes in ((10, NODES), (40, (1, 3))):
         master.sample(now_ms * 1_000_000)
         bus._frames += [CanFrame(0x180 + node, bytes(8)) for node in nodes]
-        assert master.read(0.0, position, velocity) == (nodes == NODES)
+        assert read(master) == (nodes == NODES)
     master.sample(62_000_000)
     bus._frames.append(FAULT_OF_1)
     with pytest.raises(SilentDriveError, match=r"^drive 2: no state for 52 ms; drive 1: fault"):
-        master.read(0.0, position, velocity)
+        read(master)
 
 
 @pytest.mark.parametrize("nodes", [(), (1, 2, 3)])
@@ -189,12 +188,11 @@ def test_where_all_drives_or_none_give_states_no_silence_of_one_is_the_cause(
 ) -> None:
     bus = FrameBus()
     master = cia402(bus)
-    position, velocity = ROBOT.effort_limits_nm.copy(), ROBOT.effort_limits_nm.copy()
     master.sample(62_000_000)
     bus._frames += [*(CanFrame(0x180 + node, bytes(8)) for node in nodes), FAULT_OF_1]
     if nodes:
-        assert master.read(0.0, position, velocity)
+        assert read(master)
         master.sample(64_000_000)
     with pytest.raises(DriveError, match=r"^drive 1: fault reaction active$") as ended:
-        master.read(0.0, position, velocity)
+        read(master)
     assert not ended.value.is_cause

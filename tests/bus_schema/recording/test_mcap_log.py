@@ -11,7 +11,8 @@ from mcap_ros2.decoder import DecoderFactory
 
 from bus_schema.messages.layout import Record
 from bus_schema.messages.run_event import EventKind, RunEvent
-from bus_schema.messages.topics import JOINT_STATES, RUN_EVENTS, TOPICS, layout
+from bus_schema.messages.topics import CONTROL_STATUS, JOINT_STATES, RUN_EVENTS, TOPICS, layout
+from bus_schema.recording import mcap_log
 from bus_schema.recording.atomic_files import partial_path
 from bus_schema.recording.mcap_log import McapLog, read_log
 
@@ -178,3 +179,19 @@ def test_what_was_lost_is_told_in_the_file_even_on_a_full_disk(small_disk):
     assert contents.metadata["lost"] == {"joint_states": str(6000 - log.messages)}
     assert len(contents.payloads["joint_states"]) == log.messages
     (small_disk / "summary.json").write_bytes(bytes(8192))  # there is room for that again
+
+
+def test_messages_in_the_form_of_another_version_are_left_out(tmp_path, monkeypatch):
+    ours = mcap_log.schema_text(CONTROL_STATUS.type_name)
+    monkeypatch.setattr(mcap_log, "schema_text", lambda _: ours.replace("inertia_factor", "other"))
+    log = McapLog(tmp_path / "run.mcap", bytes_per_s=1e6)
+    log.write(CONTROL_STATUS, 1, 0, 0, payload_of(CONTROL_STATUS, 1))
+    log.close()
+    contents = read_log(tmp_path / "run.mcap")
+    assert not contents.payloads
+    assert not contents.complete
+    assert contents.damage == [
+        "its messages of funnel_hil_msgs/msg/ControlStatus are those of another version of"
+        " funnel-hil, which can read them",
+        "0 of 1 messages could be read",
+    ]

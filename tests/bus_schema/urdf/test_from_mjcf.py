@@ -73,7 +73,7 @@ def refusal(folder: Path, text: str) -> str:
 def compare_dynamics(robot: RobotDescription, text: str) -> None:
     """Compare mass matrix and gravity with MuJoCo's at random positions of the driven joints."""
     theirs = mujoco.MjModel.from_xml_string(text)
-    theirs.dof_armature[:] = 0.0  # which is left out with a warning
+    theirs.dof_armature[:] = 0.0  # which is for the motors, not for the links
     theirs.opt.gravity[:] = 0.0, 0.0, -9.81
     data, ours = mujoco.MjData(theirs), ManipulatorModel(robot)
     joints = [theirs.joint(name) for name in robot.joint_names]
@@ -116,16 +116,23 @@ def test_what_is_left_out_is_reported(tmp_path: Path) -> None:
     reacher = load_robot(PYBULLET_DATA / "mjcf/reacher.xml")
     assert reacher.joint_names == ("joint0", "joint1")
     assert reacher.effort_limits_nm.tolist() == [200.0, 200.0]
-    passive, left_out, *_ = reacher.warnings
-    assert "target_x, target_y: no actuator" in passive
-    assert "armature, damping" in left_out
+    assert "target_x, target_y: no actuator" in reacher.warnings[0]
     striker = load_robot(PYBULLET_DATA / "mjcf/striker.xml")
     assert any("body target is free" in each for each in striker.warnings)
     assert any("gravity 0 0 0" in each for each in striker.warnings)
-    floated = load(tmp_path, ARM.replace('<body name="slider"', '<body name="slider" gravcomp="1"'))
-    damping, gravcomp = floated.warnings
-    assert "damping of its joints" in damping
+    floating = ARM.replace('<body name="slider"', '<body name="slider" gravcomp="1"')
+    floated = load(tmp_path, floating.replace('damping="1"', 'stiffness="1"'))
+    stiffness, gravcomp = floated.warnings
+    assert "stiffness of its joints" in stiffness
     assert "gravcomp of body slider" in gravcomp
+
+
+def test_motors_and_friction_are_taken_over(tmp_path: Path) -> None:
+    own = ARM.replace('name="pitch"', 'name="pitch" armature="0.2" frictionloss="3" damping="4"')
+    drives = load(tmp_path, own).drives
+    assert drives.rotor_inertia_kg_m2.tolist() == [0.0, 0.2, 0.0]
+    assert drives.friction_nm.tolist() == [0.0, 3.0, 0.0]
+    assert drives.damping_nm_s.tolist() == [1.0, 4.0, 1.0]
 
 
 BODY = '<worldbody><body name="b">{}<geom name="ball" size="0.1" mass="3"/></body></worldbody>'

@@ -6,12 +6,12 @@ Zenoh's own.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import zenoh
+
+from tests.bus_schema.zenoh.zenoh_pair import foreign_session
 
 _PATIENT = {
     "transport/unicast/open_timeout": 60_000,
@@ -50,7 +50,7 @@ _NODE = {
 @contextmanager
 def rmw_router(endpoint: str) -> Iterator[zenoh.Session]:
     """What ``ros2 run rmw_zenoh_cpp rmw_zenohd`` starts, at an endpoint of its own."""
-    with zenoh.open(_configuration({**_ROUTER, "listen/endpoints": [endpoint]})) as session:
+    with foreign_session({**_ROUTER, "listen/endpoints": [endpoint]}) as session:
         yield session
 
 
@@ -58,12 +58,5 @@ def rmw_router(endpoint: str) -> Iterator[zenoh.Session]:
 def rmw_node(router_endpoint: str) -> Iterator[zenoh.Session]:
     """A ROS 2 node's session."""
     endpoints = {"connect/endpoints": [router_endpoint], "listen/endpoints": ["tcp/localhost:0"]}
-    with zenoh.open(_configuration({**_NODE, **endpoints})) as session:
+    with foreign_session({**_NODE, **endpoints}) as session:
         yield session
-
-
-def _configuration(settings: dict[str, Any]) -> zenoh.Config:
-    configuration = zenoh.Config()
-    for path, value in settings.items():
-        configuration.insert_json5(path, json.dumps(value))
-    return configuration

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-import zenoh
 
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import EventKind, RunEvent
@@ -22,20 +20,13 @@ from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     await_true,
     controller_on,
+    foreign_session,
     fresh_link,
     plant_on,
 )
 
 FOREIGN = Attachment(7, 0, b"f" * 16)
 NAMES = {topic.name.encode(): topic for topic in topics.TOPICS}
-
-
-def client_of(endpoint: str) -> zenoh.Session:
-    """A session for which the plant is a router."""
-    configuration = zenoh.Config()
-    for name, value in {"mode": "client", "connect/endpoints": [endpoint]}.items():
-        configuration.insert_json5(name, json.dumps(value))
-    return zenoh.open(configuration)
 
 
 @contextmanager
@@ -132,7 +123,8 @@ def test_commands_of_strangers_come_as_the_plant_took_them_in(is_announced: bool
     """Each once, the very first too, whether the recorder turns to topics for it or not."""
     with recorded_pair() as (plant, _controller, ear):
         ear.await_true(lambda: hears_bundles_alone(plant))
-        stranger, kept = client_of(ear.link.plant_endpoint), []
+        as_router = {"mode": "client", "connect/endpoints": [ear.link.plant_endpoint]}
+        stranger, kept = foreign_session(as_router), []
         if is_announced:
             token = endpoint_token(
                 0, str(stranger.zid()), "stranger", 1, EntityKind.PUBLISHER, topics.JOINT_COMMANDS

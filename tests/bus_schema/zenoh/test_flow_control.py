@@ -7,11 +7,11 @@ import threading
 
 import pytest
 
-from bus_schema.messages.topics import PLANT_TRUTH, Role
+from bus_schema.messages.topics import PLANT_TRUTH
 from bus_schema.zenoh import outbox
-from bus_schema.zenoh.node import ZenohNode
 from bus_schema.zenoh.outbox import LARGEST_LEAD_BYTES, FlowControl
-from tests.bus_schema.zenoh.zenoh_pair import HANG_S, await_true, fresh_link, plant_on
+from tests.bus_schema.zenoh.recorder_ear import ear_on
+from tests.bus_schema.zenoh.zenoh_pair import HANG_S, fresh_link, plant_on
 
 TOO_MUCH = LARGEST_LEAD_BYTES + 1
 NEVER_S = 0.0
@@ -99,34 +99,19 @@ def test_a_recorder_that_never_answers_is_given_up_and_told_of(
 def test_plant_waits_until_a_recorder_tells_that_it_has_the_messages() -> None:
     link, payload, batch, batches = fresh_link(), bytes(20_000), 32, 5
     assert batch * len(payload) > LARGEST_LEAD_BYTES
-    with plant_on(link) as plant:
-        recorder = ZenohNode(link, Role.RECORDER, lossless=True)
-        mailbox = recorder.listen_to_all(1 << 24, lossless=True)
-        recorder.announce()
-        await_true(lambda: plant.sees(Role.RECORDER))
+    with plant_on(link) as plant, ear_on(link, plant) as ear:
 
         def send() -> None:
             for _ in range(batch * batches):
                 plant.publish(PLANT_TRUTH, payload)
-
-        come: list[object] = []
-
-        def await_messages(count: int) -> None:
-            def have_come() -> bool:
-                for messages in iter(mailbox.take, None):
-                    come.extend(messages)
-                return len(come) >= count
-
-            await_true(have_come)
 
         sender = threading.Thread(target=send)
         sender.start()
         gid = plant._outbox.gid_of(PLANT_TRUTH)
         assert gid is not None
         for number in range(1, batches + 1):
-            await_messages(number * batch)
+            ear.await_heard(PLANT_TRUTH, number * batch)
             assert sender.is_alive()
-            recorder.tell_progress(gid, number * batch)
+            ear.node.tell_progress(gid, number * batch)
         sender.join(HANG_S)
         assert not sender.is_alive()
-        recorder.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from deploy.run.network.keys import issue
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
     await_true,
+    foreign_session,
     free_endpoint,
     fresh_link,
     plant_on,
@@ -166,11 +166,8 @@ def test_viewer_behind_a_router_gets_what_the_recorder_kept_for_it(
 
 def session_as(role: Role, keys: KeyFolder, **settings: Any) -> zenoh.Session:
     """A session of somebody else's, with a role's certificate and no rules of its own."""
-    configuration = zenoh.Config()
-    unseen = {"scouting__multicast__enabled": False}
-    for name, value in {**tls(keys, role), **unseen, **settings}.items():
-        configuration.insert_json5(name.replace("__", "/"), json.dumps(value))
-    return zenoh.open(configuration)
+    given = {name.replace("__", "/"): value for name, value in settings.items()}
+    return foreign_session({**tls(keys, role), "scouting/multicast/enabled": False, **given})
 
 
 def test_rules_follow_the_table_of_topics() -> None:

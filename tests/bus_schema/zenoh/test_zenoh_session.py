@@ -6,15 +6,14 @@ import os
 import socket
 import struct
 import threading
-import time
 from pathlib import Path
 
 import pytest
-from zenoh_pair import free_endpoint
 
 from bus_schema.zenoh.bundle_mailbox import Mailbox
 from bus_schema.zenoh.lingering import never_linger
 from bus_schema.zenoh.session import Delivery, ZenohSession
+from tests.bus_schema.zenoh.zenoh_pair import await_true, free_endpoint
 
 
 @pytest.mark.parametrize("low_latency", [True, False])
@@ -33,10 +32,10 @@ def test_who_is_connected_while_others_come_and_go(low_latency: bool) -> None:
         session.connected()  # once panicked within zenoh, which no `except Exception` catches
     others.join()
     lasting = ZenohSession([], [endpoint], low_latency=low_latency)
-    assert wait_for(session, {lasting.identifier})
-    assert wait_for(lasting, {session.identifier})
+    await_true(lambda: session.connected() == {lasting.identifier})
+    await_true(lambda: lasting.connected() == {session.identifier})
     lasting.close()
-    assert wait_for(session, set())
+    await_true(lambda: session.connected() == set())
     session.close()
 
 
@@ -75,8 +74,8 @@ def test_closing_a_connection_waits_for_no_peer() -> None:
     endpoint, before = free_endpoint(), len(sockets())
     near = ZenohSession([endpoint], [], low_latency=False)
     far = ZenohSession([], [endpoint], low_latency=False)
-    assert wait_for(near, {far.identifier})
-    assert wait_for(far, {near.identifier})
+    await_true(lambda: near.connected() == {far.identifier})
+    await_true(lambda: far.connected() == {near.identifier})
     open_now = sockets()
     assert len(open_now) >= before + 3  # one listens, two are connected
     assert not any(lingers for lingers in open_now.values())
@@ -109,23 +108,16 @@ def sockets() -> dict[str, bool]:
     return found
 
 
-def wait_for(session: ZenohSession, expected: set[str]) -> bool:
-    give_up_s = time.monotonic() + 60.0
-    while session.connected() != expected and time.monotonic() < give_up_s:
-        time.sleep(0.01)
-    return session.connected() == expected
-
-
 def test_full_mailbox_drops_the_oldest_or_has_senders_wait() -> None:
     session = ZenohSession([], [], low_latency=False)
-    newest = Mailbox(session, "full/newest", 5000, lossless=False)
+    newest = Mailbox(session, "full/newest", most_bytes=5000, lossless=False)
     publisher = session.publisher("full/newest")
     for number in range(10):
         publisher.put(bytes([number]) * 1000, b"")
     taken = [delivery.payload[0] for _, delivery in iter(newest.take, None)]
     assert taken == [7, 8, 9]
     assert newest.dropped == 7
-    every = Mailbox(session, "full/every", 5000, lossless=True)
+    every = Mailbox(session, "full/every", most_bytes=5000, lossless=True)
     publisher = session.publisher("full/every")
     sender = threading.Thread(
         target=lambda: [publisher.put(bytes([number]) * 1000, b"") for number in range(10)]

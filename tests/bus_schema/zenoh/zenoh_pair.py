@@ -1,11 +1,15 @@
-"""Both sides of a Zenoh link on this machine, for tests."""
+"""Both sides of a Zenoh link on this machine, and others beside them, for tests."""
 
 from __future__ import annotations
 
+import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
+
+import zenoh
 
 from bus_schema.link.configuration import LinkConfiguration
 from bus_schema.messages.layout import Record
@@ -91,3 +95,11 @@ def await_true(condition: Callable[[], bool]) -> None:
 
 def free_endpoint() -> str:
     return f"tcp/127.0.0.1:{free_ports(1)[0]}"
+
+
+def foreign_session(settings: Mapping[str, Any]) -> zenoh.Session:
+    """A session of somebody else's, with Zenoh's own settings but for these."""
+    configuration = zenoh.Config()
+    for path, value in settings.items():
+        configuration.insert_json5(path, json.dumps(value))
+    return zenoh.open(configuration)

@@ -11,7 +11,7 @@ from controller.control_law import Tracking
 from controller.funnel import Funnel
 from controller.manipulator_model import ManipulatorModel
 from controller.reference import JointSinusoids
-from tests.arms import PAPER_ARM
+from tests.arms import PAPER_ARM, forward_dynamics
 
 MS = 1_000_000
 ROBOT = PAPER_ARM
@@ -132,7 +132,7 @@ class Bench:
             left = np.exp(-step_s / self.lag_s) if self.lag_s else 0.0
             self.actuator = asked + left * (self.actuator - asked)
             pull = self.actuator + self.missing(state.velocity)
-            change = step_s * self.plant.forward_dynamics(state.position, state.velocity, pull)
+            change = step_s * forward_dynamics(self.plant, state.position, state.velocity, pull)
             state.position += step_s * (state.velocity + 0.5 * change)
             state.velocity += change
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from bus_schema.errors import Stopped
 from deploy.bench import bench
-from deploy.bench.control_step import measure_control_steps
+from deploy.bench.loop import measure_control_steps
 from deploy.bench.measure import Section, Spread, cost_us, interleave, ratio
 from deploy.run.stop_signals import stop_at_once
 from deploy.scenario.yaml_files import ScenarioError

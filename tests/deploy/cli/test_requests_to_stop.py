@@ -13,6 +13,7 @@ import pytest
 from deploy import cli
 from deploy.cli.study import replay
 from deploy.run.stop_signals import STOPS
+from tests.deploy.own_laws import own_law
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = ["--set", "duration_s=0.02"]
@@ -67,32 +68,18 @@ def test_a_run_is_ended_in_order(command, tmp_path, monkeypatch):
     assert (out / "summary.json").exists()
 
 
-ENDLESS_LAW = """
-import numpy as np
-from controller.control_law import Diagnostics
-
-class Endless:
-    def __init__(self, model):
-        self.diagnostics = Diagnostics(model.joints)
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        LOOP
-"""
 LOOPS = {
     "python": """print("begins", flush=True)
+while True:
+    try:
         while True:
-            try:
-                while True:
-                    pass
-            except BaseException:
-                pass""",
+            pass
+    except BaseException:
+        pass""",
     # All in C, which keeps Python's lock: a signal after "begins" finds no Python code to end.
     "compiled": """import itertools, os
-        begins = map(os.write, (1,), (b"begins\\n",))
-        sum(itertools.chain(begins, itertools.repeat(0)))""",
+begins = map(os.write, (1,), (b"begins\\n",))
+sum(itertools.chain(begins, itertools.repeat(0)))""",
 }
 
 
@@ -106,11 +93,10 @@ LOOPS = {
 def test_law_in_an_endless_loop_keeps_no_command_from_ending(
     command, signals, loop, code, tmp_path
 ):
-    (tmp_path / "endless_law.py").write_text(ENDLESS_LAW.replace("LOOP", LOOPS[loop]))
-    (tmp_path / "mine.yaml").write_text(
-        "{extends: paper_arm, name: mine, controller: {law: 'endless_law:Endless'}}"
-    )
-    words = [command, "mine.yaml", *(["--laws", "endless_law:Endless"] * (command == "compare"))]
+    law = own_law(tmp_path, LOOPS[loop])
+    scenario = f"{{extends: paper_arm, name: mine, controller: {{law: '{law}'}}}}"
+    (tmp_path / "mine.yaml").write_text(scenario)
+    words = [command, "mine.yaml", *(["--laws", law] * (command == "compare"))]
     with funnel_hil(*words, "--out", "out", cwd=tmp_path, stdout=subprocess.PIPE) as process:
         while b"begins" not in process.stdout.readline():
             assert process.poll() is None

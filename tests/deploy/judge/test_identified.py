@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.judge.identified import identified, truth_over_time
+from deploy.judge.identified import identified, truth_of
 from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
@@ -58,8 +58,8 @@ def test_summary_has_final_values_with_the_truth_beside_them(run):
 
 
 def test_true_payload_follows_what_is_picked_up(run):
-    truth = truth_over_time(run.setup)
-    assert truth.payload_kg == [(0.0, 1.0), (1.0, 2.0)]
+    truth = truth_of(run.setup)
+    assert truth["payload_kg"] == [(0.0, 1.0), (1.0, 2.0)]
 
 
 def test_nothing_identified_is_null_and_what_is_left_out_too():

@@ -16,9 +16,10 @@ from bus_schema.messages.topics import Role
 from bus_schema.recording.atomic_files import write_json
 from deploy.api.funnel_hil.results import Run
 from deploy.cli.common import finish
+from deploy.cli.options import OneRunOptions
 from deploy.judge.bounds import plant_count
 from deploy.judge.metrics import summarise
-from deploy.judge.run_rows import held, read_rows, row, write_rows
+from deploy.judge.run_rows import held, row
 from deploy.judge.verdict import verdict_of
 from deploy.reports.comparison_tables import status_cell
 from deploy.reports.verdict import verdict_on_laws, verdict_on_run
@@ -160,23 +161,16 @@ def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_pat
 
 def test_no_such_run_ends_in_order_where_bounds_are_required(case, tmp_path):
     expected, run = case
+    options = OneRunOptions(require_bounds=True, no_report=True)
     with RunFolder.begin(run.setup, tmp_path / "out") as folder, pytest.raises(typer.Exit) as ended:
-        finish(
-            Console(quiet=True), folder, JudgedRun("law", run),
-            require_bounds=True, draws_report=False,
-        )  # fmt: skip
+        finish(Console(quiet=True), folder, JudgedRun("law", run), options)
     summary = json.loads(folder.summary.read_text(), parse_constant=pytest.fail)
     assert ended.value.exit_code == (3 if summary["completed"] else 1)
     assert (summary["verdict"], summary["bounds"]["kept"]) == (expected, False)
 
 
-def test_tables_of_older_versions_get_their_verdict_by_the_old_rule(run, tmp_path):
-    kept = row(summarise(run), 1) | {"verdict": None}
-    rows = [kept, kept | {"error": "x"}, kept | {"bounds_kept": False}, kept | {"completed": False}]
-    write_rows(rows, tmp_path / "old.parquet")
-    found = [each["verdict"] for each in read_rows(tmp_path / "old.parquet")]
-    assert found == ["kept", "faulted", "lost", "interrupted"]
-    assert verdict_of({}) == "nothing"
+def test_a_summary_of_an_older_version_has_no_verdict():
+    assert verdict_of({}) == verdict_of({"verdict": "fine"}) == "nothing"
 
 
 @pytest.mark.parametrize("is_partial", [False, True])

@@ -1,14 +1,12 @@
 """The looks that all figures have in common."""
 
 import json
-import pkgutil
-from types import SimpleNamespace
 
 import plotly.graph_objects as go
 import plotly.io as pio
 import pytest
 
-from deploy.reports.figure_json import figure_json, template, without_template
+from deploy.reports.figure_json import figure_json, no_template, template
 
 
 def keys_of(table, before=()):
@@ -36,7 +34,8 @@ def test_the_template_is_plotlys_own_on_white_where_it_is_not_ours():
 
 
 def test_a_figure_gets_the_template_when_it_is_written_and_not_before():
-    figure = without_template(lambda height: go.Figure(layout={"height": height}), 300)
+    with no_template():
+        figure = go.Figure(layout={"height": 300})
     assert figure.to_plotly_json() == {"data": [], "layout": {"height": 300}}
     written = json.loads(figure_json(figure))
     assert written["layout"] == {"height": 300, "template": template()}
@@ -44,33 +43,7 @@ def test_a_figure_gets_the_template_when_it_is_written_and_not_before():
 
 def test_figures_of_others_keep_their_template():
     before = pio.templates.default
-    with pytest.raises(ZeroDivisionError):
-        without_template(lambda divisor: 1 / divisor, 0)
+    with pytest.raises(ZeroDivisionError), no_template():
+        raise ZeroDivisionError
     assert pio.templates.default == before == "plotly"
     assert go.Figure().layout.template.layout.to_plotly_json()
-
-
-def test_the_template_is_the_same_without_plotlys_file(monkeypatch):
-    before = template()
-
-    def is_elsewhere(package, resource):
-        raise FileNotFoundError(resource)
-
-    monkeypatch.setattr(pkgutil, "get_data", is_elsewhere)
-    assert template.__wrapped__() == before
-
-
-def test_a_figure_has_no_template_where_plotly_names_its_default_otherwise(monkeypatch):
-    class Renamed:
-        """Plotly's templates with their public name alone."""
-
-        default = property(
-            lambda _: templates.default, lambda _, name: setattr(templates, "default", name)
-        )
-
-    templates = pio.templates
-    renamed = SimpleNamespace(templates=Renamed())
-    monkeypatch.setattr("deploy.reports.figure_json.pio", renamed)
-    figure = without_template(lambda height: go.Figure(layout={"height": height}), 300)
-    assert figure.to_plotly_json() == {"data": [], "layout": {"height": 300}}
-    assert templates.default == "plotly"

@@ -102,6 +102,18 @@ def test_seeds_are_told_so_that_every_run_can_be_repeated(sweep, margin, page_of
     assert "have seed 1." in page_of(margin)
 
 
+def test_the_headline_tells_a_running_loop_from_one_that_starts(margin, page_of):
+    margin["cases"].append({**margin["cases"][0], "running": True, "margin": 64.0})
+    page, text = page_of(margin), " ".join(shown(margin).split())
+    for said in (
+        "my_arm, a loop that already runs: the largest margin is 64 ms, of pid with compensation,"
+        " running.",
+        "my_arm: the largest margin is 4 ms, of pid with compensation.",
+    ):
+        assert said in page
+        assert said in text
+
+
 def test_terminal_and_report_tell_the_same_numbers(margin, page_of):
     text, page = shown(margin), page_of(margin)
     for number in ("4 ms", "8 ms", "25"):

@@ -26,10 +26,7 @@ def judged(*overrides, **settings):
     return summarise(run(*overrides, **settings).data())
 
 
-@pytest.mark.parametrize(
-    ("up_ms", "down_ms"),
-    [(48, 0), (0, 48), (11.3, 9.4)],
-)
+@pytest.mark.parametrize(("up_ms", "down_ms"), [(48, 0), (0, 48), (11.3, 9.4)])
 def test_compensated_neural_law_keeps_its_bounds(up_ms, down_ms):
     summary = judged(ON, "metrics.from_s=1", up_ms=up_ms, down_ms=down_ms, duration_s=2.5)
     assert summary["bounds"]["kept"]

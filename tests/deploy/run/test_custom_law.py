@@ -12,24 +12,21 @@ from deploy.run.simulate import simulate
 from deploy.scenario.effective import effective_scenario
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.deploy.own_laws import own_law
 
 SOURCE = """
 import numpy as np
 from controller.control_law import Diagnostics
 
 class ComputedTorque:
-    def __init__(self, model, stiffness=100.0, returns=None, at_tick=0):
+    def __init__(self, model, stiffness=100.0):
         self.diagnostics = Diagnostics(model.joints)
         self.model, self.stiffness = model, stiffness
-        self.returns, self.at_tick, self.calls = returns, at_tick, 0
 
     def reset(self):
-        self.calls = 0
+        pass
 
     def torque(self, tracking):
-        self.calls += 1
-        if self.returns and self.calls > self.at_tick:
-            return eval(self.returns)
         damping = 2.0 * self.stiffness**0.5
         wanted = tracking.reference_acceleration - self.stiffness * tracking.error
         wanted = wanted - damping * tracking.error_rate
@@ -44,12 +41,10 @@ number = 3
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    (tmp_path / "my_laws.py").write_text(SOURCE)
-    (tmp_path / "broken_module.py").write_text("1 / 0\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path
+def folder(import_folder):
+    (import_folder / "my_laws.py").write_text(SOURCE)
+    (import_folder / "broken_module.py").write_text("1 / 0\n")
+    return import_folder
 
 
 def setup_of(law, *overrides, duration_s=0.5):
@@ -99,10 +94,10 @@ def test_unusable_law_is_refused_before_the_run(law, gains, told):
         ("np.zeros(3, dtype=int)", "int64 where float64 is expected"),
     ],
 )
-def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(returns, told):
-    custom = f"controller.gains.custom={{returns: '{returns}', at_tick: 7}}"
-    failure = simulate(setup_of("my_laws:ComputedTorque", custom)).failure
-    assert str(failure) == f"law my_laws:ComputedTorque returned {told} at tick 7"
+def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(folder, returns, told):
+    law = own_law(folder, f"return {returns}")
+    failure = simulate(setup_of(law, "controller.gains.custom={at_tick: 7}")).failure
+    assert str(failure) == f"law {law} returned {told} at tick 7"
 
 
 def test_law_of_the_tutorial_runs_as_shown(folder):

@@ -44,14 +44,11 @@ SHORT = ["--set", "duration_s=0.2", "--set", "metrics.from_s=0.1"]
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    (tmp_path / "raising_law.py").write_text(LAW)
-    (tmp_path / "mine.yaml").write_text(
-        f"{{extends: paper_arm, name: mine, controller: {{law: '{NAME}'}}}}"
-    )
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path
+def folder(import_folder):
+    (import_folder / "raising_law.py").write_text(LAW)
+    scenario = f"{{extends: paper_arm, name: mine, controller: {{law: '{NAME}'}}}}"
+    (import_folder / "mine.yaml").write_text(scenario)
+    return import_folder
 
 
 def missing(told, text):
@@ -78,15 +75,20 @@ def test_simulate_tells_what_the_law_raised_and_where(funnel_hil, folder, at_tic
     assert_told_everywhere(told, output, out)
 
 
-@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
-def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, told):
-    words = ["run", "mine.yaml", *SHORT, "--set", "clock=lockstep", "--out", "out", "--set",
-             f"controller.gains.custom={{at_tick: {at_tick}}}", "--set",
-             "link.reply_timeout_s=60"]  # fmt: skip
-    done = subprocess.run(
+def in_lockstep(command, *words):
+    """A command that starts from nothing, as the law could end this process."""
+    words = [command, "mine.yaml", "--set", "clock=lockstep", "--out", "out", *words]
+    return subprocess.run(
         [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
         env={**os.environ, "COLUMNS": "400"}, timeout=120,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("at_tick", "told"), [(20, TOLD), (0, EARLY)])
+def test_run_names_the_law_and_not_the_plant_that_went_without_commands(folder, at_tick, told):
+    gains = f"controller.gains.custom={{at_tick: {at_tick}}}"
+    words = [*SHORT, "--set", gains, "--set", "link.reply_timeout_s=60"]
+    done = in_lockstep("run", *words)
     assert done.returncode == 1, done.stderr
     assert_told_everywhere(told, done.stdout, folder / "out")
 
@@ -121,12 +123,7 @@ def test_any_end_of_a_law_is_one_sentence_and_exit_code_1(folder, command, raise
     law = LAW.replace('SystemExit("enough")', raised).replace("calls > 1000", "calls > 30")
     (folder / "raising_law.py").write_text(law + HOSTILE)
     gains = "controller.gains.custom={at_tick: 30}"
-    words = [command, "mine.yaml", "--no-report", *SHORT, "--set", gains,
-             "--set", "clock=lockstep", "--out", "out"]  # fmt: skip
-    done = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", *words], capture_output=True, text=True, check=False,
-        env={**os.environ, "COLUMNS": "400"}, timeout=120,
-    )  # fmt: skip
+    done = in_lockstep(command, "--no-report", *SHORT, "--set", gains)
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     faults = " ".join(json.loads((folder / "out" / "summary.json").read_text())["faults"])

@@ -26,31 +26,14 @@ from deploy.run.run_folder import load_run
 from deploy.run.simulate import Simulation, simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
+from tests.deploy.own_laws import own_law as own_law_in
 
 TELLTALE = Path("imported")
-LAW = """
-from pathlib import Path
-import numpy as np
-from controller.control_law import Diagnostics
-Path("imported").touch()
-
-class Idle:
-    def __init__(self, model):
-        self.diagnostics = Diagnostics(model.joints)
-
-    def reset(self):
-        pass
-
-    def torque(self, tracking):
-        return np.zeros_like(tracking.position)
-"""
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path
+def folder(import_folder):
+    return import_folder
 
 
 def left(command, *words):
@@ -68,12 +51,13 @@ def short_run(*overrides):
 @pytest.fixture
 def own_law(folder):
     """A recording that names a law of one's own, in a folder where its module is found."""
-    module = f"law_of_{folder.name.replace('-', '_')}"
-    (folder / f"{module}.py").write_text(LAW)
-    short_run(f"controller.law={module}:Idle").write_log(folder / "run.mcap")
+    law = own_law_in(folder, "return np.zeros_like(tracking.position)")
+    file = folder / "own_law.py"
+    file.write_text(f"{file.read_text()}open('{TELLTALE}', 'w').close()\n")
+    short_run(f"controller.law={law}").write_log(folder / "run.mcap")
     TELLTALE.unlink()
-    del sys.modules[module]
-    return folder, f"{module}:Idle"
+    del sys.modules["own_law"]
+    return folder, law
 
 
 def test_report_imports_no_law(own_law):

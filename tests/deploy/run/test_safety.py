@@ -17,34 +17,13 @@ from deploy.run.replay import replay
 from deploy.run.run_folder import RunFolder, load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-
-LAW = """
-import numpy as np
-from controller.control_law import Diagnostics
-
-class Failing:
-    def __init__(self, model, at_tick=200):
-        self.diagnostics, self.calls, self.at_tick = Diagnostics(model.joints), 0, at_tick
-        self.model = model
-
-    def reset(self):
-        self.calls = 0
-
-    def torque(self, tracking):
-        self.calls += 1
-        if self.calls > self.at_tick:
-            return {outcome}
-        return self.model.gravity(tracking.position)
-"""
+from tests.deploy.own_laws import own_law
 
 
-def failing_run(tmp_path, monkeypatch, outcome, *overrides):
-    (tmp_path / "failing_law.py").write_text(LAW.replace("{outcome}", outcome))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.delitem(__import__("sys").modules, "failing_law", raising=False)
-    return simulate(
-        load_setup("paper_arm", ["controller.law=failing_law:Failing", "duration_s=1", *overrides])
-    )
+def failing_run(folder, outcome, *overrides):
+    law = ["controller.gains.custom={at_tick: 200}", "duration_s=1", *overrides]
+    law.append(f"controller.law={own_law(folder, f'return {outcome}')}")
+    return simulate(load_setup("paper_arm", law))
 
 
 def modes(run, role):
@@ -53,8 +32,8 @@ def modes(run, role):
 
 
 @pytest.mark.parametrize("outcome", ["np.full(3, np.nan)", "1 / 0"])
-def test_law_that_fails_stops_both_sides(tmp_path, monkeypatch, outcome):
-    simulation = failing_run(tmp_path, monkeypatch, outcome, "plant.command_timeout_ms=100")
+def test_law_that_fails_stops_both_sides(import_folder, outcome):
+    simulation = failing_run(import_folder, outcome, "plant.command_timeout_ms=100")
     run = simulation.data()
     assert simulation.failure is not None
     ms = 1_000_000
@@ -71,9 +50,9 @@ def test_law_that_fails_stops_both_sides(tmp_path, monkeypatch, outcome):
     assert not summarise(run)["completed"]
 
 
-def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(tmp_path, monkeypatch):
-    folder = RunFolder(new_folder("failing", tmp_path / "run"))
-    failing_run(tmp_path, monkeypatch, "np.full(3, np.nan)").write_log(folder.log)
+def test_run_that_faulted_replays_bit_for_bit_and_has_its_fault_record(import_folder):
+    folder = RunFolder(new_folder("failing", import_folder / "run"))
+    failing_run(import_folder, "np.full(3, np.nan)").write_log(folder.log)
     run, contents = load_run(folder.path)
     assert replay(run.setup, contents).is_identical
     write_run_results(folder, run)

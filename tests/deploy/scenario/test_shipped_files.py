@@ -68,8 +68,7 @@ def test_files_of_ones_own_are_found_by_their_path_from_anywhere(
 
 @needs_pybullet_data
 @pytest.mark.parametrize(
-    ("name", "original"),
-    [("iiwa", "kuka_iiwa/model.urdf"), ("panda", "franka_panda/panda.urdf")],
+    ("name", "original"), [("iiwa", "kuka_iiwa/model.urdf"), ("panda", "franka_panda/panda.urdf")]
 )
 def test_shipped_arm_is_the_one_of_pybullet_data_with_its_meshes(name: str, original: str) -> None:
     shipped = load_robot(referenced_files.find_urdf(name, Path()))

@@ -63,7 +63,7 @@ def folder_of(study, path):
 def conduct(study, path, workers):
     folder = folder_of(study, path)
     whole = carry_out(study, workers, folder, workers.stop)
-    folder.put_together()
+    folder.write(completed=True)
     return whole, folder
 
 

@@ -149,7 +149,7 @@ class Gate:
         while not condition():
             self.let(self._runs_let + 1)
             self.wait_for(self._runs_let + 1)
-            time.sleep(0.2)  # parts are written once a second
+            time.sleep(0.2)  # the table is written once a second
 
 
 def start(definition, out, *words, cwd=ROOT):
@@ -159,9 +159,10 @@ def start(definition, out, *words, cwd=ROOT):
     return WarmProcess(*words, cwd=cwd, environment=environment)
 
 
-def parts_of(out):
-    """Parts that are complete; the one that is being written has a longer name."""
-    return list(out.glob("rows/??????.parquet"))
+def rows_in(out):
+    """How many rows the table of a sweep has so far."""
+    file = out / "sweep.parquet"
+    return parquet.read_table(file).num_rows if file.exists() else 0
 
 
 def done_here(definition, folder):
@@ -170,7 +171,7 @@ def done_here(definition, folder):
     folder.mkdir()
     table, workers = StudyFolder(folder, sweep), Here()
     carry_out(sweep, workers, table, workers.stop)
-    table.put_together()
+    table.write(completed=True)
     return table_of(table.rows_file)
 
 
@@ -233,20 +234,20 @@ def test_a_command_killed_in_the_middle_goes_on_where_it_stopped(cluster, tmp_pa
     out = tmp_path / "out"
     words = (definition, out, "--workers", "1")
     killed = start(*words, cwd=tmp_path)
-    gate.let_until(lambda: parts_of(out))
+    gate.let_until(lambda: rows_in(out))
     killed.kill()
     killed.wait()
-    kept = sum(parquet.read_table(part).num_rows for part in parts_of(out))
+    kept = rows_in(out)
     assert 0 < kept < 80
     stopped = start(*words, cwd=tmp_path)
-    gate.let_until(lambda: len(parts_of(out)) > 1)
+    gate.let_until(lambda: rows_in(out) > kept)
     stopped.send_signal(signal.SIGINT)
     gate.let(EVERY)
     output = stopped.communicate(timeout=WAIT_S)[0]
     assert stopped.returncode == 130, output
     assert f"{kept} runs were there from before" in output
     assert "goes on from here" in output
-    assert kept < parquet.read_table(out / "sweep.parquet").num_rows < 80
+    assert kept < rows_in(out) < 80
     # who does the rest does not matter
     last = start(definition, out, "--scheduler", cluster[0], cwd=tmp_path)
     assert last.wait(timeout=WAIT_S) == 0

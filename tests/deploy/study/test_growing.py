@@ -17,15 +17,7 @@ from deploy.scenario.yaml_files import ScenarioError, read_yaml
 from deploy.study.folder import StudyFolder, create_folder, find_folder
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out
-from tests.deploy.study.studies import (
-    NOISE,
-    TIED,
-    Here,
-    limits,
-    made_up,
-    make_sweep,
-    margin_of,
-)
+from tests.deploy.study.studies import NOISE, TIED, Here, limits, made_up, make_sweep, margin_of
 
 KEY = "controller.model_scale"
 

@@ -7,6 +7,7 @@ import pytest
 
 from deploy.study.losses import rank_losses, share_kept, wilson
 from deploy.study.plants import Measured
+from deploy.study.statistics import commonest_error
 
 RISING = Measured("rising", np.arange(20.0))
 RANDOM = np.random.default_rng(1)
@@ -68,3 +69,13 @@ def test_nothing_is_said_of_too_few(lost_of_20):
     assert found["effects"] is None
     assert found["chance_level"] is None
     assert (found["lost_plants"], found["kept_plants"]) == (lost_of_20, 20 - lost_of_20)
+
+
+def test_the_commonest_error_is_the_first_of_a_run_whatever_followed_from_it():
+    errors = [
+        "law my:Law failed at tick 50: boom; no valid command for 200 ms: safe stop",
+        "law my:Law failed at tick 51: boom; the controller has left the bus",
+        "no valid command for 200 ms: safe stop", None,
+    ]  # fmt: skip
+    said = commonest_error([{"error": error} for error in errors])
+    assert said == "law my:Law failed at tick 50: boom"

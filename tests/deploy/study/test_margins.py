@@ -12,10 +12,10 @@ from deploy.cli.study.margin_options import MarginOptions, definition_with
 from deploy.reports.study_report import write_study_report
 from deploy.reports.study_tables import margins_by_law
 from deploy.reports.tables import as_markdown
-from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import find_yaml, read_yaml, validated
 from deploy.study.folder import create_folder
-from deploy.study.margin import MarginDefinition
+from deploy.study.margin import MarginDefinition, MarginSearch
+from deploy.study.quantities import Steps
 from deploy.study.runner import retrace
 from deploy.study.study import SHIPPED
 from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up, margin_of
@@ -25,7 +25,6 @@ from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up
     ("words", "said"),
     [
         (["--laws", "pid,magic"], ["'magic'", "smc"]),
-        (["--quantity", "colour"], ["quantity", "'colour'", "delay, jitter, loss, or the"]),
         (["--seeds", "0"], ["seeds", "0", "from 1"]),
         (["--offsets", "1,1"], ["offsets", "different"]),
         (["--offsets", "x"], ["offsets", "'x'", "number"]),
@@ -36,11 +35,8 @@ from tests.deploy.study.studies import Here, conduct, folder_of, limits, made_up
         (["--study", "none"], ["none", "shipped studies", "delay_margin"]),
         (["--workers", "1", "--scheduler", "tcp://127.0.0.1:1"], ["--workers", "--scheduler"]),
         (["--workers", "0"], ["--workers"]),
-        (["--plants", "2", "--values", "8"], ["uncertainty: must be given", "--uncertainty"]),
         (["--plants", "2", "--uncertainty", "half"], ["values: is missing"]),
         (["--drive-feedback", "maybe"], ["drive_feedback", "'maybe'"]),
-        (["--running", "on", "--duration", "2"], ["duration_s", "2.0", "above 3 s"]),
-        (["--quantity", "plant.payload_kg"], ["limit", "must be given"]),
     ],
 )
 def test_impossible_margins_are_refused_with_the_reason(funnel_hil, tmp_path, words, said):
@@ -65,13 +61,6 @@ def test_margins_are_those_of_the_worst_start_and_seed(tmp_path):
     assert (probe["runs"], probe["runs_kept"]) == (4, 2)
 
 
-def test_half_of_a_round_trip_goes_each_way():
-    run = next(iter(margin_of(limit=12, resolution=12).first()))
-    point = margin_of().cases[0].setting.at(12.0)
-    link = load_setup(run.scenario, point).scenario.link
-    assert (link.uplink.delay_ms, link.downlink.delay_ms) == (6.0, 6.0)
-
-
 def test_a_search_goes_on_where_it_stopped(tmp_path):
     _, folder = conduct(margin_of(), tmp_path / "a", Here(limits, seed=1))
     workers = Here(limits, seed=2, at_most=17)
@@ -83,7 +72,7 @@ def test_a_search_goes_on_where_it_stopped(tmp_path):
     assert rows[0] == rows[1]
     again = margin_of()
     retrace(again, folder_of(again, tmp_path / "b"))
-    assert [case.search.margin for case in again.cases] == [6, 14]
+    assert [search.margin for search in again.searches] == [6, 14]
 
 
 def test_a_run_that_fails_does_not_hold(tmp_path):
@@ -219,3 +208,61 @@ def test_options_take_precedence_over_a_study(values, options, duration_s, fixed
     found = definition_with(MarginOptions(**options), values)
     assert found.get("duration_s") == duration_s
     assert found["set"] == fixed
+
+
+def found(holds, first=2, limit=256):
+    """A finished search and the values it probed, in order."""
+    search, probed = MarginSearch(Steps(0.0, 1.0, first, limit)), []
+    while (value := search.next()) is not None:
+        probed.append(value)
+        search.outcomes[value] = holds(value)
+    return search, probed
+
+
+@pytest.mark.parametrize("margin", [0, 1, 2, 7, 31, 32, 100, 255])
+def test_the_largest_value_that_holds_is_found_to_one_step(margin):
+    search, probed = found(lambda value: value <= margin)
+    assert search.margin == margin
+    assert search.first_failure == margin + 1
+    assert search.held_again == []
+    assert len(set(probed)) == len(probed)
+
+
+def test_values_are_doubled_until_one_fails_then_halved_then_looked_at_beyond():
+    _, probed = found(lambda value: value <= 9)
+    # 16 fails; 12 and 10 fail, 9 holds on the way down; beyond the first failure, 10: 15 and 20.
+    assert probed == [0, 2, 4, 8, 16, 12, 10, 9, 15, 20]
+
+
+def test_what_fails_at_zero_has_no_margin():
+    search, probed = found(lambda _: False)
+    assert probed == [0]
+    assert search.margin is None
+    assert search.first_failure == 0
+
+
+def test_what_never_fails_holds_at_the_limit():
+    search, probed = found(lambda _: True, limit=50)
+    assert probed[-1] == 50
+    assert search.margin == 50
+    assert search.first_failure is None
+
+
+def test_larger_values_that_hold_again_are_told_and_do_not_count():
+    search, _ = found(lambda value: value <= 9 or value == 15)
+    assert search.margin == 9
+    assert search.held_again == [15]
+
+
+@pytest.mark.parametrize("margin", [0, 3, 20, 200])
+def test_what_is_left_is_never_too_much_once_a_value_has_failed(margin):
+    search = MarginSearch(Steps(0.0, 1.0, 2, 256))
+    probed = 0
+    expected = None
+    while (value := search.next()) is not None:
+        if search.first_failure is not None and expected is None:
+            expected = probed + search.probes_left
+        search.outcomes[value] = value <= margin
+        probed += 1
+    assert search.probes_left == 0
+    assert expected is None or probed <= expected

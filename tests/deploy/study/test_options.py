@@ -160,7 +160,7 @@ def test_keys_of_other_quantities_take_effect():
 
 def test_a_search_over_a_key_starts_from_what_is_set():
     options = {"quantity": "plant.payload_kg", "limit": 3.0, "resolution": 0.5}
-    assert margin(["plant.payload_kg=1"], **options).cases[0].steps.origin == 1.0
+    assert margin(["plant.payload_kg=1"], **options).searches[0].steps.origin == 1.0
 
 
 def test_a_whole_section_may_be_set_around_the_keys_of_a_study():
@@ -176,10 +176,10 @@ def test_a_quantity_without_effect_is_refused(key):
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    ({"limit": 0.1}, "at least a step, 0.5 ms"), ({"limit": -1.0}, "at least a step"),
+    ({"limit": 0.1}, "at least a step, 0.5 ms"), ({"limit": -1.0}, "limit = -1.* at least a step"),
     ({"resolution": 200.0}, "at least a step, 200 ms"),
     ({"quantity": "loss", "limit": 0.001}, "at least a step, 0.005,"),
-    ({"quantity": "plant.payload_kg", "limit": 0.4, "resolution": 0.5}, "a step or more"),
+    ({"quantity": "plant.payload_kg", "limit": 0.4, "resolution": 0.5}, "a step, 0.5 kg away from"),
 ])  # fmt: skip
 def test_a_limit_that_no_step_reaches_is_refused(options, said):
     with pytest.raises(ScenarioError, match=said):
@@ -187,8 +187,8 @@ def test_a_limit_that_no_step_reaches_is_refused(options, said):
 
 
 def test_no_value_beyond_the_limit_is_tried():
-    (case,) = margin(limit=1.3).cases
-    assert case.steps.value(case.steps.limit) == 1.0
+    (search,) = margin(limit=1.3).searches
+    assert search.steps.value(search.steps.limit) == 1.0
 
 
 @pytest.mark.parametrize(("grid", "more", "said"), [
@@ -252,7 +252,7 @@ def test_the_scenarios_own_law_is_always_among_all(tmp_path, monkeypatch):
     setups = load_setups(str(file), [], None)
     assert [setup.scenario.controller.law for setup in setups] == everyone
     both = Margin({"scenarios": [str(file), "paper_arm"]}, Path("margin"))
-    assert [case.setting.law for case in both.cases] == [*everyone, *LAWS]
+    assert [case.setting.tags["law"] for case in both.cases] == [*everyone, *LAWS]
 
 
 def test_errors_are_summed_up_over_some_time(tmp_path):

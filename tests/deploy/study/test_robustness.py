@@ -79,7 +79,7 @@ def test_shares_are_counted_and_losses_ranked(tmp_path):
     summary = study.summary(folder.rows)
     assert summary["completed"]
     (case,) = summary["cases"]
-    payloads = np.array([plant.columns[PAYLOAD] for plant in study.cases[0].plants])
+    payloads = np.array([plant.columns[PAYLOAD] for plant in study.cases[0].variants])
     expected = [int((payloads <= limit).sum()) for limit in (3.0, 1.5, 0.75)]
     assert [value["kept"] for value in case["values"]] == expected
     assert expected[0] == 20
@@ -123,11 +123,11 @@ def test_draws_are_measured_joint_by_joint_and_to_both_sides():
         "robot.initial_offset_rad": {"distribution": "uniform", "from": 0.2, "to": 1,
                                      "per": "joint", "relative": True, "random_sign": True},
     }  # fmt: skip
-    (case,) = robustness_of(uncertainty=ranges).cases
+    study = robustness_of(uncertainty=ranges)
+    (case,), uncertainty = study.cases, study.definition.uncertainty
     found = {
-        one.name: one.values
-        for one in measured(case.uncertainty, case.plants, case.setting.base)
-    }  # fmt: skip
+        one.name: one.values for one in measured(uncertainty, case.variants, case.setting.base)
+    }
     joints = ("base_yaw", "shoulder", "elbow")
     # The scenario's own payload, 0, is an end of its range: there is one side only.
     assert list(found) == [
@@ -168,7 +168,7 @@ def test_plants_that_cannot_start_are_counted(tmp_path):
         ({"plants": 0}, ["plants", "0", "greater than or equal to 1"]),
         ({"values": []}, ["values", "different values"]),
         ({"kept_share": 2}, ["kept_share", "2", "less than or equal to 1"]),
-        ({"uncertainty": None}, ["uncertainty", "must be given", "paper_arm"]),
+        ({"uncertainty": None}, ["uncertainty: must be given", "--uncertainty", "paper_arm"]),
         ({"uncertainty": "narrow"}, ["narrow", "shipped ranges full, half"]),
         ({"uncertainty": {PAYLOAD: {"distribution": "uniform"}}}, [PAYLOAD, "from < to"]),
         ({"set": {PAYLOAD: 1}}, [PAYLOAD, "must be given once"]),
@@ -205,7 +205,7 @@ def test_the_report_has_shares_ranking_and_reruns(tmp_path):
     page = folder.report.read_text(encoding="utf-8")
     assert 'id="kept-paper_arm"' in page
     assert 'id="losses-0"' in page
-    assert f"funnel-hil simulate {folder.scenarios}/000-002-" in page
+    assert f"funnel-hil simulate {folder.scenarios}/000-000002-" in page
     assert "rank-biserial" in page
 
 

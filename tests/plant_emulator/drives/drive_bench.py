@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import struct
 
+import canopen
+from canopen.objectdictionary import ODVariable
+
 from bus_schema.can.frame import CanFrame
+from bus_schema.link.can_configuration import CIA402_EDS
 from plant_emulator.drives.cia402.drive import Cia402Drive
 from plant_emulator.drives.drive import DriveSettings, JointReading
 
@@ -19,12 +23,7 @@ SETTINGS = DriveSettings(
 )
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 6, 7, 15, 0, 2, 128
 CSP, CST = 8, 10
-SIZES = {
-    0x1003: 1, 0x1006: 4, 0x1014: 4, 0x1016: 4, 0x1017: 2, 0x1029: 1, 0x2000: 2, 0x6007: 2,
-    0x6040: 2, 0x605A: 2, 0x605B: 2, 0x605C: 2, 0x605D: 2, 0x605E: 2, 0x6060: 1, 0x606F: 2,
-    0x6066: 2, 0x6071: 2, 0x6072: 2, 0x607D: 4, 0x60B2: 2, 0x1005: 4, 0x2001: 1, 0x6065: 4,
-    0x607A: 4, 0x60B1: 4,
-}  # fmt: skip
+DICTIONARY = canopen.import_od(str(CIA402_EDS), NODE)
 
 
 class AbortedError(Exception):
@@ -80,19 +79,12 @@ class Bench:
         return int.from_bytes(answer[4 : 4 + size], "little", signed=signed)
 
     def write(self, index, subindex, value, size=None):
-        size = size or self._size(index, subindex)
+        if size is None:
+            entry = DICTIONARY[index]
+            size = len(entry if isinstance(entry, ODVariable) else entry[subindex]) // 8
         data = (value % (1 << 8 * size)).to_bytes(size, "little") + bytes(4 - size)
         command = 0x23 | (4 - size) << 2
         self.sdo(struct.pack("<BHB", command, index, subindex) + data)
-
-    def _size(self, index, subindex):
-        if index in SIZES:
-            return SIZES[index]
-        if subindex == 0:
-            return 1
-        if 0x1400 <= index < 0x1600 or 0x1800 <= index < 0x1A00:
-            return {1: 4, 2: 1, 3: 2, 5: 2}[subindex]
-        return 4
 
     # CiA 402
 

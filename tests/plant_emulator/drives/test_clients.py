@@ -6,7 +6,6 @@ import itertools
 import threading
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import canopen
 import numpy as np
@@ -16,16 +15,15 @@ from canopen.profiles.p402 import BaseNode402
 from bus_schema.can.cia402.codec import PEAK_TO_RATED
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CIA402_EDS, CanConfiguration
-from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import MonotonicClock, TickGrid
 from controller.manipulator_model import ManipulatorModel
-from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
+from tests.arms import PAPER_ARM
 
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
+ROBOT = PAPER_ARM
 START = np.array([0.2, -1.0, 0.9])
 GRID = TickGrid(250.0, 8)
 PLANT = PlantConfiguration()

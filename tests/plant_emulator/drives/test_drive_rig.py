@@ -1,22 +1,19 @@
 """Drives and physics alone: brakes of each joint, and a bus that never falls silent."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from bus_schema.can.frame import CanFrame
 from bus_schema.link.can_configuration import CanConfiguration
-from bus_schema.robot_description import load_robot
 from bus_schema.runtime.clock import MonotonicClock, TickGrid, VirtualClock
-from deploy.scenario.referenced_files import find_urdf
 from plant_emulator.arm_plant import ArmPlant
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.drives.commissioning import build_bank
 from plant_emulator.drives.drive_rig import DriveRig
 from plant_emulator.drives.fault_plan import parse_fault
+from tests.arms import PAPER_ARM
 
-ROBOT = load_robot(find_urdf("paper_arm", Path()))
+ROBOT = PAPER_ARM
 START = np.array([0.2, -1.0, 0.9])
 GRID = TickGrid(250.0, 8)
 PLANT = PlantConfiguration()

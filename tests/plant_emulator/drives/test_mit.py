@@ -106,11 +106,11 @@ def test_torque_is_that_of_the_loop_where_the_joint_is():
     bench.say(command(p=0.51, v=0.3, kp=100.0, kd=2.0, t=3.0))
     wanted = 100.0 * 0.01 + 2.0 * 0.1 + 3.0
     assert bench.drive.demand().torque_nm == pytest.approx(wanted, abs=0.1)
-    loop = bench.drive.loop()
+    loop = bench.drive.demand().loop
     assert loop.torque_nm(0.52, 0.2) == pytest.approx(wanted - 2.0, abs=0.1)
     assert loop.torque_nm(-0.5, 0.2) == 15.0  # the motor's limit
     bench.say(command(t=3.0))
-    assert bench.drive.loop() is None
+    assert bench.drive.demand().loop is None
     assert bench.drive.demand().torque_nm == pytest.approx(3.0, abs=0.01)
 
 
@@ -132,7 +132,7 @@ def test_zero_makes_positions_relative_on_both_ways():
     bench.say(ENTER)
     assert unpacked(bench.say(ZERO).data)[1] == pytest.approx(0.0, abs=5e-4)
     bench.say(command(p=0.1, kp=50.0))
-    assert bench.drive.loop().target_rad == pytest.approx(1.1, abs=5e-4)
+    assert bench.drive.demand().loop.target_rad == pytest.approx(1.1, abs=5e-4)
 
 
 @pytest.mark.parametrize("watchdog_ms", [0, 50])

@@ -48,7 +48,7 @@ def test_torque_is_that_of_position_and_velocity_loop_and_of_the_offsets(bench):
     bench.move(position_rad=0.5, velocity_rad_s=0.2)
     wanted = 3.0 + K_V * (0.3 + K_X * 0.1 - 0.2)
     assert given_nm(bench) == pytest.approx(wanted, abs=2e-3)
-    closed = bench.drive.loop()  # at every step of the physics
+    closed = bench.drive.demand().loop  # at every step of the physics
     assert closed.torque_nm(0.55, 0.2) == pytest.approx(wanted - K_V * K_X * 0.05, abs=2e-3)
 
 
@@ -104,7 +104,7 @@ def test_halt_and_quick_stop_slow_the_joint_down(bench):
     bench.move(position_rad=0.5, velocity_rad_s=1.0)
     for word in (0x10F, 0x00B):
         bench.control(word)
-        assert bench.drive.loop() is None
+        assert bench.drive.demand().loop is None
         assert given_nm(bench) == pytest.approx(-SETTINGS.stop_damping_nm_s)
 
 
@@ -112,13 +112,13 @@ def test_the_integral_bears_what_the_others_do_not_know_of(bench):
     bench.write(0x60F9, 2, 8000)
     joint, load_nm = 0.5, -3.0
     bench.write(TARGET, 0, counts(0.5))
-    loop = bench.drive.loop()
+    loop = bench.drive.demand().loop
     for _ in range(10_000):  # a joint without inertia goes to where its torques are in balance
         joint += 0.1 * (loop.torque_nm(joint, 0.0, 1e-3) + load_nm) / (K_V * K_X)
     assert joint == pytest.approx(0.5, abs=1e-4)
     bench.write(0x6040, 0, 6)
     bench.wait(1000)
-    assert bench.drive.loop() is None
+    assert bench.drive.demand().loop is None
     for word in (7, 15):
         bench.write(0x6040, 0, word)
     assert given_nm(bench) == pytest.approx(0.0, abs=2e-3)  # what it had gathered is gone
@@ -136,7 +136,7 @@ def test_modes_change_while_it_follows(bench):
     bench.write(TARGET, 0, counts(0.6))
     bench.write(0x6071, 0, 100)
     bench.write(0x6060, 0, CST)
-    assert bench.drive.loop() is None
+    assert bench.drive.demand().loop is None
     assert given_nm(bench) == pytest.approx(2.0)
     bench.write(0x6060, 0, CSP)
     assert given_nm(bench) == pytest.approx(K_V * K_X * 0.1, abs=2e-3)
@@ -163,12 +163,14 @@ def test_an_axis_controls_position_with_both_feed_forwards(axis):
     axis.move(position_rad=TURN / 4, velocity_rad_s=0.1 * TURN)
     wanted = -1.5 + K_V * (0.2 + K_X * 0.05 - 0.1)
     assert axis.drive.demand().torque_nm == pytest.approx(wanted, abs=1e-4)
-    assert axis.drive.loop().torque_nm(0.3 * TURN, 0.2 * TURN) == pytest.approx(-1.5, abs=1e-4)
+    assert axis.drive.demand().loop.torque_nm(0.3 * TURN, 0.2 * TURN) == pytest.approx(
+        -1.5, abs=1e-4
+    )
     assert axis.drive.targets == 1
 
 
 def test_an_axis_holds_its_joint_until_it_has_an_input(axis):
-    assert axis.drive.demand() == (0.0, True)
+    assert axis.drive.demand()[:2] == (0.0, True)
     axis.move(position_rad=0.2 * TURN)
     assert axis.drive.demand().torque_nm == pytest.approx(K_V * K_X * 0.05, abs=1e-4)
 
@@ -193,7 +195,7 @@ def test_an_absolute_position_is_that_of_estimates_and_inputs(axis):
     assert axis.ask(0x09, "ff")[0] == pytest.approx(2.0)
     assert axis.drive.demand().torque_nm == pytest.approx(0.0, abs=1e-3)  # it stays where it is
     axis.tell(INPUT_POS, "fhh", 2.1, 0, 0)
-    assert axis.drive.loop().target_rad == pytest.approx(0.35 * TURN)
+    assert axis.drive.demand().loop.target_rad == pytest.approx(0.35 * TURN)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_actual_torque_is_the_nearest_thousandth_of_20_nm_and_saturates(bench, t
 def test_target_torque_is_exact_up_to_the_limit(bench, per_mille):
     bench.move()
     bench.control(ENABLE, per_mille)
-    torque_nm, is_released = bench.drive.demand()
+    torque_nm, is_released, _ = bench.drive.demand()
     assert is_released
     assert torque_nm == pytest.approx(0.02 * max(-3000, min(3000, per_mille)), abs=1e-12)
     assert bool(bench.statusword & 1 << 11) == (abs(per_mille) > 3000)  # internal limit active

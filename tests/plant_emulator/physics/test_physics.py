@@ -8,7 +8,14 @@ from bus_schema.robot_description import load_robot
 from controller.manipulator_model import ManipulatorModel
 from plant_emulator.configuration import PlantConfiguration
 from plant_emulator.physics.engines import ENGINES, engine_in_force
-from tests.arms import INSTALLED, PAPER_ARM, FreeArm, listed_from_the_tip
+from tests.arms import (
+    INSTALLED,
+    PAPER_ARM,
+    FreeArm,
+    forward_dynamics,
+    listed_from_the_tip,
+    runge_kutta,
+)
 
 pytestmark = pytest.mark.parametrize("engine", INSTALLED)
 
@@ -44,24 +51,15 @@ def emulated(engine, step_s, torque, **specification):
 
 def integrated(torque):
     """Positions after each millisecond by RK4 on forward dynamics; its own error is below 1e-8."""
-    model, step = ManipulatorModel(ROBOT), 1e-3
-    state, rows = np.concatenate([START, np.zeros(3)]), []
+    model, steps = ManipulatorModel(ROBOT), round(DURATION_S / 1e-3)
 
     def rate(time_s, state):
         position, velocity = state[:3], state[3:]
-        return np.concatenate(
-            [velocity, model.forward_dynamics(position, velocity, torque(time_s))]
-        )
+        acceleration = forward_dynamics(model, position, velocity, torque(time_s))
+        return np.concatenate([velocity, acceleration])
 
-    for index in range(round(DURATION_S / step)):
-        time_s = index * step
-        k_1 = rate(time_s, state)
-        k_2 = rate(time_s + 0.5 * step, state + 0.5 * step * k_1)
-        k_3 = rate(time_s + 0.5 * step, state + 0.5 * step * k_2)
-        k_4 = rate(time_s + step, state + step * k_3)
-        state = state + step / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
-        rows.append(state[:3])
-    return np.array(rows)
+    start = np.concatenate([START, np.zeros(3)])
+    return np.array(list(runge_kutta(rate, start, 1e-3, steps + 1)))[1:, :3]
 
 
 @pytest.mark.parametrize("torque", [shaking, free])

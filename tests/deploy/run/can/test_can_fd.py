@@ -4,29 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deploy.judge.metrics import summarise
-from deploy.judge.run_data import RunData
-from deploy.run.simulate import simulate
-from deploy.scenario.scenario import load_setup
-
-VIRTUAL = ("link.can.interface=virtual", "link.can.answer_timeout_s=60", "duration_s=0.5")
+from tests.deploy.run.can.can_runs import FEEDBACK, CanRun, run_over_can
 
 
-def run(folder: Path, *overrides: str) -> tuple[RunData, list[str]]:
-    """A run and the frames of its log."""
-    data = simulate(
-        load_setup("iiwa_can", [*VIRTUAL, *overrides]), can_log=folder / "can.log"
-    ).data()
-    lines = (folder / "can.log").read_text().splitlines()
-    return data, [line.split()[2] for line in lines]
+def run(folder: Path, *overrides: str) -> CanRun:
+    return run_over_can("iiwa_can", "duration_s=0.5", *overrides, folder=folder)
 
 
 def test_process_data_goes_in_fd_frames_and_changes_nothing_else(tmp_path: Path) -> None:
-    fd, frames = run(tmp_path)
-    classical, classical_frames = run(tmp_path, "link.can.fd_process_data=false")
-    assert summarise(fd)["completed"]
-    assert summarise(fd)["bounds"]["kept"]
-    assert fd.digest == classical.digest
+    fd = run(tmp_path)
+    frames = fd.logged
+    classical = run(tmp_path, "link.can.fd_process_data=false")
+    assert fd.summary["completed"]
+    assert fd.summary["bounds"]["kept"]
+    assert fd.data.digest == classical.data.digest
     # the master's last command of the start, sent by canopen, is a classical frame
     in_cycle = frames[frames.index("080#") :]
     pdos = [frame for frame in in_cycle if frame[0] in "12"]
@@ -34,18 +25,16 @@ def test_process_data_goes_in_fd_frames_and_changes_nothing_else(tmp_path: Path)
     assert all("##1" in frame for frame in pdos)
     assert not any("##" in frame for frame in in_cycle if frame[0] not in "12")
     content = [frame.replace("##1", "#") for frame in in_cycle[:2000]]
-    assert content == classical_frames[classical_frames.index("080#") :][:2000]
-    loads = [summarise(each)["transport"]["can"]["load"] for each in (fd, classical)]
+    assert content == classical.logged[classical.logged.index("080#") :][:2000]
+    loads = [each.summary["transport"]["can"]["load"] for each in (fd, classical)]
     assert 0.3 < loads[0] < 0.45
     assert 0.7 < loads[1] < 0.85
 
 
 def test_targets_of_drive_feedback_go_in_fd_frames_too(tmp_path: Path) -> None:
-    feedback = "controller.drive_feedback.enabled=true"
-    fd, frames = run(tmp_path, feedback)
-    classical, _ = run(tmp_path, feedback, "link.can.fd_process_data=false", "rate_hz=250")
-    assert not fd.faults()
-    assert not classical.faults()
-    in_cycle = frames[frames.index("080#") :]
+    fd = run(tmp_path, FEEDBACK)
+    in_cycle = fd.logged[fd.logged.index("080#") :]
+    classical = run(tmp_path, FEEDBACK, "link.can.fd_process_data=false", "rate_hz=250")
+    assert (fd.faults, classical.faults) == ("", "")
     assert all("##1" in frame for frame in in_cycle if frame[0] in "145")
     assert sum(frame.startswith("40") for frame in in_cycle) >= 250 * 7

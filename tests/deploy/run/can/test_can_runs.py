@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import count
 from pathlib import Path
 
@@ -18,64 +16,30 @@ from bus_schema.can.frame import CanFrame
 from bus_schema.can.master import CanMaster
 from bus_schema.can.session import open_can_bus
 from bus_schema.link.can_configuration import CANSIMPLE_DBC, CIA402_EDS
-from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, PLANT_TRUTH
-from deploy.judge.metrics import summarise
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
 from deploy.judge.run_data import RunData
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from plant_emulator.arm_plant import Mode
+from tests.deploy.run.can.can_runs import CANSIMPLE, FEEDBACK, CanRun, run_over_can
 from tests.eds_decoding import EdsDecoder
 from tests.multicast import own_bus
 
-VIRTUAL = ["link.can.interface=virtual", "link.can.answer_timeout_s=20"]
 STRUCK_S = 0.5
 TICK_S = 0.002
 SLOW_DOWN_S = 0.3
 """Object 0x2000: the longest a CiA 402 drive takes to slow down before it brakes."""
 
 
-@dataclass(frozen=True)
-class CanRun:
-    """A finished run and the log of its frames."""
-
-    data: RunData
-    can_log: Path
-
-    @cached_property
-    def faults(self) -> str:
-        return "; ".join(self.data.faults())
-
-    @cached_property
-    def speed(self) -> Vector:
-        """Largest joint speed at every tick, rad/s."""
-        return np.abs(self.data.tables[PLANT_TRUTH.name]["velocity"]).max(axis=1)
-
-    def at_rest_from_s(self) -> float:
-        """When the arm came to rest for good."""
-        times_s = self.data.times_s(PLANT_TRUTH)
-        return float(times_s[np.flatnonzero(self.speed > 0.02)[-1]])
-
-    def frames(self) -> list[tuple[int, str]]:
-        """Identifier and content of each logged frame."""
-        fields = [line.split()[2].split("#") for line in self.can_log.read_text().splitlines()]
-        return [(int(identifier, 16), content) for identifier, content in fields]
-
-
-def run_over_can(folder: Path, *overrides: str) -> CanRun:
-    setup = load_setup("paper_arm_can", [*VIRTUAL, *overrides])
-    log = folder / "can.log"
-    return CanRun(simulate(setup, can_log=log).data(), log)
-
-
 @pytest.fixture(scope="module")
 def cia402(tmp_path_factory: pytest.TempPathFactory) -> CanRun:
-    return run_over_can(tmp_path_factory.mktemp("cia402"), "duration_s=1")
+    return run_over_can("paper_arm_can", "duration_s=1", folder=tmp_path_factory.mktemp("cia402"))
 
 
 @pytest.fixture(scope="module")
 def cansimple(tmp_path_factory: pytest.TempPathFactory) -> CanRun:
     folder = tmp_path_factory.mktemp("cansimple")
-    return run_over_can(folder, "duration_s=1", "link.can.protocol=cansimple")
+    plain = ("duration_s=1", "link.can.protocol=cansimple")
+    return run_over_can("paper_arm_can", *plain, folder=folder)
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +53,8 @@ def test_bounds_are_kept_and_quantisation_is_all_that_differs(
     protocol: str, in_process: RunData, request: pytest.FixtureRequest
 ) -> None:
     run: CanRun = request.getfixturevalue(protocol)
-    over_can = summarise(run.data)
-    assert over_can["completed"]
-    assert over_can["bounds"]["kept"]
+    assert run.summary["completed"]
+    assert run.summary["bounds"]["kept"]
     errors = run.data.true_errors_rad[250:], in_process.true_errors_rad[250:]
     ours, reference = (np.sqrt((each**2).mean(axis=0)) for each in errors)
     assert (ours <= 1.5 * reference).all()
@@ -99,7 +62,7 @@ def test_bounds_are_kept_and_quantisation_is_all_that_differs(
 
 def test_load_of_three_drives_is_that_of_their_frames(cia402: CanRun) -> None:
     """SYNC of 47 bits, 3 TPDO of 111 and 3 RPDO of 79, heartbeats of 55, plus stuff bits."""
-    bus = summarise(cia402.data)["transport"]["can"]
+    bus = cia402.summary["transport"]["can"]
     counts = bus["frames_by_identifier"]
     assert counts["080"] == counts["181"] == counts["203"] == 500
     unstuffed = {"0": 47, "1": 111, "2": 79, "7": 55}
@@ -146,49 +109,51 @@ def test_log_decodes_completely_with_our_dbc(cansimple: CanRun) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "reason", "emergency"),
+    ("scenario", "fault", "reason", "emergency"),
     [
-        ("drive:2@500ms", "node 2: short circuit", "082#2023"),
-        ("over-temperature:3@500ms", "node 3: over-temperature", "083#1043"),
-        ("silent:2@500ms", "no answer from drive 2", None),
+        ("paper_arm_can", "drive:2@500ms", "node 2: short circuit", "082#2023"),
+        ("paper_arm_can", "over-temperature:3@500ms", "node 3: over-temperature", "083#1043"),
+        ("paper_arm_can", "silent:2@500ms", "no answer from drive 2", None),
+        ("paper_arm_mit", "drive:2@500ms", "node 2: OVER_CURRENT (error 2)", None),
+        ("paper_arm_mit", "over-temperature:3@500ms", "node 3: OVER_TEMPERATURE (error 1)", None),
+        ("paper_arm_mit", "silent:2@500ms", "no answer from drive 2", None),
     ],
 )
 def test_all_axes_come_to_rest_when_one_drive_fails(
-    fault: str, reason: str, emergency: str | None, tmp_path: Path
+    scenario: str, fault: str, reason: str, emergency: str | None, tmp_path: Path
 ) -> None:
-    run = run_over_can(
-        tmp_path, "duration_s=2", f"link.can.faults.drives=['{fault}']",
-        "link.can.answer_timeout_s=2",
-    )  # fmt: skip
+    struck = ("duration_s=2", f"link.can.faults.drives=['{fault}']", "link.can.answer_timeout_s=2")
+    run = run_over_can(scenario, *struck, folder=tmp_path)
     assert reason in run.faults
     # of the cycle that brought it, so that no consequence stands before its cause
     told_ns = {event.stamp_ns for event in run.data.events if "DriveError" in event.detail}
     assert told_ns == {round(STRUCK_S * 1e9)}
-    assert not summarise(run.data)["completed"]
-    assert emergency is None or emergency in run.can_log.read_text()
+    assert emergency is None or any(each.startswith(emergency) for each in run.logged)
     # the other drives hear of it at the next tick, then slow down; two ticks to see it
-    assert run.at_rest_from_s() <= STRUCK_S + SLOW_DOWN_S + 4 * TICK_S
-    truth = run.data.tables[PLANT_TRUTH.name]
-    assert truth["mode"][-1] == Mode.STOPPING
-    assert not truth["torque"][-1].any()
+    assert (
+        scenario == "paper_arm_mit" or run.at_rest_from_s() <= STRUCK_S + SLOW_DOWN_S + 4 * TICK_S
+    )
+    run.assert_stopped()
 
 
-def test_bus_off_stops_all_axes(tmp_path: Path) -> None:
-    run = run_over_can(tmp_path, "duration_s=2", "link.can.faults.bus_off_s=0.5")
+def test_bus_off_stops_all_axes() -> None:
+    run = run_over_can("paper_arm_can", "duration_s=2", "link.can.faults.bus_off_s=0.5")
     assert "node 1: bus-off (0x8140); node 2: bus-off (0x8140); node 3: bus-off" in run.faults
     assert run.at_rest_from_s() <= STRUCK_S + SLOW_DOWN_S + 4 * TICK_S
 
 
 def test_axes_stop_when_the_masters_heartbeat_stops(tmp_path: Path) -> None:
     """The master beats every 200 ms, and the drives expect it every 70 ms."""
-    run = run_over_can(tmp_path, "duration_s=2", "link.can.heartbeat_ms=200")
+    run = run_over_can(
+        "paper_arm_can", "duration_s=2", "link.can.heartbeat_ms=200", folder=tmp_path
+    )
     assert "node 1: heartbeat of the master lost (0x8130)" in run.faults
-    assert "081#3081" in run.can_log.read_text()
+    assert any(frame.startswith("081#3081") for frame in run.logged)
     assert run.at_rest_from_s() <= 0.07 + SLOW_DOWN_S + 4 * TICK_S
 
 
 def test_hostile_frames_are_counted_and_change_nothing(
-    cia402: CanRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cia402: CanRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stranger sends what is malformed, oversized, unknown or for other nodes, now and then."""
     place, sample, ticks = own_bus(), CanMaster.sample, count()
@@ -215,23 +180,55 @@ def test_hostile_frames_are_counted_and_change_nothing(
         sample(master, now_ns)
 
     monkeypatch.setattr(CanMaster, "sample", sample_in_rubbish)
-    run = run_over_can(tmp_path, "duration_s=1", *place, "link.can.fd=true")
+    run = run_over_can("paper_arm_can", "duration_s=1", *place, "link.can.fd=true")
     stranger.close()
     assert run.faults == ""
     assert run.data.digest == cia402.data.digest
-    rejected = summarise(run.data)["transport"]["can"]["rejected"]
+    rejected = run.summary["transport"]["can"]["rejected"]
     assert {"pdo_too_short", "pdo_too_long", "no_classical_frame", "unknown_identifier"} <= set(
         rejected
     )
     assert sum(rejected.values()) > 50
 
 
-def test_error_frames_lengthen_latencies_and_change_nothing_else(
-    cia402: CanRun, tmp_path: Path
-) -> None:
-    noisy = run_over_can(tmp_path, "duration_s=1", "link.can.faults.frame_error_probability=0.1")
-    bus, clean = (summarise(run.data)["transport"]["can"] for run in (noisy, cia402))
+def test_error_frames_lengthen_latencies_and_change_nothing_else(cia402: CanRun) -> None:
+    errors = "link.can.faults.frame_error_probability=0.1"
+    noisy = run_over_can("paper_arm_can", "duration_s=1", errors)
+    bus, clean = (run.summary["transport"]["can"] for run in (noisy, cia402))
     assert noisy.data.digest == cia402.data.digest
     assert 0.05 * bus["frames"] < bus["error_frames"] < 0.15 * bus["frames"]
     assert bus["load"] > clean["load"]
     assert bus["worst_latency_us"] > clean["worst_latency_us"]
+
+
+PROTOCOLS = {"cia402": (), "cansimple": CANSIMPLE}
+"""In whose position modes drives close loops of their own."""
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_drives_with_loops_keep_bounds_as_those_that_are_no_can_nodes(protocol: str) -> None:
+    """The same laws, gains and targets without CAN between them: what differs is rounding."""
+    setup = load_setup("paper_arm_can", [FEEDBACK, "duration_s=0.6", "link.kind=in_process"])
+    without = CanRun(simulate(setup).data(), None).summary
+    over_can = run_over_can("paper_arm_can", FEEDBACK, "duration_s=0.6", *PROTOCOLS[protocol])
+    assert over_can.summary["completed"]
+    assert over_can.summary["faults"] == []
+    assert over_can.summary["bounds"]["kept"]
+    assert over_can.summary["bounds"]["margin_min"] == pytest.approx(
+        without["bounds"]["margin_min"], abs=0.01
+    )
+
+
+def test_torques_without_targets_keep_bounds_too() -> None:
+    """The drives could take targets, and the controller sends none."""
+    data = run_over_can("paper_arm_can", "duration_s=0.4", "plant.drive_feedback.enabled=true")
+    assert data.summary["bounds"]["kept"]
+    assert data.faults == ""
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_targets_that_stop_coming_end_in_the_drives_own_timeout(protocol: str) -> None:
+    bus_off = ("duration_s=2", "link.can.faults.bus_off_s=0.3")
+    run = run_over_can("paper_arm_can", FEEDBACK, *bus_off, *PROTOCOLS[protocol])
+    assert not run.summary["completed"]
+    assert run.speed[-1] < 0.02

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deploy.run.network.real_delay import (
-    RealDelay,
-    knowing_real_delay,
-    real_delay,
-)
+from deploy.run.network.real_delay import RealDelay, knowing_real_delay, real_delay
 from deploy.scenario.scenario import load_setup
 
 

@@ -12,14 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from bus_schema.messages.run_event import COMMANDS_RECEIVED, EventKind, RunEvent
-from bus_schema.messages.topics import (
-    JOINT_COMMANDS,
-    JOINT_STATES,
-    RUN_EVENTS,
-    TOPICS,
-    Role,
-    Topic,
-)
+from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES, RUN_EVENTS, TOPICS, Role, Topic
 from bus_schema.recording.atomic_files import RecordFile
 from bus_schema.recording.mcap_log import LogContents, read_log
 from bus_schema.zenoh.access import bundle_key_expression
