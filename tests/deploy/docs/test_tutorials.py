@@ -90,3 +90,6 @@ def test_code_blocks_of_a_tutorial_run(page: Path, tmp_path: Path, monkeypatch) 
                     shell.run(words, block.notes)
     finally:
         shell.end()
+        for name, module in list(sys.modules.items()):  # another test may have one of that name
+            if str(getattr(module, "__file__", None)).startswith(str(tmp_path)):
+                del sys.modules[name]
