@@ -40,12 +40,12 @@ class LimitsConfiguration(StrictModel):
         torque_nm: largest torque; by default the URDF's effort limits.
         torque_rate_nm_s: largest change of a torque per second; none by default.
         velocity_rad_s: largest speed; by default the URDF's velocity limits.
-        position_margin_rad: by how much the controller stays away from the ends of the URDF's
-            ranges.
-        velocity_margin: share of the largest speed that the controller leaves.
-        on_position: what follows at the end of a range: ``count``; ``cut`` torques that push
-            further out, too; or also ``stop`` the arm safely (the plant).
-        on_velocity: what follows above the largest speed; ``cut`` takes away accelerating torques.
+        position_margin_rad: distance that the controller keeps from the ends of the URDF's ranges.
+        velocity_margin: share of the largest speed that the controller does not use.
+        on_position: reaction at the end of a range: ``count``; also ``cut`` torques that push
+            outwards; or also ``stop`` the arm safely.
+        on_velocity: reaction above the largest speed, likewise; ``cut`` removes accelerating
+            torques.
     """
 
     torque_nm: PerJointPositive | None = None

@@ -65,13 +65,12 @@ class DelayCompensationConfiguration(StrictModel):
 
     Attributes:
         enabled: whether the law sees the predicted state instead of the measured one.
-        observer_bandwidth_rad_s: how fast disturbances are learned that the nominal model misses.
-        learn_friction: whether Coulomb friction is told apart from other disturbances.
-        identify_model: whether inertia, payload, viscous friction and the actuators' lag are
-            learned while the arm moves.
-        expected_round_trip_ms: what is taken for the round trip until the first command has come
-            into force, as measured before the start; by default ``delay_ms`` of both directions of
-            the scenario's own link.
+        observer_bandwidth_rad_s: bandwidth of the observer for what the model misses.
+        learn_friction: whether Coulomb friction is identified too.
+        identify_model: whether inertia, payload, viscous friction and actuator lag are identified
+            while the arm moves.
+        expected_round_trip_ms: round trip to assume until the first command is in force; by default
+            ``delay_ms`` of both directions.
     """
 
     enabled: bool = False
@@ -87,8 +86,8 @@ class DriveFeedbackConfiguration(StrictModel):
     Attributes:
         enabled: whether commands carry targets beside their torques, and the emulated drives take
             them.
-        bandwidth_rad_s: ω of the drives' loop, by which stiffness I ω² and damping 2 I ω follow
-            from the inertia I that governs a joint.
+        bandwidth_rad_s: bandwidth ω of the drives' loop; stiffness is I ω², damping 2 I ω, with the
+            joint's inertia I.
     """
 
     enabled: bool = False
@@ -122,16 +121,15 @@ class ControllerConfiguration(StrictModel):
     """The controller.
 
     Attributes:
-        law: name of the control law, ``module:Class`` for one of the user's own, or ``external``
-            for one in a program of its own; ``process`` wherever a process is given.
-        process: command of a process of the user's own, which is the controller in place of any
-            law: the program and its arguments, started in the current folder, without a shell.
-        gains: gains by law; ``custom`` are keyword arguments for a law of the user's own. A law
-            without an entry derives its gains from the arm's nominal inertia.
-        external: that program.
-        model_scale: factor on the masses and inertias of the nominal model, rotors and all.
-        rotor_scale: one more factor on its inertias of rotors, which are else the plant's
-            (plant.actuator.rotor_inertia_kg_m2).
+        law: name of the control law, ``module:Class`` for your own law, or ``external`` for a law
+            in a program; ``process`` if a process is given.
+        process: your own controller on the bus, in place of any law: a program and its arguments,
+            started in the current folder, without a shell.
+        gains: gains by law. A law without an entry derives its gains from the arm's nominal
+            inertia.
+        external: the program of law ``external``.
+        model_scale: factor on masses and inertias of the nominal model, including rotors.
+        rotor_scale: further factor on the rotor inertias of the nominal model.
         torque_rate_limit_nm_s: largest change of a torque per second; none by default.
     """
 

@@ -32,9 +32,7 @@ class _Timed(StrictModel):
     """What every kind of reference has.
 
     Attributes:
-        speed: how many times as fast the reference is gone through, q_d(speed t): velocities are
-            as many times as large, accelerations that squared. The builders below put it into
-            frequencies and times, so that following a reference costs the same at any speed.
+        speed: factor on the speed of the motion, q_d(speed t). Accelerations grow with its square.
     """
 
     speed: Positive = 1.0
@@ -145,8 +143,8 @@ class CsvConfiguration(_Timed):
 
     Attributes:
         file: a path relative to the scenario file, or else to the current folder.
-        beyond: what is with a run that starts before the first row or goes on after the last:
-            ``refuse`` it, or ``hold`` that row's position at rest.
+        beyond: a run outside the rows of the file: ``refuse`` it, or ``hold`` the position of the
+            first or last row at rest.
     """
 
     kind: Literal["csv"]

@@ -32,10 +32,10 @@ class FrictionConfiguration(StrictModel):
     Attributes:
         enabled: false for none at all.
         coulomb_nm: dry friction at speed.
-        coulomb_share: more of it, as a share of the joint's rated torque, the URDF's effort limit.
-        load_share: more of it, as a share of the torque that the gear transmits.
+        coulomb_share: further dry friction, as a share of the URDF's effort limit.
+        load_share: further dry friction, as a share of the torque that the gear transmits.
         viscous_nm_s: friction per rad/s.
-        viscous_share_s: more of it, as a share of rated torque per rad/s.
+        viscous_share_s: further viscous friction, as a share of the effort limit per rad/s.
         stribeck_nm: dry friction beyond Coulomb's near standstill.
         stribeck_velocity_rad_s: speed over which that excess dies away.
         smoothing_velocity_rad_s: speed over which dry friction changes its sign.
@@ -240,11 +240,10 @@ class DriveLoopConfiguration(StrictModel):
     """A loop closed at the drives, around targets that come with the torques.
 
     Attributes:
-        enabled: whether the drives take targets; they do, too, where the controller sends them
-            (``controller.drive_feedback.enabled``).
-        stiffness_nm_rad: torque per rad off the target; by default derived from the arm's inertia
-            and ``controller.drive_feedback.bandwidth_rad_s``.
-        damping_nm_s: torque per rad/s off it; likewise.
+        enabled: whether the drives accept targets; true with ``controller.drive_feedback.enabled``.
+        stiffness_nm_rad: torque per rad of distance to the target; by default derived from the
+            arm's inertia and ``controller.drive_feedback.bandwidth_rad_s``.
+        damping_nm_s: torque per rad/s of difference in speed; likewise.
         encoder: the drives' own encoders.
     """
 
@@ -275,13 +274,13 @@ class PlantConfiguration(StrictModel):
     Attributes:
         substeps: physics steps per tick.
         payload_kg: point mass at the tip that the nominal model does not know of.
-        payload_share: more of it, as a share of the heaviest mass that the arm holds up in any
-            posture, or of its own moved mass where it holds more than that.
+        payload_share: further payload, as a share of the heaviest mass that the arm holds up in any
+            posture, at most its own moved mass.
         command_timeout_ms: time without a valid command after which the arm is stopped; an outage
             of 100 ms is survived by default.
         safe_stop: how it is stopped: by the brakes, by damping torques, or by zero torque.
         stop_damping_nm_s: torque per rad/s of the ``damping`` stop.
-        stop_duration_s: time that a run goes on after a safe stop, for the record.
+        stop_duration_s: time that a run continues after a safe stop.
         gui: open the physics engine's window (Bullet has one).
     """
 

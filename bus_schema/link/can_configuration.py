@@ -43,7 +43,7 @@ class CanFaults(StrictModel):
     Attributes:
         frame_error_probability: share of frames that are destroyed by an error frame and repeated.
         bus_off_s: time at which the drives' side goes bus-off for good; null for never.
-        drives: what goes wrong with drives, in the form ``kind:node@time`` or
+        drives: faults of drives, in the form ``kind:node@time`` or
             ``kind:node@time+duration``, such as ``drive:2@3s``; kinds are ``drive``, ``silent``,
             ``encoder-frozen`` and ``over-temperature``.
     """
@@ -57,8 +57,7 @@ class MitConfiguration(StrictModel):
     """Drives with the MIT mini-cheetah's protocol; the defaults are those of CubeMars' AK80-9.
 
     Attributes:
-        position_rad: largest position that frames can say, either way, one for all or one per
-            joint; so the next two.
+        position_rad: largest position that a frame can hold, in both directions.
         velocity_rad_s: largest velocity.
         torque_nm: largest torque.
         stiffness_nm_rad: largest stiffness (KP_MAX).
@@ -80,8 +79,8 @@ class CanSimpleConfiguration(StrictModel):
     """ODrive axes; both sides of the bus must agree.
 
     Attributes:
-        input_vel_scale: steps of a turn per second in the velocity feed-forward of a position.
-        input_torque_scale: steps of a N m in its torque feed-forward, of which 16 bits hold 32767.
+        input_vel_scale: steps per turn/s in the velocity feed-forward.
+        input_torque_scale: steps per N m in the torque feed-forward; 16 bits hold 32767.
     """
 
     input_vel_scale: Positive = 1000.0
@@ -98,27 +97,26 @@ class CanConfiguration(StrictModel):
             name.
         port: UDP port of ``udp_multicast``. A run takes a group and a port of its own unless
             one of the two is given.
-        hop_limit: how far frames of ``udp_multicast`` go, and from where they are taken: 0 this
-            machine alone; 1 its network, where anybody can then command the drives; more routers.
+        hop_limit: reach of ``udp_multicast``: 0 is this machine; 1 its network, where anyone can
+            then command the drives; more crosses routers.
         bitrate: bits per second; on emulated buses it counts in the plant's time.
         fd: the bus carries CAN FD frames too.
         data_bitrate: bit rate of the data phase of FD frames.
         fd_process_data: with ``cia402``, states, torques and all other process data go in FD
             frames; `fd` has to be true.
-        protocol: what the drives speak: ``cia402`` on CANopen, ODrive's ``cansimple``, the
-            mini-cheetah's ``mit``, or another one of the table of drive protocols.
+        protocol: ``cia402`` on CANopen, ODrive's ``cansimple``, or the mini-cheetah's ``mit``.
         node_ids: addresses of the drives in the order of the joints; by default 1, 2, ….
         eds: description of the CiA 402 drives; by default the one that is shipped.
         encoder_bits: encoder resolution, as a power of 2 per turn of the joint.
-        rated_torque_nm: unit of CiA 402's torques, one for all or one per joint; by default a
-            32nd of the URDF's effort limits, so that these are nearly all that 16 bits can say.
+        rated_torque_nm: unit of CiA 402's torques; by default a 32nd of the URDF's effort limits,
+            which uses nearly all of 16 bits.
         heartbeat_ms: period of the heartbeats of master and drives, on the run's clock.
         heartbeat_timeout_ms: silence after which a node counts as lost.
         command_timeout_ms: time without a torque after which a drive stops by itself.
         mit: the drives of protocol ``mit``.
         cansimple: the axes of protocol ``cansimple``.
-        answer_timeout_s: how long the master waits for the answer to a request, wall time.
-        faults: what goes wrong on an emulated bus, and with the drives on it.
+        answer_timeout_s: wall time that the master waits for the answer to a request.
+        faults: faults of an emulated bus and of the drives on it.
     """
 
     interface: str = "socketcan"

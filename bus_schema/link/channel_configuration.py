@@ -109,16 +109,16 @@ class ChannelConfiguration(StrictModel):
 
     Attributes:
         delay_ms: delay of every message.
-        distribution: of what jitter adds to the delay. ``uniform``: ± jitter_ms; ``normal`` and
+        distribution: how jitter is distributed. ``uniform``: ± jitter_ms; ``normal`` and
             ``pareto`` (of shape 3, shifted to mean zero): standard deviation jitter_ms;
             ``empirical``: a delay drawn from `distribution_file`. A negative sum is no delay.
         distribution_file: delays in ms, one per line or in the first column; a path relative to
             the scenario file.
         jitter_ms: scale of the distribution.
-        correlation: of what jitter adds to one message and to the next.
-        loss: probability that a message is lost, whatever becomes of the others.
+        correlation: correlation of the jitter of neighbouring messages.
+        loss: probability that a message is lost, independent of the others.
         burst_loss: loss in bursts.
-        duplicate: probability that a message comes twice, the second time with a delay of its own.
+        duplicate: probability that a message arrives twice; the copy has its own delay.
         reorder: let messages overtake each other; otherwise one waits for those sent before it.
         rate_kbit_s: messages pass one after the other, payloads at 1000 bit/s times this.
         schedule: changes on the run's clock, in the order of ``at_s``.

@@ -33,7 +33,7 @@ class SecurityConfiguration(StrictModel):
     """Mutual TLS, and access to topics by role.
 
     Attributes:
-        enabled: speak only to peers with a certificate of our authority, and only in their role.
+        enabled: accept only peers with a certificate of the authority, each in its role.
         folder: where keys and certificates lie (`funnel-hil keys`); absolute, or from ``~``.
     """
 
@@ -56,20 +56,20 @@ class LinkConfiguration(StrictModel, validate_default=True):
         security: who may take part; with it on, every ``tcp/`` endpoint below becomes ``tls/``.
         plant_endpoint: where the plant listens.
         controller_endpoint: where the controller listens, for recorders.
-        router_endpoint: a Zenoh router that every process connects to as well, for ROS 2 tools; by
-            its gossip, processes and nodes find one another.
-        publish_reference: have the plant send `joint_reference` with every state, for controllers
-            on the bus that do not know the scenario.
-        publish_clock: have the plant send `clock`, the stamp of each state, before it, for ROS 2
-            nodes with ``use_sim_time``.
+        router_endpoint: a Zenoh router that every process also connects to, so that ROS 2 nodes
+            find them.
+        publish_reference: the plant sends `joint_reference` with every state, for controllers that
+            do not know the scenario.
+        publish_clock: the plant sends `clock` before each state, for ROS 2 nodes with
+            ``use_sim_time``.
         uplink: plant to controller.
         downlink: controller to plant.
-        playout_ms: a command comes into force no earlier than this after the stamp of the state it
-            answers, on the plant's clock; 0 for at once.
+        playout_ms: a command acts no earlier than this after the stamp of the state that it
+            answers; 0 for on arrival.
         deadline_ms: largest age of the state that the command in force answers; by default one
-            period beyond the link's own mean delay, or beyond the play-out where that is longer.
-        connect_timeout_s: how long a process waits for its peers at the start, wall time.
-        reply_timeout_s: how long a silent peer is waited for during a run, wall time.
+            period beyond the mean round trip, or the play-out if longer.
+        connect_timeout_s: wall time that a process waits for its peers at the start.
+        reply_timeout_s: wall time that a process waits for a silent peer during a run.
         can: the CAN bus and its drives, with ``kind: can`` and for `drives`.
     """
 

@@ -46,8 +46,7 @@ class MetricsConfiguration(StrictModel):
     """The judge.
 
     Attributes:
-        from_s: start of the time over which tracking errors are summed up; in a run that is no
-            longer, the second half counts.
+        from_s: RMS and largest errors count from here on; in a shorter run, over its second half.
     """
 
     from_s: NonNegative = 2.0

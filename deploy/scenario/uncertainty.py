@@ -32,13 +32,13 @@ class Draw(StrictModel):
     Attributes:
         distribution: ``uniform`` or ``log_uniform`` between `least` and `most`, a ``choice`` of
             `values`, all as likely, or a ``sign``, −1 or 1.
-        least: (in YAML ``from``) the least that can be drawn.
-        most: (in YAML ``to``) the most that can be drawn.
-        values: what there is to choose from.
+        least: (in YAML ``from``) the smallest value.
+        most: (in YAML ``to``) the largest value.
+        values: values of a ``choice``.
         per: one number for the whole ``arm``, or one for each ``joint``.
-        relative: true where what is drawn is a factor on the scenario's own value; a dotted key
-            where it is a factor on the value of that one, be it drawn or not.
-        random_sign: whether what is drawn gets a random sign, with ``per: joint`` one for each.
+        relative: true: the draw is a factor on the scenario's own value; a dotted key: a factor on
+            the value of that key.
+        random_sign: whether the draw gets a random sign, with ``per: joint`` one for each.
     """
 
     distribution: Literal["uniform", "log_uniform", "choice", "sign"]

@@ -1,6 +1,6 @@
 """The table of faults: what each shipped fault scenario does to a run, as measured.
 
-`python -m scripts.experiments.fault_table` runs them all and writes the table into the README.
+`python -m scripts.experiments.fault_table` runs them all and writes the table into its page.
 Faults of plant or recorder as a process need real ones and run in lockstep; all others are
 simulated. Either way they are the same on every machine.
 """
@@ -33,7 +33,7 @@ _HEADER = """\
 | scenario | reaction | to safe state | exit code | lost |
 |---|---|---|---|---|
 """
-_README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "deploy" / "docs" / "how-to" / "faults.md"
 _TICKS_OF_GRACE = 2
 
 
@@ -150,12 +150,12 @@ def _lost(outcome: Outcome) -> str:
 
 
 def main() -> None:
-    """Write the table into the README."""
+    """Write the table into its page."""
     logging.disable()
-    text = _README.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    _README.write_text(f"{before}{BEGIN}{table()}{END}{after}", encoding="utf-8")
+    PAGE.write_text(f"{before}{BEGIN}{table()}{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

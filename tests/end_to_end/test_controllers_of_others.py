@@ -1,4 +1,4 @@
-"""The clients of `bus_schema/WRITE_A_CONTROLLER.md`, as they stand there, in command of a plant.
+"""The clients of the tutorial "Your own controller on the bus", as they stand there.
 
 zenoh-pico is built from sources: from the archive that ``ZENOH_PICO_ARCHIVE`` names.
 """

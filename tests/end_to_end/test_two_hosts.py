@@ -1,4 +1,4 @@
-"""The walk-through of deploy/README.md: two hosts, here network namespaces, each with its keys."""
+"""The tutorial "Two hosts with keys", in two network namespaces."""
 
 from __future__ import annotations
 

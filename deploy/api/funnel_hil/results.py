@@ -78,7 +78,7 @@ class Run(_Drawn):
 
     Attributes:
         data: all that was recorded, as the program has it.
-        summary: what ``summary.json`` says; keys and units are in the README.
+        summary: the content of ``summary.json``; the page *Results* lists its keys and units.
         path: its folder or MCAP file; None where it was not written.
     """
 
@@ -108,7 +108,7 @@ class Run(_Drawn):
 
     @property
     def margin(self) -> float | None:
-        """Smallest 1 − |e| / bound of all joints and ticks; None where nothing was recorded."""
+        """Smallest ``1 − |e| / bound`` of all joints and ticks; None if nothing was recorded."""
         smallest: float | None = self.summary["bounds"]["margin_min"]
         return smallest
 

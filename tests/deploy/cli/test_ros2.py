@@ -13,7 +13,7 @@ from bus_schema.messages.topics import JOINT_COMMANDS, JOINT_STATES
 from bus_schema.robot_description import load_robot
 from deploy.scenario.scenario import load_setup
 
-PAGE = Path("bus_schema/ROS2_CONTROL.md")
+PAGE = Path("deploy/docs/how-to/ros2-control.md")
 DOCUMENTED = {
     "joint_commands_topic", "joint_states_topic", "trigger_joint_command_threshold",
     "sum_wrapped_joint_states",

@@ -100,9 +100,10 @@ def test_law_that_returns_no_torque_stops_the_run_by_name_and_tick(folder, retur
     assert str(failure) == f"law {law} returned {told} at tick 7"
 
 
-def test_law_in_the_readme_runs_as_shown(folder):
-    readme = Path(controller.__file__).with_name("README.md").read_text()
-    (folder / "law_of_the_readme.py").write_text(readme.partition("```python\n")[2].split("```")[0])
+def test_law_of_the_tutorial_runs_as_shown(folder):
+    page = Path(controller.__file__).parents[1] / "deploy/docs/tutorials/your-law.md"
+    law = page.read_text().partition(":caption: my_laws.py\n\n")[2].split("```")[0]
+    (folder / "law_of_the_tutorial.py").write_text(law)
     custom = "controller.gains.custom={stiffness: 400.0, damping: 40.0}"
-    simulation = simulate(setup_of("law_of_the_readme:ComputedTorque", custom, duration_s=2))
+    simulation = simulate(setup_of("law_of_the_tutorial:ComputedTorque", custom, duration_s=2))
     assert np.abs(simulation.data().true_errors_rad[-1]).max() < 0.05

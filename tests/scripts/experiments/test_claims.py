@@ -1,6 +1,6 @@
 """What the project claims of its laws on `paper_arm`, and what it does not.
 
-Minutes of evidence with more gains: controller/README.md, "How the laws were tuned".
+Minutes of evidence with more gains: deploy/docs/explanation/tuning.md.
 """
 
 from __future__ import annotations

@@ -1,0 +1,301 @@
+"""A Sphinx directive whose content comes from the code when the site is built.
+
+``{generated} NAME`` in a page stands for the Markdown that a function of `TABLES` returns. So the
+reference cannot name a key, an option or a column that does not exist, and cannot forget one:
+`meanings.yaml` must explain each key of a real ``summary.json`` and nothing else.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import tempfile
+import types
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+import typer
+import yaml
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from pydantic import BaseModel
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from bus_schema.configuration import Sections
+
+UNITS = {
+    "nm_per_s": "N m/s", "nm_rad": "N m/rad", "nm_s": "N m s/rad", "nm": "N m", "per_s": "1/s",
+    "rad_s2": "rad/s²", "rad_s": "rad/s", "rad": "rad", "kg_m2": "kg m²", "kg": "kg",
+    "kbit_s": "kbit/s", "m_s": "m/s", "us": "µs", "ms": "ms", "s": "s", "hz": "Hz", "m": "m",
+}  # fmt: skip
+"""By the ends of names, the longest first."""
+RATES = {"torque_rate_nm_s": "N m/s", "torque_rate_limit_nm_s": "N m/s", "seeds": ""}
+PLAIN = {bool: "true or false", int: "whole number", float: "number", str: "text", Any: "anything"}
+BOUNDS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+STANDARD = {"--help", "--install-completion", "--show-completion"}
+"""Options of every command."""
+PER_JOINT = {"_require_positive": ", > 0", "_require_non_negative": ", ≥ 0"}
+
+
+def unit_of(name: str) -> str:
+    """The unit that a name ends with; empty for none."""
+    ends = (unit for end, unit in UNITS.items() if name.endswith(f"_{end}"))
+    return RATES.get(name, next(ends, ""))
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.replace("``", "`").replace("|", "\\|").split())
+
+
+def attributes_of(section: type) -> dict[str, str]:
+    """What the docstrings of a class and its bases say of each key."""
+    found: dict[str, str] = {}
+    for each in reversed(section.__mro__):
+        text = inspect.cleandoc(each.__doc__ or "").partition("Attributes:")[2]
+        found |= re.findall(r"^ {1,4}(\w+): (.*(?:\n {5,}.*)*)", text, re.MULTILINE)
+    return found
+
+
+def values_of(hint: Any) -> str:
+    """Which values a type allows, in words."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return values_of(parts[0]) + "".join(_limits(each) for each in parts[1:])
+    if origin is Literal:
+        return ", ".join(f"`{each}`" for each in parts)
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(values_of(p) for p in parts if p is not types.NoneType))
+    if origin in (tuple, list):
+        return f"list of: {values_of(parts[0])}"
+    if origin is np.ndarray:
+        return "number, or one per joint"
+    if origin is dict or hint is dict:
+        return "mapping"
+    return PLAIN.get(hint, "section")
+
+
+def _limits(metadata: Any) -> str:
+    """What one entry of `Annotated` adds: a range, or that of the numbers for all joints."""
+    inner = getattr(metadata, "metadata", [metadata])
+    function = getattr(metadata, "func", None)
+    ranges = [
+        f", {sign} {limit:g}"
+        for each in inner
+        for name, sign in BOUNDS.items()
+        if (limit := getattr(each, name, None)) is not None and abs(limit) < 1e12
+    ]
+    return "".join(ranges) + PER_JOINT.get(getattr(function, "__name__", ""), "")
+
+
+def sections_in(hint: Any) -> Iterator[type]:
+    """The sections that a type is made of."""
+    if isinstance(hint, Sections):  # in `Annotated`: classes from a table of the product
+        yield from hint.find()
+    elif inspect.isclass(hint) and (issubclass(hint, BaseModel) or hasattr(hint, "_fields")):
+        yield hint
+    for part in get_args(hint):
+        yield from sections_in(part)
+
+
+def scenario() -> str:
+    """Every key of a scenario, a table for each section."""
+    from deploy.scenario.definition import ScenarioConfiguration
+
+    return "\n".join(_section(ScenarioConfiguration, "", {}))
+
+
+def uncertainty() -> str:
+    """The keys of a range."""
+    from deploy.scenario.uncertainty import Draw
+
+    return "\n".join(_section(Draw, "uncertainty.<key>", {}))
+
+
+def _section(section: type, path: str, seen: dict[type, str]) -> Iterator[str]:
+    seen[section] = path
+    hints = get_type_hints(section, include_extras=True)
+    hints = {name: hints[name] for name in getattr(section, "model_fields", hints)}
+    words, rows, inner = meanings()["keys"] | attributes_of(section), [], []
+    for name, hint in hints.items():
+        field = getattr(section, "model_fields", {}).get(name)
+        key = getattr(field, "alias", None) or name
+        found = dict.fromkeys(sections_in(hint))
+        places = [seen.get(each) or _place(each, f"{path}.{key}".strip(".")) for each in found]
+        inner += [(e, place) for e, place in zip(found, places, strict=True) if e not in seen]
+        seen |= dict(zip(found, places, strict=True))
+        links = ", ".join(f"[`{_kind(p)}`](#{_anchor(p)})" for p in dict.fromkeys(places))
+        kinds = [values_of(hint), unit_of(key)] if not links else [links]
+        if name not in words and not links:
+            raise ValueError(
+                f"{section.__name__}.{name}: neither docstring nor meanings.yaml has it"
+            )
+        meaning = words[name] if not links else attributes_of(section).get(name, "")
+        rows.append([f"`{key}`", ", ".join(filter(None, kinds)), _default(section, name), meaning])
+    yield f"({_anchor(path)})=\n## {path or 'The file itself'}\n"
+    about = inspect.cleandoc(section.__doc__ or "").partition("Attributes:")[0]
+    if about and "(" not in about.partition("\n")[0].partition(" ")[0]:  # not NamedTuple's own
+        yield about.replace("``", "`") + "\n"
+    yield table(["key", "values", "default", "effect"], rows)
+    for each, place in inner:
+        yield from _section(each, place, seen)
+
+
+def _place(section: type, key: str) -> str:
+    """Where a section is: beside its key stands its kind, where there are several."""
+    kind = get_args(get_type_hints(section, include_extras=True).get("kind"))
+    return f"{key} ({kind[0]})" if len(kind) == 1 else key
+
+
+def _kind(place: str) -> str:
+    """How links call a section: by its kind, if it has one."""
+    return re.sub(r"[^(]*\((\w+)\)$", r"\1", place)
+
+
+def _anchor(path: str) -> str:
+    return "key-" + re.sub(r"\W+", "-", path).strip("-")
+
+
+def _default(section: type, name: str) -> str:
+    fields = getattr(section, "model_fields", None)
+    if fields is None:
+        defaults = section._field_defaults  # type: ignore[attr-defined]  # of a NamedTuple
+        default = defaults.get(name, "needed")
+    elif fields[name].is_required():
+        default = "needed"
+    else:
+        default = fields[name].get_default(call_default_factory=True)
+    if isinstance(default, np.ndarray):
+        default = default.tolist() if default.size > 1 else f"{default.item():g}"
+    if isinstance(default, BaseModel | dict | tuple) or default is None:
+        return ""
+    return "needed" if default == "needed" else f"`{str(default).lower()}`"
+
+
+def commands() -> str:
+    """Every command with its arguments and options, as the program itself describes them."""
+    from deploy.cli.commands import COMMANDS, LazyCommand
+
+    return "\n".join(line for name in COMMANDS for line in _command(LazyCommand(name).load(), name))
+
+
+def _command(command: Any, name: str) -> Iterator[str]:
+    context = typer.Context(command, info_name=f"funnel-hil {name}")
+    yield f"## funnel-hil {name}\n"
+    yield inspect.cleandoc(command.help or "") + "\n"
+    records = (each.get_help_record(context) for each in command.get_params(context))
+    rows = [[f"`{name}`", text] for name, text in filter(None, records) if not STANDARD & {name}]
+    if rows:
+        yield table(["argument or option", "meaning"], rows)
+    for inner, each in getattr(command, "commands", {}).items():
+        yield from _command(each, f"{name} {inner}")
+
+
+@cache
+def meanings() -> dict[str, dict[str, str]]:
+    """What cannot be read from the code: the words for keys of results and for exit codes."""
+    found: dict[str, dict[str, str]] = yaml.safe_load(
+        Path(__file__).with_name("meanings.yaml").read_text(encoding="utf-8")
+    )
+    return found
+
+
+def summary() -> str:
+    """Every key of the ``summary.json`` of a short run."""
+    import funnel_hil
+
+    run = funnel_hil.simulate("paper_arm", {"duration_s": 0.01, "controller.law": "pid"})
+    known = meanings()["summary"]
+    keys = list(_leaves(run.summary, "", known))
+    only_sometimes = {key for key in known if known[key].startswith("only ")}
+    if wrong := set(keys) ^ set(known) - (only_sometimes - set(keys)):
+        raise ValueError(f"meanings.yaml and summary.json differ in {sorted(wrong)}")
+    return table(["key", "unit", "meaning"], [[f"`{k}`", unit_of(k), known[k]] for k in known])
+
+
+def _leaves(values: dict[str, Any], prefix: str, known: dict[str, str]) -> Iterator[str]:
+    for name, value in values.items():
+        key = f"{prefix}{name}"
+        if isinstance(value, dict) and key not in known:
+            yield from _leaves(value, f"{key}.", known)
+        else:
+            yield key
+
+
+def columns() -> str:
+    """Every column of the Parquet file of a short comparison."""
+    from pyarrow import parquet
+
+    import funnel_hil
+
+    with tempfile.TemporaryDirectory() as folder:
+        short = {"extends": "paper_arm", "name": "short", "duration_s": 0.01}
+        funnel_hil.compare(short, laws=["pid"], out=Path(folder) / "found")
+        schema = parquet.read_schema(next(Path(folder).rglob("*.parquet")))
+    in_summary = {key.rpartition(".")[2]: text for key, text in meanings()["summary"].items()}
+    known = in_summary | meanings()["columns"]
+    rows = [[f"`{each.name}`", str(each.type), unit_of(each.name), known[each.name]]
+            for each in schema]  # fmt: skip
+    return table(["column", "type", "unit", "meaning"], rows)
+
+
+def exit_codes() -> str:
+    """The exit codes."""
+    from deploy.run import exit_codes as codes
+
+    names = meanings()["exit_codes"]
+    return table(["code", "meaning"], [[str(getattr(codes, n)), t] for n, t in names.items()])
+
+
+def topics() -> str:
+    """The table of topics, and each message type of our own."""
+    from bus_schema.messages import topics as known
+
+    names = meanings()["topics"]
+    found = {each.name: each for each in vars(known).values() if isinstance(each, known.Topic)}
+    rows = [[f"`{name}`", f"`{t.type_name}`", t.sender or "controller, plant", t.rate, names[name]]
+            for name, t in found.items()]  # fmt: skip
+    lines = ["## Topics\n", table(["topic", "type", "sent by", "when", "content"], rows)]
+    files = sorted(Path(inspect.getfile(known)).parent.rglob("*.msg"))
+    heading = "## funnel_hil_msgs/msg/{}\n\n```text\n{}```\n"
+    return "\n".join(lines + [heading.format(file.stem, file.read_text()) for file in files])
+
+
+TABLES = {
+    each.__name__: each
+    for each in (scenario, uncertainty, commands, summary, columns, exit_codes, topics)
+}
+
+
+class Generated(SphinxDirective):
+    """The directive."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        text = TABLES[self.arguments[0]]()
+        found: list[nodes.Node] = self.parse_text_to_nodes(text, allow_section_headings=True)
+        return found
+
+
+def _write_math(writer: Any, node: nodes.math | nodes.math_block) -> None:
+    """Formulas as MathML: browsers show it without scripts, and offline."""
+    is_block = isinstance(node, nodes.math_block)
+    writer.body.append(tex2mathml(node.astext(), as_block=is_block))
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.add_directive("generated", Generated)
+    app.add_html_math_renderer("mathml", (_write_math, None), (_write_math, None))
+    return {"parallel_read_safe": True}
