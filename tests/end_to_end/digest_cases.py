@@ -36,12 +36,14 @@ def cases() -> dict[str, tuple[str, ...]]:
     """Scenario and overrides by the name of the case, which begins with the scenario's."""
     found: dict[str, tuple[str, ...]] = {}
     for path in sorted(SHIPPED.glob("*.yaml")):
-        # CAN has delays of its own, and takes no others.
-        delays = () if load_setup(path.stem).scenario.link.kind == "can" else DELAYED
+        # CAN has delays of its own, and takes no others. Drives are awaited by the wall's clock.
+        is_can = load_setup(path.stem).scenario.link.kind == "can"
+        patience = ("link.can.answer_timeout_s=60",) if is_can else ()
+        delays = () if is_can else DELAYED
         for law in LAWS:
-            found[f"{path.stem} {law} plain"] = (f"controller.law={law}",)
+            found[f"{path.stem} {law} plain"] = (f"controller.law={law}", *patience)
             found[f"{path.stem} {law} compensated"] = (
-                f"controller.law={law}", COMPENSATED, *delays
+                f"controller.law={law}", COMPENSATED, *patience, *delays
             )  # fmt: skip
     for law in ("fixed_time_model_based", "smc"):
         found[f"iiwa {law} on MuJoCo"] = (f"controller.law={law}", "plant.physics.engine=mujoco")
