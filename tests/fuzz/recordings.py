@@ -72,7 +72,7 @@ def try_recordings(count: int, seed: int, folder: Path) -> Counter[str]:
         assert not judged.complete, kind
         assert judged.damage, kind
         assert not summary["completed"], kind
-        assert summary["recording"]["damage"] == judged.damage
+        assert summary["recording"]["damage"][: len(judged.damage)] == judged.damage
         intact = all(read.payloads[name] == each for name, each in contents.payloads.items())
         outcomes["judged, all messages there" if intact else "judged as far as can be read"] += 1
     return outcomes

@@ -6,7 +6,7 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from itertools import count
 
 import pytest
@@ -20,7 +20,6 @@ from bus_schema.zenoh.bundle_order import _AGAIN_S, _MOST_ASKED, _MOST_WAITING, 
 from bus_schema.zenoh.bundles import MOST_AT_ONCE, Bundler, Span
 from bus_schema.zenoh.link import ZenohControllerLink
 from bus_schema.zenoh.session import ZenohSession
-from deploy.run.processes.relay import DelayRelay, tcp_address
 from tests.bus_schema.zenoh.recorder_ear import Ear, assert_heard, ear_on, exchange
 from tests.bus_schema.zenoh.zenoh_pair import (
     HANG_S,
@@ -34,26 +33,57 @@ SENDER = b"s" * 16
 
 
 class Wire:
-    """Carries connections to an endpoint while it is whole."""
+    """Takes one connection at a time to an endpoint, as long as it is whole."""
 
     def __init__(self, endpoint: str) -> None:
-        self._target, self._port = tcp_address(endpoint.removeprefix("tcp/")), 0
-        self.mend()
-        self.endpoint = f"tcp/127.0.0.1:{self._port}"
-
-    def mend(self) -> None:
-        listener = socket.create_server(("127.0.0.1", self._port))
-        self._port = listener.getsockname()[1]
-        self._is_cut = threading.Event()
-        relay = DelayRelay(listener, self._target, delay_ns=0)
-        self._carrying = threading.Thread(target=relay.run, args=[self._is_cut.is_set])
-        self._carrying.start()
-        self._listener = listener
+        self._there = endpoint
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        self._is_whole = threading.Event()
+        self._is_whole.set()
+        self._ends: list[socket.socket] = []
+        self._accepting = threading.Thread(target=self._accept, daemon=True)
+        self._accepting.start()
 
     def cut(self) -> None:
-        self._is_cut.set()
-        self._carrying.join(HANG_S)
+        self._is_whole.clear()
+        for end in self._ends:
+            _shut(end)
+
+    def mend(self) -> None:
+        self._is_whole.set()
+
+    def close(self) -> None:
+        self.cut()
+        _shut(self._listener)
         self._listener.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                here, _ = self._listener.accept()
+            except OSError:
+                return
+            if not self._is_whole.is_set():
+                here.close()
+                continue
+            host, _, port = self._there.removeprefix("tcp/").rpartition(":")
+            there = socket.create_connection((host, int(port)))
+            self._ends += here, there
+            for source, sink in ((here, there), (there, here)):
+                threading.Thread(target=_carry, args=(source, sink), daemon=True).start()
+
+
+def _carry(source: socket.socket, sink: socket.socket) -> None:
+    with suppress(OSError):
+        while data := source.recv(1 << 16):
+            sink.sendall(data)
+    _shut(sink)
+
+
+def _shut(end: socket.socket) -> None:
+    with suppress(OSError):
+        end.shutdown(socket.SHUT_RDWR)
 
 
 @contextmanager
@@ -63,7 +93,7 @@ def wire_to_controller(link: LinkConfiguration) -> Iterator[tuple[Wire, LinkConf
     try:
         yield wire, link.model_copy(update={"controller_endpoint": wire.endpoint})
     finally:
-        wire.cut()
+        wire.close()
 
 
 def await_loss(controller: ZenohControllerLink, ear: Ear) -> None:

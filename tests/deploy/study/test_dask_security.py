@@ -61,7 +61,7 @@ def warning_of(address, folder, capsys):
     }  # fmt: skip
     file.write_text(yaml.safe_dump(wanted))
     with pytest.raises(typer.Exit) as left:
-        studies.sweep(str(file), scheduler=address, out=folder / "out")
+        studies.sweep(sweep=str(file), scheduler=address, out=folder / "out")
     assert left.value.exit_code == 0
     return capsys.readouterr().err
 

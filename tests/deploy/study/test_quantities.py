@@ -192,7 +192,7 @@ def test_what_the_other_direction_has_counts_against_one():
 def test_an_arm_with_motors_has_a_margin_from_the_start_and_one_of_a_running_loop():
     def loops(**values):
         own = margin_of(scenarios=["ur5e_motors"], **values)
-        return [case.setting.running for case in own.cases]
+        return [case.setting.tags["running"] for case in own.cases]
 
     assert loops() == [False, True]
     assert loops(running=[True]) == [True]
