@@ -89,7 +89,7 @@ class CanKind(LinkKind[DrivenArm]):
 
     def with_own_place(self, link: LinkConfiguration) -> LinkConfiguration:
         can = link.can
-        if can.interface != "udp_multicast" or {"channel", "port"} & can.model_fields_set:
+        if not _may_choose_place(can):
             return link
         # Linux tells groups on one port not apart in every set-up: the port has to be free too.
         group = f"239.74.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
@@ -133,8 +133,15 @@ def _can_run(run: LinkRun) -> CanRun:
     return CanRun(run.robot.joint_names, run.link, run.grid, run.ticks, run.lockstep, run.drive)
 
 
+def _may_choose_place(can: CanConfiguration) -> bool:
+    """Whether a run gets a bus of its own: the scenario names none that others know."""
+    return can.interface == "udp_multicast" and not {"channel", "port"} & can.model_fields_set
+
+
 def _open_bus(run: LinkRun) -> CanBus:
-    if run.bus is not None and run.link.can.interface == "virtual":
+    can = run.link.can
+    # Simulations on one machine must not meet, and need no socket.
+    if run.bus is not None and (can.interface == "virtual" or _may_choose_place(can)):
         return _EXCHANGES.setdefault(run.bus, FrameExchange()).join()
     return open_can_bus(run.link.can)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from pathlib import Path
 
@@ -232,3 +233,16 @@ def test_targets_that_stop_coming_end_in_the_drives_own_timeout(protocol: str) -
     run = run_over_can("paper_arm_can", FEEDBACK, *bus_off, *PROTOCOLS[protocol])
     assert not run.summary["completed"]
     assert run.speed[-1] < 0.02
+
+
+def test_simulations_at_the_same_time_do_not_meet() -> None:
+    """As the workers of a study are; the shipped scenario is on a group that all machines share."""
+
+    def simulated(_: int) -> tuple[str, list[str]]:
+        data = simulate(load_setup("paper_arm_can", ["duration_s=0.1"])).data()
+        return data.digest, data.faults()
+
+    with ThreadPoolExecutor(2) as threads:
+        first, second = threads.map(simulated, range(2))
+    assert first == second == simulated(0)
+    assert first[1] == []
