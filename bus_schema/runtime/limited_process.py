@@ -6,6 +6,7 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 
 from bus_schema.runtime.signal_names import signal_name
 
@@ -25,12 +26,14 @@ class LimitedProcess:
     """
 
     def __init__(self, module: str, order: bytes) -> None:
-        self._order = order
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", module],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )  # fmt: skip
+        with tempfile.TemporaryFile() as file:  # a pipe would make one wait for the other
+            file.write(order)
+            file.seek(0)
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module],
+                stdin=file, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )  # fmt: skip
 
     def answer(self) -> bytes:
         """Wait for the answer.
@@ -41,7 +44,7 @@ class LimitedProcess:
         answer = b""
         with self._process as process:
             try:
-                answer, _ = process.communicate(self._order, _WAIT_S)
+                answer, _ = process.communicate(timeout=_WAIT_S)
             except subprocess.TimeoutExpired:
                 pass
             finally:

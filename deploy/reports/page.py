@@ -10,6 +10,7 @@ import contextlib
 import json
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -163,24 +164,25 @@ def write_page(path: Path, page: Page[T], *, shares_library: bool = False) -> No
     if shares_library:
         share_library(path.parent)
     address = library_address(path)
-    with no_template():
+    with ThreadPoolExecutor(max_workers=1) as beside, no_template():
+        packing = None if address else beside.submit(packed_library)  # a tenth of a second and more
         sections = _drawn(list(page.panels), page.subject)
+        packed = "" if packing is None else packing.result()
     html = _ENVIRONMENT.get_template("page.html").render(
-        page=page,
-        sections=sections,
-        library=address,
-        packed_library="" if address else packed_library(),
+        page=page, sections=sections, library=address, packed_library=packed
     )
     write_whole(path, html)
 
 
 def _drawn(panels: Sequence[Panel[T]], subject: T) -> dict[str, list[tuple[Panel[T], Any]]]:
     """Panels with what they show, by section; without those that have nothing to show."""
-    begun = {panel.id: panel.draw(subject) for panel in panels if panel.is_drawn_beside}
+    contents: dict[str, Any] = {}
+    for panel in sorted(panels, key=lambda panel: not panel.is_drawn_beside):
+        end_if_asked()
+        contents[panel.id] = panel.draw(subject)
     sections: dict[str, list[tuple[Panel[T], Any]]] = {}
     for panel in panels:
-        end_if_asked()
-        content = begun[panel.id] if panel.id in begun else panel.draw(subject)
+        content = contents[panel.id]
         if callable(content):
             content = content()
         if content is not None:

@@ -21,14 +21,15 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 from setproctitle import setproctitle
 
-from bus_schema.runtime import compiled
 from deploy.run.exit_codes import with_exit_codes
-from deploy.run.processes.status import StatusReporter
 from deploy.run.stop_signals import STOPS, stop_at_once
+
+if TYPE_CHECKING:  # the fork server starts before `run` loads the libraries, and loads them too
+    from deploy.run.processes.status import StatusReporter
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(["deploy.run.processes.fork_server"])
@@ -232,6 +233,8 @@ def _run_role(
     folder: Path,
 ) -> None:
     """Call the function, and end as a command does."""
+    from deploy.run.processes.status import StatusReporter
+
     title = f"{sys.executable} -m deploy.cli {role} {folder}"  # for `ps` and the like
     setproctitle(title.encode(errors="replace").decode())  # finds its place by the old environment
     surroundings.enter()
@@ -249,6 +252,7 @@ def _run_role(
 
 def _set_up_output(reporter: StatusReporter) -> None:
     """What is printed or logged is written at once; that something compiles is reported."""
+    from bus_schema.runtime import compiled
 
     def is_written(record: logging.LogRecord) -> bool:
         if record.msg != compiled.COMPILES:
