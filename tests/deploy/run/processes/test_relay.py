@@ -59,8 +59,8 @@ def test_no_chunk_leaves_sooner_than_its_delay_and_its_lateness_is_counted(strea
 
 def test_end_comes_after_all_bytes_and_as_late(stream: Stream) -> None:
     stream.sender.sendall(b"last words")
-    stream.sender.close()
     closed_ns = time.monotonic_ns()
+    stream.sender.close()
     assert stream.receiver.recv(100) == b"last words"
     assert stream.receiver.recv(100) == b""
     assert time.monotonic_ns() >= closed_ns + DELAY_NS
