@@ -31,6 +31,8 @@ class Station:
         self.to_come = []
         self.delivered = []
         self.messages = []
+        self.published = []
+        self.stall_ns = {}  # by the stamp of the state whose delivery takes so long
 
     def expect(self, stamp_ns, arrival_ns):
         """A command answering the state of `stamp_ns` will arrive; torques tell which one it is."""
@@ -45,6 +47,7 @@ class Station:
         self._command.fields["velocity"][:] = 0.0
 
     def publish(self, topic, payload):
+        self.published.append((topic, payload))
         return 0
 
     def send_state(self, state, status):
@@ -52,6 +55,7 @@ class Station:
         self._layout.decode(state, record)
         self.delivered.append((self.clock.now_ns(), record.stamp_ns))
         self.messages.append((state, status))
+        self.clock.wait_until(self.clock.now_ns() + self.stall_ns.get(record.stamp_ns, 0))
 
     def wait_until(self, clock, instant_ns):
         return clock.wait_until(instant_ns)
@@ -83,12 +87,13 @@ def run():
     """Runs a plant for 20 ms; the station, and (start of a substep, torque of joint 1) of each."""
     arms = []
 
-    def start(*overrides, expected=(), awake_ns=0):
+    def start(*overrides, expected=(), awake_ns=0, stall_ns=None):
         setup = load_setup("paper_arm", ["duration_s=0.02", *overrides])
         clock, arm = VirtualClock(), setup.arm()
         clock.awake_ns = awake_ns
         arms.append(arm)
         station = Station(setup.robot.joint_names, clock)
+        station.stall_ns = stall_ns or {}
         for stamp_ns, arrival_ns in expected:
             station.expect(stamp_ns, arrival_ns)
         in_force, steps = [0.0], []
@@ -138,6 +143,17 @@ def test_waiting_awake_for_a_tick_changes_nothing(run, uplink_ms):
     assert len({torque for _, torque in steps}) > 10
     assert awake.delivered == asleep.delivered
     assert awake.messages == asleep.messages
+
+
+def test_ticks_for_which_the_plant_comes_too_late_are_skipped_and_counted(run):
+    """Nothing is measured there, but the physics goes through them."""
+    station, steps = run(stall_ns={5 * MS: 3_400_000})
+    stamps = [stamp_ns // MS for _, stamp_ns in station.delivered]
+    assert stamps == [0, 1, 2, 3, 4, 5, *range(8, 20)]
+    assert [start_ns for start_ns, _ in steps] == [k * SUBSTEP_NS for k in range(80)]
+    layout = topics.layout(topics.PLANT_TRUTH, ("base_yaw", "shoulder", "elbow"))
+    truths = [payload for topic, payload in station.published if topic is topics.PLANT_TRUTH]
+    assert layout.tabulate(truths)["timing.skipped"][[0, 5, -1]].tolist() == [0, 0, 2]
 
 
 def first_under(steps, torque_nm):
