@@ -186,3 +186,15 @@ def test_timeline_forgets_only_what_is_no_longer_in_flight():
     flight = ahead(commands, CAPACITY, now_ns)
     assert (flight.upcoming, flight.newest) == (CAPACITY + 50, CAPACITY + 99)
     assert (CAPACITY + 50) * MS + flight.delay_ns == now_ns
+
+
+@pytest.mark.parametrize(("jitter_ms", "upcoming"), [(0, 102), (1, 101)])
+def test_command_is_awaited_longer_where_delays_vary(jitter_ms, upcoming):
+    """The next command is 1 ms overdue: lost if all took 5 ms, late if some took 6 ms."""
+    commands = no_commands(1, 0)
+    for number in range(1, 110):
+        note(commands, np.zeros(1), np.zeros((2, 1)), number, number * MS)
+    for number in range(1, 101):
+        delay_ms = 5 + jitter_ms * (-1) ** number
+        observe_delay(commands, number, delay_ms * MS, (number + delay_ms) * MS)
+    assert ahead(commands, 100, (101 + 5 + 1) * MS).upcoming == upcoming
