@@ -192,6 +192,7 @@ def test_with_keys_no_event_of_a_loop_is_believed_by_itself(by_role: bool) -> No
     forged = RunEvent(5, "plant", EventKind.ENDED, '{"ticks": 1000, "completed": true}').encode()
     with plant_on(link), ear_on(link) as ear:
         ear.mailbox._by_role = by_role
+        ear.await_true(lambda: Role.PLANT in ear.mailbox._have_bundled)
         ear.mailbox._have_bundled.clear()  # as if it had not announced itself yet
         client = {"mode": "client"}
         stranger = ZenohSession([], [link.plant_endpoint], low_latency=False, security=client)
