@@ -22,6 +22,10 @@ run_in_user_mode_linux() {
   boot
   if [[ ! -s $exchange/status ]]; then
     cat "$exchange/console" >&2
+    if grep -qw amx_tile /proc/cpuinfo; then
+      fail "User-mode Linux ended: version $(linux.uml --version) cannot run programs on this CPU," \
+        "which has AMX. Use a machine without AMX, or one whose kernel has vcan"
+    fi
     fail "User-mode Linux ended before the command did; above is what it said"
   fi
   return "$(<"$exchange/status")"
