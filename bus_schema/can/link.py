@@ -135,8 +135,8 @@ class CanControllerLink(ControllerLink):
     ) -> None:
         self._telemetry.await_recorder(timeout_s, is_stop_requested)
 
-    def require_same_scenario(self, role: Role) -> None:
-        self._telemetry.require_same_scenario(role)
+    def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
+        self._telemetry.require_same_scenario(role, wait_s)
 
     def await_recorded(self) -> None:
         self._telemetry.await_recorded()

@@ -79,7 +79,7 @@ class InProcessNode:
     def sees(self, role: Role) -> bool:
         return not self._bus.has_left[role].is_set()
 
-    def require_same_scenario(self, role: Role) -> None:
+    def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
         """There is but one inside a process."""
 
     def await_recorder(

@@ -49,8 +49,12 @@ class Link(Protocol):
             PeerSilentError: none came within `timeout_s`, wall time.
         """
 
-    def require_same_scenario(self, role: Role) -> None:
+    def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
         """Check that a process of ours runs the same scenario, as far as it has said so.
+
+        Args:
+            role: which process.
+            wait_s: how long one that has announced itself may take to say it, wall time.
 
         Raises:
             ScenarioMismatchError: it does not.
@@ -61,6 +65,10 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Leave the bus."""
+
+
+SCENARIO_WAIT_S = 1.0
+"""Within which one of our own processes says which scenario it runs: before a loop starts."""
 
 
 class Telemetry(Link, Protocol):

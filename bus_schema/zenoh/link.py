@@ -15,7 +15,14 @@ from typing import Any
 from bus_schema.errors import PeerSilentError
 from bus_schema.link.agreement import Agreement
 from bus_schema.link.configuration import LinkConfiguration
-from bus_schema.link.interface import CommandArrival, ControllerLink, PlantLink, StateHandler, never
+from bus_schema.link.interface import (
+    SCENARIO_WAIT_S,
+    CommandArrival,
+    ControllerLink,
+    PlantLink,
+    StateHandler,
+    never,
+)
 from bus_schema.messages import topics
 from bus_schema.messages.run_event import COMMANDS_RECEIVED
 from bus_schema.messages.topics import Role
@@ -95,7 +102,7 @@ class ZenohPlantLink(ZenohNode, PlantLink):
             if now_s > give_up_s:
                 raise PeerSilentError(Role.CONTROLLER, timeout_s, "sign of life")
             time.sleep(LOOK_S)
-        self.require_same_scenario(Role.CONTROLLER)
+        self.require_same_scenario(Role.CONTROLLER, SCENARIO_WAIT_S)
         self._commander_was_seen = self._graph.has_publisher(topics.JOINT_COMMANDS)
 
     def _note_command(self, delivery: Delivery, arrival: CommandArrival) -> None:

@@ -153,7 +153,7 @@ class ZenohNode:
         """A watch that reports why one of our own processes may be missing."""
         return SilenceWatch(self._link, self._role, role)
 
-    def require_same_scenario(self, role: Role) -> None:
+    def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
         """Check what processes of a role announced; others announce nothing.
 
         One that agrees is enough: anybody may have sent what the others announce. So is one that
@@ -162,12 +162,23 @@ class ZenohNode:
         Raises:
             ScenarioMismatchError: it runs another scenario.
         """
+        give_up_s = time.monotonic() + wait_s
+        while not self.says_its_scenario(role) and time.monotonic() < give_up_s:
+            time.sleep(LOOK_S)
         found = dict(self._differences.get(role.value, {}))
         differing = [keys for session, keys in found.items() if session in self._graph.announced]
         if differing and all(found.values()):
             raise ScenarioMismatchError(
                 role, differing[-1], may_be_forged=not self._link.security.enabled
             )
+
+    def says_its_scenario(self, role: Role) -> bool:
+        """Whether each of our own processes of a role has announced its scenario by now.
+
+        Zenoh brings the tokens of a session in any order: the scenario may come after the rest.
+        """
+        said = self._differences.get(role.value, {}).keys()
+        return self._agreement is None or self._graph.sessions_of(role) <= said
 
     def acknowledge(self, gid: bytes) -> None:
         """As a recorder: announce that all messages of a publisher of run events are recorded."""

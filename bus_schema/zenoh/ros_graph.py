@@ -183,6 +183,13 @@ class RosGraph:
         """Whether one of our own processes is on the bus."""
         return any(entity.node == node_name(role) for entity in self.others(EntityKind.NODE))
 
+    def sessions_of(self, role: Role) -> set[str]:
+        """Other sessions that have announced anything in the name of a process of ours."""
+        known = list(self._entities.values())
+        return {each.session for each in known if each.node == node_name(role)} - {
+            self._own_session
+        }
+
     def speakers(self) -> set[str]:
         """Sessions that have announced that they send on our topics."""
         names = {topic.name for topic in TOPICS}

@@ -20,7 +20,7 @@ from bus_schema.can.codec import CanCodec
 from bus_schema.can.frame import CanFrame
 from bus_schema.can.link import CanRun
 from bus_schema.errors import PeerSilentError
-from bus_schema.link.interface import CommandArrival, PlantLink, Telemetry, never
+from bus_schema.link.interface import SCENARIO_WAIT_S, CommandArrival, PlantLink, Telemetry, never
 from bus_schema.messages import topics
 from bus_schema.messages.layout import Record
 from bus_schema.messages.topics import Role, Topic
@@ -101,7 +101,7 @@ class CanPlantLink(PlantLink):
                 self._waiting.append(frame)
                 break
             self._drives.handle(frame, self._clock.now_ns())
-        self._telemetry.require_same_scenario(Role.CONTROLLER)
+        self._telemetry.require_same_scenario(Role.CONTROLLER, SCENARIO_WAIT_S)
         self._clock.anchor(self._lead_ns + time.monotonic_ns() - heard_ns)
         self._drives.bank.take_targets()
         self._samplings = self._drives.bank.samplings
@@ -178,8 +178,8 @@ class CanPlantLink(PlantLink):
         counts = rejected if dropped is None else rejected | {"dropped": dropped}
         return {"can": self._drives.medium.summary(now_ns) | counts}
 
-    def require_same_scenario(self, role: Role) -> None:
-        self._telemetry.require_same_scenario(role)
+    def require_same_scenario(self, role: Role, wait_s: float = 0.0) -> None:
+        self._telemetry.require_same_scenario(role, wait_s)
 
     def await_recorded(self) -> None:
         """Stay until the master has stopped the drives, and the recorder has everything."""

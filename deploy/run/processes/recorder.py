@@ -193,8 +193,8 @@ class Recorder:
                 stay_until_s = time.monotonic() + _RETURN_S
             looked_s = time.monotonic()
             a_peer_is_there = self._node.sees(Role.PLANT) or self._node.sees(Role.CONTROLLER)
-            if not has_received:
-                for role in (Role.PLANT, Role.CONTROLLER):
+            for role in (Role.PLANT, Role.CONTROLLER):
+                if not has_received or not self._node.says_its_scenario(role):
                     self._node.require_same_scenario(role)
             time.sleep(_PAUSE_S)
             has_written = self._write_what_came()

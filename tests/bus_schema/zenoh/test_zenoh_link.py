@@ -28,7 +28,7 @@ from bus_schema.zenoh import arrivals, outbox
 from bus_schema.zenoh import link as zenoh_link
 from bus_schema.zenoh.access import scenario_key_expression
 from bus_schema.zenoh.link import ZenohPlantLink
-from bus_schema.zenoh.ros_graph import node_token
+from bus_schema.zenoh.ros_graph import EntityKind, endpoint_token, node_name, node_token
 from bus_schema.zenoh.session import Delivery, Inbox, ZenohSession
 from tests.bus_schema.zenoh.recorder_ear import ear_on
 from tests.bus_schema.zenoh.zenoh_pair import (
@@ -224,6 +224,23 @@ def test_scenario_token_alone_ends_nobody() -> None:
             plant.require_same_scenario(Role.CONTROLLER)
         plant._on_scenario(token("ours", ours), True)
         plant.require_same_scenario(Role.CONTROLLER)
+
+
+def test_scenario_that_comes_after_all_other_tokens_is_waited_for() -> None:
+    """Zenoh brings the tokens of a session that was there before in any order."""
+    ours, theirs = Agreement({"rate_hz": "1000"}), Agreement({"rate_hz": "500"})
+    scenario = scenario_key_expression(0, Role.CONTROLLER, "other", theirs.encode())
+    clock = VirtualClock()
+    with closing(ZenohPlantLink(fresh_link(), clock, lockstep=True, agreement=ours)) as plant:
+        node = node_name(Role.CONTROLLER)
+        plant._on_token(node_token(0, "other", node), True)
+        commands = endpoint_token(0, "other", node, 1, EntityKind.PUBLISHER, JOINT_COMMANDS)
+        plant._on_token(commands, True)
+        late = threading.Timer(0.1, plant._on_scenario, (scenario, True))
+        late.start()
+        with pytest.raises(ScenarioMismatchError, match="rate_hz"):
+            plant.await_controller(HANG_S)
+        late.join()
 
 
 LONGER_THAN_A_BATCH_WAITS_S = 0.03
