@@ -32,7 +32,7 @@ COMMANDS = {
     "record": "processes:record",
     "relay": "processes:relay",
     "keys": "keys:app",
-    "compare": "study.experiments:compare",
+    "compare": "study.studies:compare",
     "sweep": "study.studies:sweep",
     "margin": "study.studies:margin",
     "report": "study.experiments:report",

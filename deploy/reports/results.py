@@ -10,16 +10,18 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.judge.conditions import Conditions, conditions_of_recording
+from deploy.judge.conditions import Conditions, conditions_of_recording, conditions_of_runs
 from deploy.judge.metrics import summarise
 from deploy.judge.run_data import RunData
+from deploy.judge.run_rows import read_rows, write_rows
 from deploy.judge.verdict import Verdict, decide, with_verdict
-from deploy.run.confirmation import CONFIRMATION
+from deploy.run.confirmation import CONFIRMATION, CONFIRMATION_COLUMNS
 from deploy.run.fault_record import fault_record
 from deploy.run.run_folder import ResultFolder, RunFolder, read_manifest, read_summary
 from deploy.run.stop_signals import end_if_asked
 
 if TYPE_CHECKING:
+    from deploy.study.comparison.comparison import ComparedRuns
     from deploy.study.comparison.recorded import RecordedRuns
     from deploy.study.folder import StudyFolder
     from deploy.study.study import StudyOfRuns
@@ -87,13 +89,47 @@ def write_study_results(study: StudyOfRuns, folder: StudyFolder) -> dict[str, An
     """Judge the rows of a study and write table, summary and report; the summary."""
     from deploy.reports.study_report import write_study_report  # with all figures
 
-    summary = study.summary(folder.rows)
-    summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
-    folder.write(summary["conditions"], completed=summary["completed"])
+    summary = judge_rows(study, folder)
     write_json(folder.summary, {**summary, "completed": False})  # until all is written
     write_study_report(summary, folder)
     write_json(folder.summary, summary)
     return summary
+
+
+def judge_rows(study: StudyOfRuns, folder: StudyFolder) -> dict[str, Any]:
+    """What the rows of a study say, once its table is written."""
+    summary = study.summary(folder.rows)
+    summary["conditions"] = study.conditions(summary, read_manifest(folder.path))
+    folder.write(summary["conditions"], completed=summary["completed"])
+    return summary
+
+
+def write_comparison_results(folder: ResultFolder, summary: Mapping[str, Any]) -> ComparedRuns:
+    """Judge the recordings of a comparison and write table, summary and report; its runs.
+
+    Args:
+        folder: where they are.
+        summary: what its rows, or its folder, say of it.
+
+    Raises:
+        RunFolderError: a recording is missing or cannot be read.
+    """
+    from deploy.reports.run_reports import write_comparison_report  # with all figures
+    from deploy.study.comparison.comparison import COLUMNS, KIND, compared_in, rows_again
+
+    compared, file = compared_in(folder.path, summary), folder.path / f"{KIND}.parquet"
+    setups = [run.data.setup for run in compared.runs]
+    of_runs: dict[str, Any] = {"laws": {run.law: run.summary for run in compared.runs}}
+    if setups:
+        of_runs["clock"] = compared.runs[0].summary["clock"]
+        of_runs["conditions"] = conditions_of_runs(setups, read_manifest(folder.path))
+        before = read_rows(file) if file.is_file() else []
+        confirmed = CONFIRMATION_COLUMNS if any("confirmed_on" in each for each in before) else {}
+        rows, columns = rows_again(compared, before), {**COLUMNS, **confirmed}
+        write_rows(rows, file, columns, of_runs["conditions"])
+        write_comparison_report(compared, folder.report, of_runs["conditions"])
+    write_json(folder.summary, {**summary, **of_runs})
+    return compared
 
 
 def load_report() -> Callable[..., None]:

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from bus_schema.recording.atomic_files import write_json, write_whole
 from bus_schema.user_files import is_file
+from controller.laws import LAWS
 from deploy.judge.conditions import Conditions
 from deploy.judge.run_rows import Row, left_nothing, read_rows, write_rows
 from deploy.run import run_folder
@@ -25,9 +27,9 @@ from deploy.scenario.effective import effective_scenario, write_scenario
 from deploy.scenario.referenced_files import data_files
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.warnings import all_warnings
 from deploy.scenario.yaml_files import ScenarioError, read_yaml, to_yaml
 from deploy.scenario.yaml_text import values_of
+from deploy.study.comparison.comparison import Comparison
 from deploy.study.growth import changes, hindrances
 from deploy.study.margin import Margin
 from deploy.study.robustness import Robustness
@@ -35,7 +37,9 @@ from deploy.study.study import PlannedRun, StudyOfRuns, digest_of
 from deploy.study.sweep import Sweep
 
 STUDY_FILE = "study.yaml"
-KINDS: dict[str, type[StudyOfRuns]] = {kind.kind: kind for kind in (Sweep, Margin, Robustness)}
+KINDS: dict[str, type[StudyOfRuns]] = {
+    kind.kind: kind for kind in (Sweep, Margin, Robustness, Comparison)
+}
 _WRITE_EVERY_S, _SHARE_OF_WRITING = 1.0, 0.05
 _SHOWN_HINDRANCES = 3
 
@@ -90,6 +94,24 @@ class StudyFolder(run_folder.ResultFolder):
             self._rows[run.key] = {**row, "point": run.point}
         return self._rows[run.key]
 
+    def find_done(self, run: PlannedRun) -> Row | None:
+        """The row of a run that need not be done again.
+
+        A recording is of use if it is whole, and of a shipped law: others may have changed since.
+        """
+        row = self.find(run)
+        if row is None or left_nothing(row):
+            return None
+        if run.recording is None:
+            return row
+        log = run_folder.RunFolder(self.path / run.recording).log
+        return row if row["completed"] and row["law"] in LAWS and log.exists() else None
+
+    def placed(self, run: PlannedRun) -> PlannedRun:
+        """The run with the whole path of its recording."""
+        recording = None if run.recording is None else self.path / run.recording
+        return replace(run, recording=recording)
+
     def _identity(self, values: Row) -> tuple[Any, ...]:
         """What tells a run or its row from all others of the study."""
         told = (values.get(name) for name in (*self._study.columns, "seed"))
@@ -123,7 +145,7 @@ class StudyFolder(run_folder.ResultFolder):
     def keep_scenario(self, run: PlannedRun) -> None:
         """Write the scenario of a run's point, unless it is there."""
         file = self.scenarios / f"{run.point}.yaml"
-        if file.exists():
+        if run.recording is not None or file.exists():
             return
         self.scenarios.mkdir(exist_ok=True)
         setup = load_setup(run.scenario, [*run.overrides, f"seed={self._seed}"])
@@ -209,8 +231,7 @@ def _identity(study: StudyOfRuns) -> dict[str, Any]:
 
 
 def _manifest(study: StudyOfRuns) -> dict[str, Any]:
-    warnings = all_warnings(study.bases)
-    return {**run_folder.provenance(), "warnings": warnings, "study": _identity(study)}
+    return {**study.provenance(), "study": _identity(study)}
 
 
 def _can_go_on(path: Path, wanted: dict[str, Any]) -> bool:

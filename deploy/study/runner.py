@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Protocol
 
-from deploy.judge.run_rows import Row, left_nothing
+from deploy.judge.run_rows import Row
 from deploy.scenario.yaml_files import override
 from deploy.study.folder import StudyFolder
 from deploy.study.study import PlannedRun, StudyOfRuns
@@ -66,9 +66,9 @@ def carry_out(
         while (wanted or in_flight) and not stop.is_set():
             while wanted and in_flight < most_in_flight:
                 run = wanted.popleft()
-                known = folder.find(run)
-                if known is None or left_nothing(known):
-                    workers.submit(_on_our_engine(run, study))
+                known = folder.find_done(run)
+                if known is None:
+                    workers.submit(folder.placed(_on_our_engine(run, study)))
                     in_flight += 1
                 else:
                     folder.keep_scenario(run)

@@ -9,6 +9,7 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -22,10 +23,12 @@ from deploy.judge.conditions import Conditions, conditions_of_runs
 from deploy.judge.run_rows import Row, failed_row, row
 from deploy.run.confirmation import CONFIRMATION, confirmations, confirmed_row
 from deploy.run.execute import execute
+from deploy.run.run_folder import RunFolder, provenance
 from deploy.scenario.definition import Name
 from deploy.scenario.scenario import SHIPPED as SHIPPED_SCENARIOS
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.scenario.warnings import all_warnings
 from deploy.scenario.yaml_files import find_yaml, override, read_yaml
 from deploy.study.statistics import commonest_error, seeds_of
 
@@ -112,6 +115,7 @@ class PlannedRun:
         columns: what the study varies, by column of its table; with the seed, it tells a run from
             all others.
         confirm: simulate it on other physics too.
+        recording: the folder to record it to, below that of the study; None keeps its row alone.
     """
 
     point: str
@@ -120,6 +124,7 @@ class PlannedRun:
     seed: int
     columns: dict[str, Any]
     confirm: bool = False
+    recording: Path | str | None = None
 
     @property
     def key(self) -> tuple[str, int]:
@@ -131,15 +136,24 @@ def row_of(run: PlannedRun) -> Row:
     """Run and judge; whatever goes wrong is the row's `error`."""
     try:
         setup = load_setup(run.scenario, [*run.overrides, f"seed={run.seed}"])
-        done = execute(setup)
-        values = (
-            confirmed_row(setup, done.data, done.summary)
-            if run.confirm
-            else row(done.summary, run.seed)
-        )
+        with _folder(setup, run) as folder:
+            done = execute(setup, None, folder)
+            values = row(done.summary, run.seed)
+            if run.confirm:
+                values = confirmed_row(setup, done.data, done.summary)
+                done.summary[CONFIRMATION] = confirmations([values])
+            if folder is not None:
+                done.keep(folder)
     except Exception as error:  # noqa: BLE001 - one bad run must not end a study
         return failed(run, f"{type(error).__name__}: {error}")
     return {**values, **run.columns, "point": run.point}
+
+
+def _folder(setup: Setup, run: PlannedRun) -> AbstractContextManager[RunFolder | None]:
+    """Where a run is recorded, if it is."""
+    if run.recording is None:
+        return nullcontext()
+    return RunFolder.begin(setup, Path(run.recording), overwrite=True)
 
 
 def failed(run: PlannedRun, error: str) -> Row:
@@ -240,6 +254,10 @@ class StudyOfRuns(ABC):
             CONFIRMATION: confirmations(rows),
             **self.findings(rows),
         }
+
+    def provenance(self) -> dict[str, Any]:
+        """What was run, with what, and where, for ``manifest.json``."""
+        return {**provenance(), "warnings": all_warnings(self.bases)}
 
     def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
         """What its tables, figures and rows are to be quoted with.

@@ -6,17 +6,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bus_schema.recording.atomic_files import write_json
-from deploy.reports.results import write_diff_results, write_run_results
-from deploy.reports.run_reports import write_comparison_report
+from controller.laws.custom import laws_given
+from deploy.reports.results import (
+    judge_rows,
+    write_comparison_results,
+    write_diff_results,
+    write_run_results,
+)
 from deploy.run.execute import InProcess, JudgedRun, execute
 from deploy.run.network.links import check_link
 from deploy.run.new_folder import new_folder
 from deploy.run.run_folder import ResultFolder, RunFolder, provenance
 from deploy.scenario.study_keys import laws_beside
-from deploy.study.comparison.comparison import ComparedRuns, ComparisonFolder, judged_again
+from deploy.study.comparison.comparison import ComparedRuns, judged_again
+from deploy.study.comparison.comparison import Comparison as OfLaws
 from deploy.study.comparison.recorded import KIND, recorded_runs
+from deploy.study.study import StudyOfRuns
 from funnel_hil.results import Comparison, Diff, Run
 from funnel_hil.scenarios import Changes, InputError, Law, Scenario, ScenarioLike
+from funnel_hil.studies import carried_out
 
 
 def simulate(
@@ -79,15 +87,17 @@ def compare(
         )
     if out is None:
         return Comparison(ComparedRuns([_judged(each) for each in tried]))
-    setups = [each.setup for each in tried]
-    with ComparisonFolder.begin(setups, Path(out), overwrite=overwrite) as folder:
-        runs = []
-        for each in tried:
-            with each.laws():
-                runs.append(folder.known(each.setup) or folder.add(each.setup))
-        compared = ComparedRuns(runs)
-        write_comparison_report(compared, folder.report, folder.conclude(compared))
-    return Comparison(compared)
+    makers = {name: make for each in tried for name, make in each.makers.items()}
+
+    def build(file: Path) -> StudyOfRuns:
+        laws = [each.law for each in tried]
+        return OfLaws({"scenario": str(file), "laws": laws}, Path("compare"))
+
+    with (
+        laws_given(makers),
+        carried_out(base, build, Path(out), overwrite=overwrite) as (study, folder),
+    ):
+        return Comparison(write_comparison_results(folder, judge_rows(study, folder)))
 
 
 def load_run(path: str | Path) -> Run:

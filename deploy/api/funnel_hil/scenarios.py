@@ -64,11 +64,11 @@ class Scenario:
         self, source: ScenarioLike = "paper_arm", changes: Changes | None = None,
         law: Law | None = None,
     ) -> None:  # fmt: skip
-        self._makers: dict[str, Maker] = {}
+        self.makers: dict[str, Maker] = {}
         before: tuple[str, ...] = ()
         if isinstance(source, Scenario):
             self._values, self._file = source._values, source._file
-            self._makers, before = dict(source._makers), source.overrides
+            self.makers, before = dict(source.makers), source.overrides
         elif isinstance(source, Mapping):
             self._values, self._file = plain(dict(source)), Path("scenario")
         else:
@@ -77,7 +77,7 @@ class Scenario:
         told = dict(_leaves(changes or {}))
         if law is not None:
             told[LAW], makers = named_law(law)
-            self._makers |= makers
+            self.makers |= makers
         self.overrides = (*before, *(override(key, value) for key, value in told.items()))
         self.setup  # noqa: B018  (whatever is wrong with it is told now)
 
@@ -117,7 +117,7 @@ class Scenario:
     @contextmanager
     def laws(self) -> Iterator[None]:
         """Meanwhile the names of its laws stand for the classes or objects that were given."""
-        with laws_given(self._makers):
+        with laws_given(self.makers):
             yield
 
 

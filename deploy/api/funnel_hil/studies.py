@@ -6,14 +6,15 @@ import itertools
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from controller.laws.custom import Maker, laws_given
 from deploy.judge.run_rows import Row
 from deploy.reports.results import write_study_results
+from deploy.run.new_folder import new_folder
 from deploy.study.folder import StudyFolder, create_folder, find_folder
 from deploy.study.robustness import margin_study
 from deploy.study.runner import Workers, carry_out
@@ -141,7 +142,25 @@ def _conducted(
     out: str | Path | None,
     told: Told | None,
 ) -> Study:
-    """Carry a study out, or on.
+    """Carry a study out, or on, and judge it."""
+    with ExitStack() as stack:
+        place = stack.enter_context(tempfile.TemporaryDirectory()) if out is None else out
+        with carried_out(given, build, Path(place), workers, scheduler, told) as (study, folder):
+            return Study(write_study_results(study, folder), folder.rows, folder.rerun_command)
+
+
+@contextmanager
+def carried_out(
+    given: Scenario,
+    build: Callable[[Path], StudyOfRuns],
+    out: Path,
+    workers: int | None = 0,
+    scheduler: str | None = None,
+    told: Told | None = None,
+    *,
+    overwrite: bool = False,
+) -> Iterator[tuple[StudyOfRuns, StudyFolder]]:
+    """Carry a study out, or on; the study, and its folder, which is locked meanwhile.
 
     The scenario is written to a file, from which every run reads it.
     """
@@ -152,11 +171,7 @@ def _conducted(
             told(next(done), expected)
 
     with ExitStack() as stack:
-        if out is None:
-            place = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        else:
-            place = Path(out).resolve()
-        study, path = _begun(given, build, place)
+        study, path = _begun(given, build, out.resolve(), overwrite=overwrite)
         folder = stack.enter_context(StudyFolder(path, study).lock())
         folder.become()
         team: Workers = _Here()
@@ -165,13 +180,15 @@ def _conducted(
 
             team = stack.enter_context(DaskWorkers(workers or None, scheduler, study.laws))
         carry_out(study, team, folder, threading.Event(), progress)
-        return Study(write_study_results(study, folder), folder.rows, folder.rerun_command)
+        yield study, folder
 
 
 def _begun(
-    given: Scenario, build: Callable[[Path], StudyOfRuns], place: Path
+    given: Scenario, build: Callable[[Path], StudyOfRuns], place: Path, *, overwrite: bool
 ) -> tuple[StudyOfRuns, Path]:
     """The study, and the folder in which it begins or goes on."""
+    if overwrite:
+        new_folder(given.name, place, overwrite=True)
     place.mkdir(parents=True, exist_ok=True)
     file = place / "base" / f"{given.name}.yaml"
     text = given.to_yaml()

@@ -8,23 +8,22 @@ from typing import Annotated, Any
 import typer
 
 from deploy.cli.common import parse_laws
-from deploy.cli.options import Confirm, Out, Overrides, Overwrite
+from deploy.cli.options import (
+    Confirm,
+    Out,
+    Overrides,
+    Overwrite,
+    RequireBounds,
+    ScenarioArgument,
+)
 from deploy.scenario.yaml_files import ScenarioError, option_value, parse_override
+from deploy.study.comparison.settling import OFFSETS_RAD
 
 
 @dataclass(kw_only=True)
-class StudyOptions:
-    """The options that `sweep` and `margin` have in common."""
+class WorkerOptions:
+    """The options of every command that does many runs."""
 
-    plants: Annotated[
-        int | None, typer.Option(metavar="N", help="Try N plants, drawn from what is uncertain.")
-    ] = None
-    plant_seed: Annotated[
-        int | None, typer.Option(help="Another one draws other plants; default 1.")
-    ] = None
-    uncertainty: Annotated[
-        str | None, typer.Option(help="A file of ranges to draw from; shipped are full, half.")
-    ] = None
     overrides: Overrides = None
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes to run on; one per core by default.")
@@ -39,6 +38,44 @@ class StudyOptions:
     def fixed(self) -> dict[str, Any]:
         """What ``--set`` gives, by dotted key."""
         return dict(map(parse_override, self.overrides or []))
+
+
+@dataclass(kw_only=True)
+class CompareOptions(WorkerOptions):
+    """The options of `compare`."""
+
+    scenario: ScenarioArgument = "paper_arm"
+    laws: Annotated[
+        str | None, typer.Option(metavar="A,B,…", help="Laws to compare; all by default.")
+    ] = None
+    settling: Annotated[
+        bool,
+        typer.Option("--settling", help="Also measure settling times from offsets of up to 1 rad."),
+    ] = False
+    require_bounds: RequireBounds = False
+
+    def definition(self) -> dict[str, Any]:
+        """The comparison that is asked for."""
+        return {
+            "scenario": self.scenario, "laws": parse_laws(self.laws), "set": self.fixed(),
+            "settling_rad": list(OFFSETS_RAD) if self.settling else [],
+            "confirm": self.confirm or None,
+        }  # fmt: skip
+
+
+@dataclass(kw_only=True)
+class StudyOptions(WorkerOptions):
+    """The options that `sweep` and `margin` have in common."""
+
+    plants: Annotated[
+        int | None, typer.Option(metavar="N", help="Try N plants, drawn from what is uncertain.")
+    ] = None
+    plant_seed: Annotated[
+        int | None, typer.Option(help="Another one draws other plants; default 1.")
+    ] = None
+    uncertainty: Annotated[
+        str | None, typer.Option(help="A file of ranges to draw from; shipped are full, half.")
+    ] = None
 
     def definition(self) -> dict[str, Any]:
         """What is given of a study's definition, but for what ``--set`` gives."""

@@ -1,26 +1,32 @@
-"""The commands that do many runs: sweeps and margins."""
+"""The commands that do many runs: comparisons, sweeps and margins."""
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import typer
 from rich.console import Console
 
-from deploy.cli.common import judging, say_oddities, show_places
+from deploy.cli.common import judging, leave, say_oddities, show_places
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
+    CompareOptions,
     MarginOptions,
     StudyOptions,
     SweepOptions,
+    WorkerOptions,
     definition_with,
 )
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.judge.run_rows import Row
-from deploy.reports.results import write_study_results
+from deploy.reports.comparison_tables import law_table, verdict_table
+from deploy.reports.quantities import RMS_ERROR
+from deploy.reports.results import judge_rows, write_comparison_results, write_study_results
 from deploy.reports.run_tables import confirmation_tables
 from deploy.reports.study_tables import (
     headlines,
@@ -31,13 +37,17 @@ from deploy.reports.study_tables import (
     robustness_table,
     write_study_table,
 )
+from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
+from deploy.reports.verdict import bounds_sentence, recording_sentences
 from deploy.run.confirmation import check_confirmable
 from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
 from deploy.run.processes.program import require_program
-from deploy.run.run_folder import read_summary
+from deploy.run.run_folder import ResultFolder, read_summary
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.yaml_files import ScenarioError, find_yaml, read_yaml
+from deploy.study.comparison.comparison import KIND, ComparedRuns, Comparison
+from deploy.study.comparison.settling import SettlingTest
 from deploy.study.folder import StudyFolder, changes_since, create_folder, find_folder, read_study
 from deploy.study.robustness import margin_study
 from deploy.study.runner import carry_out, retrace
@@ -45,6 +55,7 @@ from deploy.study.study import SHIPPED, StudyOfRuns, is_sweep
 from deploy.study.sweep import load_sweep
 
 _SHOWN_POINTS = 40
+_GOES_ON = "{}: the same command goes on from here."
 _AUTHENTICATED = ("tls://", "wss://")
 _OPEN_SCHEDULER = (
     "warning: --scheduler {}: anybody who reaches this scheduler can run code on it, on its workers"
@@ -79,6 +90,25 @@ def margin(options: MarginOptions) -> None:
     _conduct(margin_study(definition_with(options, values), path), options)
 
 
+@taking(CompareOptions)
+def compare(options: CompareOptions) -> None:
+    """Run a scenario under several laws in virtual time, and set their results side by side.
+
+    Interrupted or killed, the same command goes on where it stopped; with more laws it adds them.
+    """
+    study = Comparison(options.definition(), Path("compare"))
+    console = Console()
+    with _carried_out(study, options, console) as done:
+        compared = conclude_comparison(done.folder, judge_rows(study, done.folder), console)
+    if done.lost is not None:
+        console.print(_GOES_ON.format(done.lost), markup=False)
+    leave(
+        interrupted=done.is_interrupted,
+        whole=done.lost is None and all(run.summary["completed"] for run in compared.runs),
+        kept=all(run.kept_bounds for run in compared.runs) or not options.require_bounds,
+    )
+
+
 class RunCounter:
     """Counts the runs of a study on a progress."""
 
@@ -98,6 +128,21 @@ class RunCounter:
         self._progress.update(self._done, total=expected, note=note)
 
 
+@dataclass
+class _CarriedOut:
+    """What came of carrying a study out.
+
+    Attributes:
+        folder: where its rows are.
+        is_interrupted: the user has put an end to it.
+        lost: why its workers are gone, if they are.
+    """
+
+    folder: StudyFolder
+    is_interrupted: bool = False
+    lost: Exception | None = None
+
+
 def report_study(path: Path, console: Console) -> None:
     """Judge the rows of a study again, and write its summary and report."""
     study = read_study(path)
@@ -105,7 +150,10 @@ def report_study(path: Path, console: Console) -> None:
         changed = changes_since(study, folder.path)
         if not changed:
             retrace(study, folder)
-            _conclude(study, folder, console)
+            if study.kind == KIND:
+                conclude_comparison(folder, judge_rows(study, folder), console)
+            else:
+                _conclude(study, folder, console)
             return
         from deploy.reports.study_report import write_study_report  # with all figures
 
@@ -120,18 +168,33 @@ def report_study(path: Path, console: Console) -> None:
 
 def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
     """Carry a study out, or on, and show what came of it."""
+    console = Console()
+    with _carried_out(study, options, console) as done:
+        completed = _conclude(study, done.folder, console)
+    if completed:
+        has_results = any(row["error"] is None for row in done.folder.rows)
+        raise typer.Exit(FINISHED if has_results else FAULT)
+    console.print(_GOES_ON.format(done.lost or "stopped"), markup=False)
+    raise typer.Exit(INTERRUPTED if done.is_interrupted else FAULT)
+
+
+@contextlib.contextmanager
+def _carried_out(
+    study: StudyOfRuns, options: WorkerOptions, console: Console
+) -> Iterator[_CarriedOut]:
+    """Do the runs of a study that its folder lacks; the folder is locked meanwhile."""
     scheduler, out, overwrite = options.scheduler, options.out, options.overwrite
     if options.workers is not None and scheduler is not None:
         raise ScenarioError("--workers and --scheduler: a cluster has its own number of workers")
     from deploy.study.dask_workers import ClusterLostError, DaskWorkers  # heavy
 
-    for base in study.bases:
+    for each in study.variants:
         if scheduler is None:  # else it has to be on the hosts of the cluster
-            require_program(base)
+            require_program(each)
         if study.definition.confirm:
-            check_confirmable(base)
+            check_confirmable(each)
     say_oddities(*study.bases)
-    console, stop = Console(), threading.Event()
+    stop = threading.Event()
     path = None if overwrite else find_folder(study, out)
     with DaskWorkers(options.workers, scheduler, study.laws) as team:
         if scheduler is not None and not scheduler.startswith(_AUTHENTICATED):
@@ -141,19 +204,36 @@ def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
         with StudyFolder(path, study).lock() as folder:
             folder.become()
             on_stop(stop.set)
-            lost = None
+            done = _CarriedOut(folder)
             with CommandProgress(console, study.definition.name, study.expected, "runs") as shown:
                 try:
                     carry_out(study, team, folder, stop, RunCounter(shown).done)
                 except ClusterLostError as error:
-                    lost = error
-            completed = _conclude(study, folder, console)
-    if completed:
-        has_results = any(row["error"] is None for row in folder.rows)
-        raise typer.Exit(FINISHED if has_results else FAULT)
-    reason = f"{lost}; the" if lost else "The"
-    console.print(f"{reason} same command goes on from here.", markup=False)
-    raise typer.Exit(INTERRUPTED if stop.is_set() and not lost else FAULT)
+                    done.lost = error
+            done.is_interrupted = stop.is_set() and done.lost is None
+            yield done
+
+
+def conclude_comparison(
+    folder: ResultFolder, summary: Mapping[str, Any], console: Console
+) -> ComparedRuns:
+    """Write rows, summary and report of a comparison, and show what came of it; its runs."""
+    with judging(console, folder):
+        compared = write_comparison_results(folder, summary)
+    if not compared.runs:
+        console.print(f"results: {folder.path}", soft_wrap=True)
+        return compared
+    confirmed = confirmation_tables([run.summary for run in compared.runs])
+    for table in (verdict_table(compared), law_table(compared, RMS_ERROR), *confirmed):
+        print_table(console, table)
+    sentences = [*recording_sentences(compared.runs), *map(settling_sentence, compared.settling)]
+    for run in compared.runs:
+        sentences += [f"{run.law}: {bounds_sentence(run)}"] if run.summary["faults"] else []
+    for sentence in sentences:
+        console.print(sentence, markup=False, highlight=False)
+    print_conditions(console, read_summary(folder.path).get("conditions", {}))
+    show_places(console, folder)
+    return compared
 
 
 def _conclude(study: StudyOfRuns, folder: StudyFolder, console: Console) -> bool:
@@ -198,3 +278,16 @@ def show_study(console: Console, summary: dict[str, Any]) -> None:
         count = f"{summary['runs_failed']} of {summary['runs']}"
         console.print(f"[bold red]{count} runs failed[/]; their rows say why. The commonest error:")
         console.print(summary["commonest_error"], markup=False, soft_wrap=True)
+
+
+def settling_sentence(test: SettlingTest) -> str:
+    """How a law settled from near and far."""
+    times = [start.settling_time_s for start in test.starts]
+    known = [time for time in times if time is not None]
+    farthest = number(max((start.distance_rad for start in test.starts), default=None))
+    bound = "" if test.bound_s is None else f", bound {number(test.bound_s)} s"
+    slowest = f", at most {number(max(known))} s" if known else ""
+    return (
+        f"{test.law}: settled from {len(known)} of {len(times)} starts of up to {farthest} rad"
+        f"{slowest}{bound}"
+    )

@@ -3,62 +3,152 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import Field
 
 from bus_schema.messages import topics
-from bus_schema.recording.atomic_files import write_json
-from controller.laws import LAWS
-from controller.laws.custom import custom_laws_left_out
 from deploy.judge.conditions import Conditions, conditions_of_runs
-from deploy.judge.run_rows import row, write_rows
+from deploy.judge.run_rows import Row, row
 from deploy.run import run_folder
-from deploy.run.confirmation import CONFIRMATION, confirmation_of
-from deploy.run.execute import How, JudgedRun, execute, lockstep_setup
-from deploy.run.new_folder import new_folder, resolved_out
+from deploy.run.confirmation import CONFIRMATION
+from deploy.run.execute import JudgedRun
 from deploy.run.simulate import require_simulable
 from deploy.scenario import study_keys
-from deploy.scenario.effective import portable_scenario, values_in_common
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
-from deploy.scenario.yaml_files import ScenarioError, naming, parse_override
-from deploy.study.comparison.settling import SettlingTest
+from deploy.scenario.yaml_files import naming, override, validated
+from deploy.study.comparison.settling import (
+    LONGEST_S,
+    SETTLING,
+    SettlingTest,
+    offset_of,
+    settling_test,
+)
+from deploy.study.study import Different, PlannedRun, StudyDefinition, StudyOfRuns, scenario_name
 
 KIND = "comparison"
-_SHOWN_KEYS = 8
-SETTLING = TypeAdapter(list[SettlingTest])
-"""From and to what ``summary.json`` has of settling tests."""
+_VARIED = {"law": "string", "offset_rad": "double"}
+COLUMNS = {"point": "string", **_VARIED}
+"""Names and Parquet types of its rows' first columns; the scenario's own start has no offset."""
 
 
-def load_setups(scenario: str, overrides: Sequence[str], laws: Sequence[str] | None) -> list[Setup]:
-    """The scenario under each law, all checked before any of them runs.
+class ComparisonDefinition(StudyDefinition):
+    """A comparison, as its folder keeps it.
 
-    Args:
-        scenario: the scenario.
-        overrides: what is set in it.
-        laws: which; all shipped ones and the scenario's own if None.
-
-    Raises:
-        ScenarioError: anything about it is wrong, such as a law that does not exist.
+    Attributes:
+        scenario: a scenario file, or the name of a shipped one.
+        laws: which; all shipped ones and the scenario's own if null.
+        settling_rad: also start each law with errors of these sizes, and follow it until it has
+            settled.
     """
-    with naming(Path("compare")):
-        given = dict(map(parse_override, overrides))
-        study_keys.require_effect(
-            given, {study_keys.LAW: "as --laws", study_keys.UNCERTAINTY: "to sweep or margin"}
-        )
-    if laws is None:
-        laws = study_keys.laws_beside(load_setup(scenario, overrides).scenario.controller.law)
-    setups = [load_setup(scenario, [*overrides, f"controller.law={law}"]) for law in laws]
-    with naming(Path("compare")):
-        study_keys.require_link_effect(given, setups)
-    for setup in setups:
-        if setup.scenario.controller.process is None:
-            require_simulable(setup)
-    return setups
+
+    scenario: str
+    laws: Different[str] | None = None
+    settling_rad: list[float] = Field(default=[])
+
+
+class Comparison(StudyOfRuns):
+    """The runs of a comparison: each law is recorded to a folder of its own, but for settling.
+
+    Attributes:
+        setups: the scenario under each law, by the name that the law has in results.
+    """
+
+    kind = KIND
+    definition: ComparisonDefinition
+    columns = MappingProxyType(_VARIED)
+
+    def __init__(self, values: Mapping[str, Any], source: Path) -> None:
+        given = validated({"name": "compare", **values}, ComparisonDefinition, source)
+        with naming(source):
+            study_keys.require_effect(
+                given.fixed,
+                {study_keys.LAW: "as --laws", study_keys.UNCERTAINTY: "to sweep or margin"},
+            )
+            scenario = scenario_name(given.scenario, source.parent)
+        own = load_setup(scenario, given.fixed_overrides).scenario
+        laws = given.laws or study_keys.laws_beside(own.controller.law)
+        self._overrides = {law: self._under(given, law) for law in laws}
+        setups = [load_setup(scenario, overrides) for overrides in self._overrides.values()]
+        with naming(source):
+            study_keys.require_link_effect(given.fixed, setups)
+        for setup in setups:
+            if setup.scenario.controller.process is None:
+                require_simulable(setup)
+        self.setups = {setup.scenario.controller.name: setup for setup in setups}
+        self.bases = setups[:1]
+        chosen = {"scenario": scenario, "laws": laws, "seeds": [own.seed], "name": own.name}
+        self.definition = given.model_copy(update=chosen)
+
+    @staticmethod
+    def _under(given: ComparisonDefinition, law: str) -> tuple[str, ...]:
+        fixed = {key: value for key, value in given.fixed.items() if key != study_keys.SEED}
+        return tuple(override(key, value) for key, value in {**fixed, study_keys.LAW: law}.items())
+
+    @property
+    def variants(self) -> list[Setup]:
+        return list(self.setups.values())
+
+    @property
+    def expected(self) -> int:
+        return sum(1 for _ in self.first())
+
+    def first(self) -> Iterable[PlannedRun]:
+        wanted = self.definition
+        for index, ((law, setup), overrides) in enumerate(
+            zip(self.setups.items(), self._overrides.values(), strict=True)
+        ):
+            yield PlannedRun(
+                f"{index:03d}", wanted.scenario, overrides, wanted.seeds[0],
+                {"law": law, "offset_rad": None}, bool(wanted.confirm), law_folder(law),
+            )  # fmt: skip
+            if setup.scenario.controller.process is None:  # it has no bound
+                yield from self._starts(index, law, overrides)
+
+    def _starts(self, index: int, law: str, overrides: Sequence[str]) -> Iterator[PlannedRun]:
+        """The starts of a law from near and far."""
+        duration_s = min(LONGEST_S, self.setups[law].scenario.duration_s)
+        for place, size_rad in enumerate(self.definition.settling_rad):
+            start = override("robot.initial_offset_rad", offset_of(self.setups[law], size_rad))
+            kept = [text for text in overrides if not text.startswith("duration_s=")]
+            yield PlannedRun(
+                f"{index:03d}-{place:02d}", self.definition.scenario,
+                (*kept, start, override("duration_s", duration_s)), self.definition.seeds[0],
+                {"law": law, "offset_rad": size_rad},
+            )  # fmt: skip
+
+    def findings(self, rows: list[Row]) -> dict[str, Any]:
+        done = [row["law"] for row in rows if row["offset_rad"] is None]
+        return {
+            "scenario": self.bases[0].scenario.name,
+            "seed": self.definition.seeds[0],
+            "completed": len(rows) == self.expected,
+            "runs_expected": self.expected,
+            "laws": {law: {} for law in done},
+            "settling": SETTLING.dump_python(self.settling(rows)),
+        }
+
+    def settling(self, rows: list[Row]) -> list[SettlingTest]:
+        """The laws all of whose starts are done."""
+        sizes, found = self.definition.settling_rad, []
+        for law, setup in self.setups.items():
+            started = {row["offset_rad"]: row for row in rows if row["law"] == law}
+            if sizes and all(size in started for size in sizes):
+                starts = [(offset_of(setup, size), started[size]) for size in sizes]
+                found.append(settling_test(law, starts))
+        return found
+
+    def provenance(self) -> dict[str, Any]:
+        return {**run_folder.manifest_of(self.variants), "laws": list(self.setups)}
+
+    def conditions(self, summary: Mapping[str, Any], manifest: Mapping[str, Any]) -> Conditions:
+        laws = [setup for law, setup in self.setups.items() if law in summary["laws"]]
+        return conditions_of_runs(laws or self.bases, manifest)
 
 
 @dataclass(frozen=True)
@@ -83,130 +173,43 @@ class ComparedRuns:
         return [run.law for run in self.runs].index(law)
 
 
-class ComparisonFolder(run_folder.ResultFolder):
-    """The files of a comparison, with a folder for each law's run inside.
+def compared_in(path: Path, summary: Mapping[str, Any]) -> ComparedRuns:
+    """The runs of a folder with a comparison, which are judged again.
 
-    A comparison of the same scenario may be made in the folder of an earlier one: it grows by laws,
-    and runs of shipped laws that came to their end are not made again.
+    Args:
+        path: the folder.
+        summary: what it says of the comparison.
+
+    Raises:
+        RunFolderError: a run is missing or cannot be read.
     """
+    laws = summary.get("laws")
+    if not isinstance(laws, dict):
+        raise run_folder.RunFolderError(f"{path / 'summary.json'}: names no laws")
+    runs = [judged_again(law, path / law_folder(law)) for law in laws]
+    return ComparedRuns(runs, SETTLING.validate_python(summary.get("settling", [])))
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.rows = path / "comparison.parquet"
-        self._grows = False
 
-    @staticmethod
-    def begin(
-        setups: Sequence[Setup], out: Path | None, *, overwrite: bool = False
-    ) -> ComparisonFolder:
-        """The folder of a new comparison, or of one that grows, locked, with a manifest.
+def rows_again(compared: ComparedRuns, before: Sequence[Row]) -> list[Row]:
+    """The rows of a comparison whose recordings were judged again, in order.
 
-        Args:
-            setups: the scenario under each law.
-            out: the folder asked for; ``runs/compare-<name>-<time>`` by default.
-            overwrite: remove results that are there.
+    Args:
+        compared: its runs.
+        before: the rows that are there, with those of starts, which have no recording.
+    """
+    starts = [each for each in before if each.get("offset_rad") is not None]
+    of_law = {each["law"]: each for each in before if each not in starts}
+    rows = [
+        {**of_law.get(run.law, {}), **row(run.summary, run.seed), "point": f"{index:03d}",
+         "offset_rad": None}
+        for index, run in enumerate(compared.runs)
+    ]  # fmt: skip
+    return sorted([*rows, *starts], key=lambda each: str(each["point"]))
 
-        Raises:
-            ScenarioError: as `new_folder`, or the folder has a comparison of something else.
-        """
-        laws = [setup.scenario.controller.name for setup in setups]
-        manifest = {**run_folder.manifest_of(setups), "laws": laws}
-        before = {} if out is None or overwrite else run_folder.read_manifest(out)
-        if out is not None and isinstance(before.get("laws"), list):
-            folder = ComparisonFolder(resolved_out(out))
-            folder._require_same_scenario(setups, list(map(str, before["laws"])))
-            manifest, folder._grows = run_folder.grown_from(before, manifest), True
-        else:
-            name = f"compare-{setups[0].scenario.name}"
-            folder = ComparisonFolder(new_folder(name, out, overwrite=overwrite))
-        folder.lock()
-        write_json(folder.manifest, manifest)
-        return folder
 
-    def known(self, setup: Setup) -> JudgedRun | None:
-        """The whole run that is there already of a shipped law; others may have changed since."""
-        law = setup.scenario.controller.name
-        folder = run_folder.RunFolder(self._law_path(law))
-        is_whole = run_folder.read_summary(folder.path).get("completed")
-        if not (self._grows and law in LAWS and is_whole):  # overwritten, it has folders of before
-            return None
-        try:
-            same = folder.scenario.read_text(encoding="utf-8") == portable_scenario(setup)
-            return judged_again(law, folder.path) if same else None
-        except (OSError, run_folder.RunFolderError):
-            return None
-
-    def earlier_settling(self) -> dict[str, SettlingTest]:
-        """Settling tests that are there already, by law."""
-        told = SETTLING.validate_python(run_folder.read_summary(self.path).get("settling", []))
-        return {test.law: test for test in told}
-
-    def _require_same_scenario(self, setups: Sequence[Setup], laws: Sequence[str]) -> None:
-        """Check that what the folder compares is the same but for laws, all of which are asked for.
-
-        Raises:
-            ScenarioError: it is not; keys that differ are named.
-        """
-        asked = {setup.scenario.controller.name: setup for setup in setups}
-        for law in [law for law in laws if self._law_path(law).is_dir()]:
-            if law not in asked:
-                raise ScenarioError(
-                    f"--out {self.path}: holds a comparison with {law}: must be among --laws, or"
-                    " give --overwrite"
-                )
-            with custom_laws_left_out():
-                there = load_setup(str(run_folder.RunFolder(self._law_path(law)).scenario))
-            found, wanted = (values_in_common(each) for each in (there, asked[law]))
-            keys = sorted(key for key in found | wanted if found.get(key) != wanted.get(key))
-            if set(keys) - {"clock"}:  # of a process, which runs in lockstep
-                raise ScenarioError(
-                    f"--out {self.path}: holds a comparison of another scenario ({law}):"
-                    f" {', '.join(keys[:_SHOWN_KEYS])}: must be the same, or give --overwrite"
-                )
-
-    def add(self, setup: Setup, how: How | None = None) -> JudgedRun:
-        """Run one law in its folder, and judge it; `how` as `execute`."""
-        if setup.scenario.controller.process is not None:
-            setup = lockstep_setup(setup)
-        path = self._law_path(setup.scenario.controller.name)
-        folder = run_folder.RunFolder.begin(setup, path, overwrite=True)
-        run = execute(setup, how, folder)
-        run.keep(folder)
-        return run
-
-    def confirm(self, run: JudgedRun) -> None:
-        """Simulate a run on other physics too, unless it was, and keep what they say of it."""
-        if CONFIRMATION not in run.summary:
-            run.summary[CONFIRMATION] = confirmation_of(run.data)
-            write_json(self._law_path(run.law) / "summary.json", run.summary)
-
-    def conclude(self, comparison: ComparedRuns) -> Conditions:
-        """Write rows and summary of all runs; under what conditions they came about."""
-        setups = [run.data.setup for run in comparison.runs]
-        conditions = conditions_of_runs(setups, run_folder.read_manifest(self.path))
-        rows = [row(run.summary, run.seed) for run in comparison.runs]
-        write_rows(rows, self.rows, conditions=conditions)
-        write_json(self.summary, {**_summary(comparison), "conditions": conditions})
-        return conditions
-
-    def load(self) -> ComparedRuns:
-        """The comparison, read back from the recordings of its runs, which are judged again.
-
-        Raises:
-            RunFolderError: a run is missing or cannot be read.
-        """
-        summary = run_folder.read_summary(self.path)
-        laws = summary.get("laws")
-        if not isinstance(laws, dict) or not laws:
-            raise run_folder.RunFolderError(f"{self.summary}: names no laws")
-        paths = {law: self._law_path(law) for law in laws}
-        return ComparedRuns(
-            [judged_again(law, path) for law, path in paths.items()],
-            SETTLING.validate_python(summary.get("settling", [])),
-        )
-
-    def _law_path(self, law: str) -> Path:
-        return self.path / re.sub(r"[^A-Za-z0-9_.-]", "_", law)
+def law_folder(law: str) -> str:
+    """Where in a comparison the run of a law is."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", law)
 
 
 def judged_again(name: str, path: Path) -> JudgedRun:
@@ -219,16 +222,3 @@ def judged_again(name: str, path: Path) -> JudgedRun:
     run, before = JudgedRun(name, data, path=path), run_folder.read_summary(path)
     run.summary.update({CONFIRMATION: before[CONFIRMATION]} if CONFIRMATION in before else {})
     return run
-
-
-def _summary(comparison: ComparedRuns) -> dict[str, Any]:
-    """What a comparison says: its common ground, and every law's own summary."""
-    common = comparison.runs[0]
-    return {
-        "kind": KIND,
-        "scenario": common.summary["scenario"],
-        "seed": common.seed,
-        "clock": common.summary["clock"],
-        "laws": {run.law: run.summary for run in comparison.runs},
-        "settling": SETTLING.dump_python(comparison.settling),
-    }

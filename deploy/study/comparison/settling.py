@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from deploy.run.execute import execute
-from deploy.scenario.checks import check
+from deploy.judge.run_rows import Row, held
 from deploy.scenario.setup import Setup
 
 OFFSETS_RAD = (0.01, 0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0)
@@ -57,37 +57,36 @@ class SettlingTest:
         return bound is not None and all(time is not None and time <= bound for time in times)
 
 
-def settling_test(setup: Setup, offsets_rad: Sequence[float] = OFFSETS_RAD) -> SettlingTest:
-    """Run a scenario from several distances, long enough for the bound to be seen to hold.
+SETTLING = TypeAdapter(list[SettlingTest])
+"""From and to what ``summary.json`` has of settling tests."""
+
+
+def settling_test(law: str, starts: Sequence[tuple[list[float], Row]]) -> SettlingTest:
+    """What came of all starts of a law: the offset of each, and the row of its run."""
+    bounds = [bound for _, row in starts for bound in row["settling_bound_s"] or ()]
+    return SettlingTest(law, max(bounds, default=None), [_start(*each) for each in starts])
+
+
+def _start(offset_rad: list[float], row: Row) -> Start:
+    times = row["settling_time_s"] or [None]
+    settled = max(times) if row["completed"] and None not in times else None
+    return Start(offset_rad, settled, held(row))
+
+
+def offset_of(setup: Setup, size_rad: float) -> list[float]:
+    """The start at a distance: the initial error of each joint, rad.
 
     Every joint starts off by the same size, on the side of the scenario's own offset, or on the
     other where its range ends before, or as far as it goes. The funnel opens with the offset, as
     the scenario says.
     """
-    bound_s, starts = None, []
-    for size in offsets_rad:
-        start = _started_off(setup, size)
-        summary = execute(start).summary
-        bound_s = summary["tracking"]["settling_bound_s"]
-        times = summary["tracking"]["settling_time_s"]
-        settled = max(times) if summary["completed"] and None not in times else None
-        offset = start.scenario.robot.initial_offset_rad
-        starts.append(Start(offset.tolist(), settled, summary["bounds"]["kept"]))
-    return SettlingTest(setup.scenario.controller.law, bound_s, starts)
-
-
-def _started_off(setup: Setup, size_rad: float) -> Setup:
-    scenario, robot = setup.scenario, setup.robot
-    own = np.broadcast_to(scenario.robot.initial_offset_rad, robot.joints)
+    robot = setup.robot
+    own = np.broadcast_to(setup.scenario.robot.initial_offset_rad, robot.joints)
     target = setup.start_position_rad - own
     side = np.where(own < 0, -1, 1)
     room = np.where(side > 0, robot.upper_rad - target, target - robot.lower_rad)
     other_room = np.where(side > 0, target - robot.lower_rad, robot.upper_rad - target)
     turned = (room < size_rad) & (other_room > room)
     reach = np.minimum(np.where(turned, other_room, room), size_rad)
-    offset = np.where(turned, -side, side) * reach
-    changes = {
-        "robot": scenario.robot.model_copy(update={"initial_offset_rad": offset}),
-        "duration_s": min(LONGEST_S, scenario.duration_s),
-    }
-    return check(scenario.model_copy(update=changes), setup.origin)
+    offsets: list[float] = (np.where(turned, -side, side) * reach).tolist()
+    return offsets

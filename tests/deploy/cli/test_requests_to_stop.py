@@ -42,8 +42,7 @@ def test_a_command_that_has_nothing_to_end_in_order_ends_at_once(number, tmp_pat
     assert capsys.readouterr().err == "stopped\n"
 
 
-@pytest.mark.parametrize("command", ["simulate", "compare"])
-def test_a_run_is_ended_in_order(command, tmp_path, monkeypatch):
+def test_a_run_is_ended_in_order(tmp_path, monkeypatch):
     from deploy.cli.terminal.progress import CommandProgress  # what it shows is what it has got to
 
     follow, asked = CommandProgress.follow, []
@@ -60,7 +59,7 @@ def test_a_run_is_ended_in_order(command, tmp_path, monkeypatch):
 
     monkeypatch.setattr(CommandProgress, "follow", signalled)
     out = tmp_path / "out"
-    words = ["funnel-hil", command, "paper_arm", *ENDLESS, "--out", str(out)]
+    words = ["funnel-hil", "simulate", "paper_arm", *ENDLESS, "--out", str(out)]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as ended:
         cli.main()

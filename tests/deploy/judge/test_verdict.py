@@ -29,8 +29,8 @@ from deploy.run.run_folder import RunFolder, load_run
 from deploy.run.run_index import results_in
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison import settling
 from deploy.study.comparison.comparison import ComparedRuns
+from deploy.study.comparison.settling import settling_test
 from deploy.study.statistics import spread_of_runs
 
 TICKS = 200
@@ -132,7 +132,7 @@ def test_a_whole_run_inside_its_bounds_is_kept(run):
     assert Run(run, summary).kept
 
 
-def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_path, monkeypatch):
+def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_path):
     expected, run = case
     summary = summarise(run)
     assert (summary["verdict"], summary["bounds"]["kept"]) == (expected, False)
@@ -152,8 +152,7 @@ def test_a_run_that_is_not_known_to_be_kept_counts_as_kept_nowhere(case, tmp_pat
     write_json(tmp_path / "one" / "summary.json", summary)
     write_json(tmp_path / "one" / "manifest.json", {})
     assert [each.result for each in results_in(tmp_path)] != ["bounds kept"]
-    monkeypatch.setattr(settling, "execute", lambda _: law_run)
-    test = settling.settling_test(load_setup("paper_arm"), [0.1])
+    test = settling_test("law", [([0.1], values)])
     assert not test.starts[0].bounds_kept
     if expected in ("faulted", "interrupted", "nothing"):
         assert test.starts[0].settling_time_s is None

@@ -43,7 +43,7 @@ def test_results_are_overwritten_where_that_is_asked_for(funnel_hil, tmp_path, c
     assert funnel_hil(*words)[0] == (0 if command == "compare" else 2)
     assert funnel_hil(*words, "--overwrite")[0] == 0
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert not (tmp_path / "study.yaml").exists()
+    assert (tmp_path / "study.yaml").exists() == (command == "compare")  # its own
 
 
 def test_overwrite_means_nothing_without_a_folder(funnel_hil, tmp_path, monkeypatch):

@@ -5,6 +5,8 @@ Minutes of evidence with more gains: deploy/docs/explanation/tuning.md.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,8 @@ from deploy.judge.metrics import summarise
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import read_yaml
-from deploy.study.comparison.settling import settling_test
+from deploy.study.comparison.comparison import Comparison
+from deploy.study.study import row_of
 from scripts.experiments.equal_travel import AS_SHIPPED_PER_S, AT_EQUAL_TRAVEL, rivals_as_smooth
 from scripts.experiments.ranking import EQUALLY_TUNED, PROPOSED, RIVALS, drawn, evaluate, load_gains
 from scripts.experiments.tuning import tuning_setup
@@ -113,9 +116,18 @@ def test_moderate_changes_of_a_rivals_shipped_gains_do_not_reverse_the_result(br
     assert (brief[PROPOSED].rms_mrad < changed.rms_mrad).all()
 
 
+def settled(scenario, law, sizes_rad, **fixed):
+    """How a law settles from starts with errors of these sizes."""
+    values = {"scenario": scenario, "laws": [law], "settling_rad": sizes_rad, "set": fixed}
+    study = Comparison(values, Path("compare"))
+    starts = [run for run in study.first() if run.columns["offset_rad"] is not None]
+    (result,) = study.settling([row_of(run) for run in starts])
+    return result
+
+
 @pytest.mark.parametrize("law", ["fixed_time_neural", "fixed_time_model_based"])
 def test_settling_time_stays_below_one_bound_from_near_and_far(law):
-    result = settling_test(setup_of(law, 2.5), offsets_rad=(0.01, 0.1, 0.5, 1.0))
+    result = settled("paper_arm", law, [0.01, 0.1, 0.5, 1.0], duration_s=2.5)
     assert result.holds, result
     assert all(row.bounds_kept for row in result.starts)
     assert max(row.settling_time_s for row in result.starts) < 1.0 < result.bound_s < 5.0
@@ -125,8 +137,7 @@ def test_settling_time_stays_below_one_bound_from_near_and_far(law):
 @pytest.mark.parametrize("scenario", ["iiwa", "panda"])
 def test_arms_with_weaker_actuators_settle_below_it_too(scenario, law):
     # On the way they leave the funnel, which then opens again.
-    setup = load_setup(scenario, [f"controller.law={law}", "duration_s=3"])
-    result = settling_test(setup, offsets_rad=(0.1, 1.0))
+    result = settled(scenario, law, [0.1, 1.0], duration_s=3)
     assert result.holds, result
 
 

@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 
+import funnel_hil as interface
 from controller.laws import LAWS
 from controller.laws.fixed_time_model_based import FixedTimeModelBased
 from controller.laws.pid import Pid
@@ -19,10 +21,11 @@ from deploy.run.run_folder import load_run
 from deploy.run.simulate import simulate
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.yaml_files import ScenarioError
-from deploy.study.comparison.comparison import load_setups
+from deploy.study.comparison.comparison import Comparison
 from tests.damage import damage_at
 
-SHORT = ["--set", "duration_s=0.3", "--set", "metrics.from_s=0.1"]
+SHORTLY = {"duration_s": 0.3, "metrics.from_s": 0.1}
+SHORT = [word for key, value in SHORTLY.items() for word in ("--set", f"{key}={value}")]
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +47,8 @@ def compared(comparison, tmp_path):
 
 def test_all_registered_laws_are_compared_by_default():
     assert parse_laws(None) is None
-    setups = load_setups("paper_arm", ["duration_s=0.3"], None)
-    assert [setup.scenario.controller.law for setup in setups] == list(LAWS)
+    study = Comparison({"scenario": "paper_arm"}, Path("compare"))
+    assert [setup.scenario.controller.law for setup in study.variants] == list(LAWS)
 
 
 def test_laws_are_named_once_and_in_the_order_asked_for():
@@ -147,7 +150,7 @@ def test_a_comparison_without_its_recordings_is_refused(compared, funnel_hil):
     assert "holds no run.mcap" in output
 
 
-def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, funnel_hil, tmp_path):
+def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, tmp_path):
     def fail(law, failing):
         working = law.torque
 
@@ -159,16 +162,14 @@ def test_a_law_that_fails_is_a_row_with_its_error(monkeypatch, funnel_hil, tmp_p
     fail(Pid, lambda: np.full(3, np.nan))
     fail(SlidingMode, lambda: np.zeros(2))
     fail(FixedTimeModelBased, lambda: [][1])
-    laws = "pid,smc,fixed_time_model_based,fixed_time_neural"
-    code, output = funnel_hil("compare", "--laws", laws, *SHORT, "--out", tmp_path)
-    assert code == 1
+    laws = ["pid", "smc", "fixed_time_model_based", "fixed_time_neural"]
+    interface.compare("paper_arm", SHORTLY, laws=laws, out=tmp_path)
     *failed, last = parquet.read_table(tmp_path / "comparison.parquet").to_pylist()
     for one, reason in zip(failed, ("nan", "shape", "IndexError"), strict=True):
         assert reason in one["error"]
         assert not one["completed"]
     assert last["error"] is None
     assert last["completed"]
-    assert output.count("fault") >= 3
     assert "3 did not finish" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 

@@ -8,100 +8,109 @@ import pytest
 from pyarrow import parquet
 
 import funnel_hil as interface
-from deploy.run.execute import execute
 from deploy.run.run_folder import read_summary
-from deploy.study.comparison import comparison
-
-SHORT = ("--set", "duration_s=0.2", "--set", "metrics.from_s=0")
+from deploy.study.study import row_of
+from funnel_hil import studies
 
 
 @pytest.fixture
 def tried(monkeypatch):
-    """Laws that were simulated."""
+    """Laws that were simulated, in this process."""
     laws = []
 
-    def watched(setup, *words):
-        laws.append(setup.scenario.controller.law)
-        return execute(setup, *words)
+    def watched(run):
+        laws.append(run.columns["law"])
+        return row_of(run)
 
-    monkeypatch.setattr(comparison, "execute", watched)
+    monkeypatch.setattr(studies, "row_of", watched)
     return laws
+
+
+def compare(out, laws, *, overwrite=False, **changes):
+    changes = {"duration_s": 0.2, "metrics.from_s": 0, **changes}
+    return interface.compare("paper_arm", changes, laws=laws, out=out, overwrite=overwrite)
 
 
 def table_of(path):
     return parquet.read_table(path / "comparison.parquet").to_pylist()
 
 
-def test_it_grows_by_laws_and_is_that_made_at_once(tmp_path, funnel_hil, tried):
+def test_it_grows_by_laws_and_is_that_made_at_once(tmp_path, tried):
     out = tmp_path / "grown"
-    assert funnel_hil("compare", "--laws", "smc", *SHORT, "--out", out)[0] == 0
-    code, said = funnel_hil("compare", "--laws", "pid,smc,tsmc", *SHORT, "--out", out)
-    assert code == 0, said
+    compare(out, ["smc"])
+    compare(out, ["pid", "smc", "tsmc"])
     assert tried == ["smc", "pid", "tsmc"]
-    assert "(from before)" in said
-    assert funnel_hil("compare", "--laws", "pid,smc,tsmc", *SHORT, "--out", tmp_path / "w")[0] == 0
-    assert table_of(out) == table_of(tmp_path / "w")
+    at_once = compare(tmp_path / "whole", ["pid", "smc", "tsmc"])
+    assert table_of(out) == table_of(tmp_path / "whole")
+    assert [row["law"] for row in at_once.rows] == ["pid", "smc", "tsmc"]
     assert list(read_summary(out)["laws"]) == ["pid", "smc", "tsmc"]
     page = (out / "report.html").read_text()
     assert all(law in page for law in ("pid", "smc", "tsmc"))
     assert json.loads((out / "manifest.json").read_text())["laws"] == ["pid", "smc", "tsmc"]
 
 
-def test_a_run_that_came_to_no_end_is_made_again(tmp_path, funnel_hil, tried):
+def test_command_adds_laws_and_settling_times_on_its_workers(tmp_path, funnel_hil):
     out = tmp_path / "laws"
-    funnel_hil("compare", "--laws", "smc,pid", *SHORT, "--out", out)
-    summary = json.loads((out / "smc" / "summary.json").read_text())
-    (out / "smc" / "summary.json").write_text(json.dumps(summary | {"completed": False}))
+    short = ["--set", "duration_s=0.05", "--set", "metrics.from_s=0"]
+    assert funnel_hil("compare", "--laws", "smc", *short, "--out", out)[0] == 0
+    words = ["compare", "--laws", "smc,pid", "--settling", *short, "--out", out]
+    code, said = funnel_hil(*words)
+    assert code == 0, said
+    assert "1 runs were there from before" in said
+    assert "pid: settled from" in said
+    # Nine starts for each law; those of a row alone have no recording.
+    assert len(table_of(out)) == 20
+    assert sorted(each.parent.name for each in out.rglob("run.mcap")) == ["pid", "smc"]
+
+
+def test_a_run_without_its_recording_is_made_again(tmp_path, tried):
+    out = tmp_path / "laws"
+    compare(out, ["smc", "pid"])
     (out / "pid" / "run.mcap").unlink()
-    assert funnel_hil("compare", "--laws", "smc,pid", *SHORT, "--out", out)[0] == 0
-    assert tried == ["smc", "pid"] * 2
+    compare(out, ["smc", "pid"])
+    assert tried == ["smc", "pid", "pid"]
 
 
-def test_overwriting_makes_every_run_again(tmp_path, funnel_hil, tried):
+def test_overwriting_makes_every_run_again(tmp_path, tried):
     for _ in range(2):
-        words = ("compare", "--laws", "smc", *SHORT, "--out", tmp_path / "laws", "--overwrite")
-        assert funnel_hil(*words)[0] == 0
+        compare(tmp_path / "laws", ["smc"], overwrite=True)
     assert tried == ["smc", "smc"]
 
 
-def test_a_comparison_that_was_killed_goes_on(tmp_path, funnel_hil, tried):
+def test_a_comparison_that_was_killed_goes_on(tmp_path, tried, funnel_hil):
     out = tmp_path / "laws"
-    funnel_hil("compare", "--laws", "smc,pid", *SHORT, "--out", out)
-    before = table_of(out)
-    for name in ("summary.json", "comparison.parquet", "report.html", "pid/summary.json"):
+    compare(out, ["smc"])
+    for name in ("summary.json", "report.html"):
         (out / name).unlink()
-    assert funnel_hil("compare", "--laws", "smc,pid", *SHORT, "--out", out)[0] == 0
-    assert tried == ["smc", "pid", "pid"]
-    assert table_of(out) == before
+    compared = compare(out, ["smc", "pid"])
+    assert tried == ["smc", "pid"]
+    assert list(compared.runs) == ["smc", "pid"]
     (out / "summary.json").unlink()
-    code, said = funnel_hil("compare", "--laws", "smc,pid", "--set", "seed=9", "--out", out)
-    assert code == 2
-    assert "duration_s, metrics.from_s, seed: must be the same" in said
+    code, said = funnel_hil("report", out)
+    assert code == 0, said
+    assert list(read_summary(out)["laws"]) == ["smc", "pid"]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("laws", "changes", "said"),
     [
-        (["smc", *SHORT, "--set", "seed=9"], "(smc): seed: must be the same"),
-        (["smc", "--set", "duration_s=0.3", *SHORT[2:]], "duration_s: must be the same"),
-        (["pid", *SHORT], "holds a comparison with smc: must be among --laws"),
+        (["smc"], {"seed": 9}, r"seeds = \[9\]: must have all of \[1\]"),
+        (["smc"], {"duration_s": 0.3}, "has changed"),
+        (["pid"], {}, r"laws = \['pid'\]: must have all of \['smc'\]"),
     ],
 )
-def test_another_scenario_is_refused_by_its_keys(words, said, tmp_path, funnel_hil, tried):
+def test_another_scenario_is_refused(laws, changes, said, tmp_path, tried):
     out = tmp_path / "laws"
-    funnel_hil("compare", "--laws", "smc", *SHORT, "--out", out)
+    compare(out, ["smc"])
     before = (out / "summary.json").read_text()
-    code, told = funnel_hil("compare", "--laws", *words, "--out", out)
-    assert code == 2
-    assert said in told
+    with pytest.raises(interface.InputError, match=said):
+        compare(out, laws, **changes)
     assert tried == ["smc"]
     assert (out / "summary.json").read_text() == before
-    assert funnel_hil("compare", "--laws", *words, "--out", out, "--overwrite")[0] == 0
+    compare(out, laws, overwrite=True, **changes)
 
 
-def test_from_python(tmp_path):
-    changes = {"duration_s": 0.2}
-    interface.compare("paper_arm", changes, laws=["smc"], out=tmp_path / "laws")
-    grown = interface.compare("paper_arm", changes, laws=["smc", "pid"], out=tmp_path / "laws")
-    at_once = interface.compare("paper_arm", changes, laws=["smc", "pid"])
-    assert grown.rows == at_once.rows
+def test_grown_rows_are_those_of_a_comparison_that_is_not_written(tmp_path):
+    grown = compare(tmp_path / "laws", ["smc", "pid"])
+    changes = {"duration_s": 0.2, "metrics.from_s": 0}
+    assert grown.rows == interface.compare("paper_arm", changes, laws=["smc", "pid"]).rows

@@ -3,32 +3,46 @@ from __future__ import annotations
 import json
 
 import numpy as np
-import pytest
 
-from deploy.cli.study.experiments import settling_sentence
+from deploy.cli.study.studies import settling_sentence
 from deploy.scenario.scenario import load_setup
-from deploy.study.comparison.comparison import SETTLING
-from deploy.study.comparison.settling import SettlingTest, Start, settling_test
+from deploy.study.comparison.settling import (
+    SETTLING,
+    SettlingTest,
+    Start,
+    offset_of,
+    settling_test,
+)
 
 
 def test_every_start_is_off_by_its_size_on_the_scenarios_side():
-    result = settling_test(load_setup("paper_arm", ["duration_s=0.05"]), (0.01, 0.2))
-    signs = np.array([1.0, -1.0, 1.0])  # those of paper_arm's own offset
-    for row, size in zip(result.starts, (0.01, 0.2), strict=True):
-        np.testing.assert_allclose(row.offset_rad, size * signs)
-        assert row.distance_rad == pytest.approx(size)
+    setup = load_setup("paper_arm")
+    for size in (0.01, 0.2):
+        # paper_arm's own offset is to these sides
+        np.testing.assert_allclose(offset_of(setup, size), size * np.array([1.0, -1.0, 1.0]))
 
 
 def test_a_start_goes_no_farther_than_the_joints_range_on_its_roomier_side():
-    setup = load_setup("panda", ["duration_s=0.05", "funnel.widest_rad=4"])
-    (row,) = settling_test(setup, (3.0,)).starts
+    setup = load_setup("panda", ["funnel.widest_rad=4"])
+    offset = offset_of(setup, 3.0)
     target = setup.start_position_rad - setup.scenario.robot.initial_offset_rad
-    start = target + row.offset_rad
     robot = setup.robot
-    assert (start >= robot.lower_rad).all()
-    assert (start <= robot.upper_rad).all()
+    assert (target + offset >= robot.lower_rad).all()
+    assert (target + offset <= robot.upper_rad).all()
     roomier = np.maximum(robot.upper_rad - target, target - robot.lower_rad)
-    np.testing.assert_allclose(np.abs(row.offset_rad), np.minimum(roomier, 3.0))
+    np.testing.assert_allclose(np.abs(offset), np.minimum(roomier, 3.0))
+
+
+def test_starts_settle_when_their_last_joint_does():
+    row = {"settling_time_s": [0.3, 0.5], "settling_bound_s": [2.0, 2.0], "completed": True,
+           "verdict": "kept"}  # fmt: skip
+    faulted = {"settling_time_s": None, "settling_bound_s": None, "completed": False,
+               "verdict": "faulted"}  # fmt: skip
+    test = settling_test("law", [([0.1, -0.1], row), ([0.2, 0.2], faulted)])
+    assert test.bound_s == 2.0
+    assert [start.settling_time_s for start in test.starts] == [0.5, None]
+    assert [start.bounds_kept for start in test.starts] == [True, False]
+    assert not test.holds
 
 
 def test_a_bound_holds_only_if_every_start_settled_within_it():
