@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from types import FrameType
 from typing import NoReturn
 
 
+def program() -> None:
+    """Entry point. `simulate` is watched, as it runs the user's law in its own process."""
+    if sys.argv[1:2] == ["simulate"]:
+        from deploy.cli.watched import run_watched
+
+        run_watched(main)
+    else:
+        main()
+
+
 def main() -> None:
-    """Entry point. A request to stop that comes while the program loads ends it like any other."""
+    """Run the command. A request to stop while the program loads ends it like any other."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _stop_loading)

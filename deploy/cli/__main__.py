@@ -1,6 +1,6 @@
 """`python -m deploy.cli`."""
 
-from deploy.cli import main
+from deploy.cli import program
 
 if __name__ == "__main__":
-    main()
+    program()

@@ -104,6 +104,25 @@ def test_law_in_an_endless_loop_keeps_no_command_from_ending(
         assert process.wait(60) == code
 
 
+ENDINGS = {
+    "exits in Python": ("import os; os._exit(0)", 1),
+    "exits in C": ("import ctypes; ctypes.CDLL(None).exit(0)", 1),
+    "exits with a code of its own": ("import os; os._exit(7)", 7),
+    "crashes": ("import ctypes; ctypes.string_at(0)", -signal.SIGSEGV),
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_law_that_ends_its_process_never_ends_simulate_with_0(ending, tmp_path):
+    does, code = ENDINGS[ending]
+    words = ["simulate", *SHORT, "--set", f"controller.law={own_law(tmp_path, does)}"]
+    process = funnel_hil(*words, "--out", "out", cwd=tmp_path, stderr=subprocess.PIPE)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == code
+    assert code == 7 or b"error: the " in said
+    assert not (tmp_path / "out" / "summary.json").exists()
+
+
 def test_sighup_ends_nothing_under_nohup(monkeypatch, tmp_path):
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     words = ["funnel-hil", "simulate", "paper_arm", *SHORT, "--out", str(tmp_path / "out")]
