@@ -18,6 +18,7 @@ from bus_schema.recording.atomic_files import write_json
 from controller.configuration import PROCESS
 from controller.laws import LAWS, likely_law
 from controller.laws.custom import EXTERNAL, is_custom
+from deploy.cli.gating import CommandGate
 from deploy.cli.options import OneRunOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_summary
@@ -150,6 +151,7 @@ def finish(
     options: OneRunOptions,
     *,
     confirms: bool = False,
+    gate: CommandGate | None = None,
 ) -> None:
     """Judge a run, show the result, and leave with the exit code it deserves.
 
@@ -160,6 +162,7 @@ def finish(
         options: whether a report is drawn, and whether an error that left the funnel has an exit
             code of its own.
         confirms: whether the run is simulated on other physics too.
+        gate: what the run must reach, if anything.
     """
     with judging(console, folder):
         data = _data_of(console, folder, run)
@@ -169,10 +172,11 @@ def finish(
         )
     show_summary(console, data, summary, conditions_in(folder, data))
     show_places(console, folder)
+    is_passed = gate is None or not summary["completed"] or gate.is_passed(summary, console)
     leave(
         interrupted=run.outcome.interrupted,
         whole=summary["completed"],
-        kept=summary["bounds"]["kept"] or not options.require_bounds,
+        kept=(summary["bounds"]["kept"] or not options.require_bounds) and is_passed,
         fault=_fault_code(run.outcome),
     )
 

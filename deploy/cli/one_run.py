@@ -12,6 +12,7 @@ from rich.console import Console
 
 from bus_schema.messages.topics import Role
 from deploy.cli.common import finish, say_oddities, watching
+from deploy.cli.gating import CommandGate
 from deploy.cli.options import RunOptions, SimulateOptions
 from deploy.cli.terminal.progress import CommandProgress
 from deploy.cli.terminal.show_run import show_relay, status_handler
@@ -33,6 +34,7 @@ from deploy.run.simulate import require_simulable
 from deploy.run.stop_signals import on_stop
 from deploy.scenario.scenario import load_setup
 from deploy.scenario.setup import Setup
+from deploy.study.study import OF_BOUND
 
 
 def run_in_processes(options: RunOptions) -> None:
@@ -127,9 +129,12 @@ def run_in_virtual_time(options: SimulateOptions) -> None:
     if options.confirm:
         check_confirmable(setup)
     console, stop = Console(), threading.Event()
+    gate = CommandGate(options, setup.scenario.name, OF_BOUND)
     with RunFolder.begin(setup, options.out, overwrite=options.overwrite) as folder:
         with _progress(console, setup) as progress:
             watch = watching(progress, setup, setup.scenario.name, stop)
             run = execute(setup, InProcess(watch, partial(on_stop, stop.set)), folder)
         run.outcome.interrupted = stop.is_set()
-        finish(console, folder, run, options, confirms=options.confirm and not stop.is_set())
+        finish(
+            console, folder, run, options, confirms=options.confirm and not stop.is_set(), gate=gate
+        )

@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -22,7 +22,10 @@ def taking(options: type[Options]) -> Callable[[Callable[[Options], None]], Call
         def with_options(**given: Any) -> None:
             command(options(**given))
 
-        vars(with_options)["__signature__"] = inspect.signature(options, eval_str=True)
+        hints, signature = get_type_hints(options, include_extras=True), inspect.signature(options)
+        parameters = [each.replace(annotation=hints[name])
+                      for name, each in signature.parameters.items()]  # fmt: skip
+        vars(with_options)["__signature__"] = signature.replace(parameters=parameters)
         return with_options
 
     return decorated
@@ -88,8 +91,33 @@ class OneRunOptions:
     no_report: NoReport = False
 
 
+@dataclass(kw_only=True)
+class GateOptions:
+    """What a result must reach, and where a CI service finds the answer."""
+
+    at_least: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N",
+            help="Exit with 3 if a margin is smaller: 20ms, or 15% of the"
+            " bound for simulate, compare and sweep.",
+        ),
+    ] = None
+    baseline: Annotated[
+        Path | None, typer.Option(help="Exit with 3 if a margin fell since this result.")
+    ] = None
+    tolerance: Annotated[
+        str | None, typer.Option(metavar="N", help="Let it fall by so much since --baseline.")
+    ] = None
+    junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML file.")] = None
+    markdown: Annotated[Path | None, typer.Option(help="Write a Markdown table.")] = None
+    history: Annotated[
+        Path | None, typer.Option(help="Add the result to a history; draw it over commits.")
+    ] = None
+
+
 @dataclass
-class SimulateOptions(OneRunOptions):
+class SimulateOptions(OneRunOptions, GateOptions):
     """The options of `simulate`."""
 
     confirm: Confirm = False

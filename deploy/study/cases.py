@@ -271,6 +271,10 @@ class StudyOfCases(StudyOfRuns):
     def variants(self) -> list[Setup]:
         return [case.setting.base for case in self.cases]
 
+    @property
+    def unit(self) -> str:
+        return self.cases[0].setting.quantity.unit
+
     def findings(self, rows: list[Row]) -> dict[str, Any]:
         quantity = self.cases[0].setting.quantity
         return {

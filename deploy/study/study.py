@@ -34,6 +34,7 @@ from deploy.study.statistics import commonest_error, seeds_of
 
 SHIPPED = Path(str(resources.files("deploy").joinpath("studies")))
 
+OF_BOUND = "% of the bound"
 _MOST_SEEDS = 10_000
 
 Value = TypeVar("Value")
@@ -220,6 +221,11 @@ class StudyOfRuns(ABC):
     def laws(self) -> list[str]:
         """Names of the laws of its runs."""
         return list(dict.fromkeys(setup.scenario.controller.name for setup in self.variants))
+
+    @property
+    def unit(self) -> str:
+        """Of what a gate looks at: the smallest margin to a bound, unless a kind has others."""
+        return OF_BOUND
 
     @property
     @abstractmethod

@@ -10,6 +10,7 @@ import typer
 from deploy.cli.common import parse_laws
 from deploy.cli.options import (
     Confirm,
+    GateOptions,
     Out,
     Overrides,
     Overwrite,
@@ -21,7 +22,7 @@ from deploy.study.comparison.settling import OFFSETS_RAD
 
 
 @dataclass(kw_only=True)
-class WorkerOptions:
+class WorkerOptions(GateOptions):
     """The options of every command that does many runs."""
 
     overrides: Overrides = None

@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 
 from deploy.cli.common import judging, leave, say_oddities, show_places
+from deploy.cli.gating import CommandGate
 from deploy.cli.options import taking
 from deploy.cli.study.margin_options import (
     CompareOptions,
@@ -41,7 +42,7 @@ from deploy.reports.tables import number
 from deploy.reports.terminal import print_conditions, print_table
 from deploy.reports.verdict import bounds_sentence, recording_sentences
 from deploy.run.confirmation import check_confirmable
-from deploy.run.exit_codes import FAULT, FINISHED, INTERRUPTED
+from deploy.run.exit_codes import FAULT, INTERRUPTED
 from deploy.run.processes.program import require_program
 from deploy.run.run_folder import ResultFolder, read_summary
 from deploy.run.stop_signals import on_stop
@@ -97,7 +98,7 @@ def compare(options: CompareOptions) -> None:
     Interrupted or killed, the same command goes on where it stopped; with more laws it adds them.
     """
     study = Comparison(options.definition(), Path("compare"))
-    console = Console()
+    console, gate = Console(), CommandGate(options, study.definition.name, study.unit)
     with _carried_out(study, options, console) as done:
         compared = conclude_comparison(done.folder, judge_rows(study, done.folder), console)
     if done.lost is not None:
@@ -105,7 +106,8 @@ def compare(options: CompareOptions) -> None:
     leave(
         interrupted=done.is_interrupted,
         whole=done.lost is None and all(run.summary["completed"] for run in compared.runs),
-        kept=all(run.kept_bounds for run in compared.runs) or not options.require_bounds,
+        kept=(all(run.kept_bounds for run in compared.runs) or not options.require_bounds)
+        and gate.is_passed(read_summary(done.folder.path), console),
     )
 
 
@@ -168,12 +170,13 @@ def report_study(path: Path, console: Console) -> None:
 
 def _conduct(study: StudyOfRuns, options: StudyOptions) -> None:
     """Carry a study out, or on, and show what came of it."""
-    console = Console()
+    console, gate = Console(), CommandGate(options, study.definition.name, study.unit)
     with _carried_out(study, options, console) as done:
         completed = _conclude(study, done.folder, console)
     if completed:
         has_results = any(row["error"] is None for row in done.folder.rows)
-        raise typer.Exit(FINISHED if has_results else FAULT)
+        kept = has_results and gate.is_passed(read_summary(done.folder.path), console)
+        leave(interrupted=False, whole=has_results, kept=kept)
     console.print(_GOES_ON.format(done.lost or "stopped"), markup=False)
     raise typer.Exit(INTERRUPTED if done.is_interrupted else FAULT)
 
