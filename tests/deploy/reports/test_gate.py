@@ -142,6 +142,6 @@ def test_example_repository_passes_until_its_law_gets_worse(change, code, tmp_pa
 
 
 def test_number_without_unit_and_unit_of_tolerance_must_agree(tmp_path):
+    (tmp_path / "summary.json").write_text("{}")
     with pytest.raises(ScenarioError, match="must have the unit of --at-least, ms"):
-        (tmp_path / "summary.json").write_text("{}")
         build_gate("20ms", tmp_path, "1%")
