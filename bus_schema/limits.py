@@ -98,7 +98,7 @@ class LimitsConfiguration(StrictModel):
 
     @property
     def stops_at(self) -> Hit:
-        """Return the limits at which the plant stops the arm."""
+        """Limits at which the plant stops the arm."""
         stops = Hit(0)
         if self.on_position == "stop":
             stops |= Hit.POSITION

@@ -147,7 +147,7 @@ class Bundler:
 
     @property
     def _first(self) -> int:
-        """Return the number of the oldest bundle that is kept."""
+        """Number of the oldest bundle that is kept."""
         return self._last - len(self._kept) + 1
 
     def _on_missed(self, delivery: Delivery) -> None:
