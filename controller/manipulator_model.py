@@ -174,7 +174,7 @@ class ManipulatorModel:
         )
 
     def inertia_table(self) -> Matrix:
-        """Return inertias of all bodies and rotors, shape (joints, 11), as `RigidBodies` has them."""
+        """Return inertias of bodies and rotors, shape (joints, 11), in `RigidBodies`' format."""
         numbers = (self._model.getJointId(name) for name in self._names)
         links = np.array([self._model.inertias[n].toDynamicParameters() for n in numbers])
         return np.column_stack([links, self._rotors])

@@ -273,7 +273,7 @@ def _predict(
     arm: Arm, measured: Matrix, predicted: Matrix, target: Matrix, flight: Flight,
     stamp_ns: int, until_ns: int,
 ) -> float:  # fmt: skip
-    """Predict the state in which a torque acts into `predicted`, (2, joints); return the horizon."""
+    """Predict the state in which a torque acts into `predicted`, (2, joints); return the span."""
     nominal, belief, _, drive, commands, _, _ = arm
     joints = measured.shape[1]
     motion, impulse = np.empty((3, joints)), np.empty(joints)
