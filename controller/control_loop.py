@@ -243,7 +243,7 @@ class ControlLoop:
             self._events.append((EventKind.FAULT, str(self._of_the_law(error, self.cycles))))
 
     def _of_the_law(self, error: BaseException, tick: int | None) -> BaseException:
-        """Return the exception to raise for an error within the law, or a stop request unchanged."""
+        """Return the exception to raise for an error within the law; a stop request stays."""
         return LawError(self._task.law_name, tick, error) if is_of_the_law(error) else error
 
     def _write(self) -> int:
