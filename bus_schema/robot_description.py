@@ -143,7 +143,7 @@ def _described(
     roles = joint_roles(root, driven)
     moving = {*roles.driven, *(each.name for each in roles.followers)}
     check_moved_masses(root, moving)
-    oddities = _oddities(path, root, moving)
+    oddities = _warnings_of(path, root, moving)
     warnings = [*judge_inertias(root, moving, repair=repair), *oddities]
     joints = [joint for joint in root.findall("joint") if joint.get("name") in roles.driven]
     lower, upper = _limits(joints, "lower", -math.inf), _limits(joints, "upper", math.inf)
@@ -174,7 +174,7 @@ def _check_ranges(names: Sequence[str], lower: Vector, upper: Vector) -> None:
             )
 
 
-def _oddities(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
+def _warnings_of(path: Path, root: ET.Element, moving: set[str]) -> list[str]:
     """Return warnings about accepted but suspicious contents of a file."""
     said = [
         f"the axis of joint {name} is no unit vector: it is taken as a direction alone"

@@ -122,7 +122,7 @@ class ControlLoop:
             torque_nm = self._task.law.torque(situation)
             self._task.law.reset()
         except BaseException as error:
-            raise self._of_the_law(error, None) from error
+            raise self._as_law_error(error, None) from error
         self._guard.admit(torque_nm, 0, 0.0)
         self._guard.reset()
         # A message type's codec is created at its first use, which takes longer than a few ticks.
@@ -228,7 +228,7 @@ class ControlLoop:
         try:
             torque_nm = self._task.law.torque(situation)
         except BaseException as error:  # a user's law may raise any exception
-            raise self._of_the_law(error, self.cycles) from error
+            raise self._as_law_error(error, self.cycles) from error
         self._guard.admit(torque_nm, self.cycles, self.tracking.step_s)
 
     def _release_law(self) -> None:
@@ -240,9 +240,9 @@ class ControlLoop:
         except BaseException as error:
             if not is_of_the_law(error):
                 raise
-            self._events.append((EventKind.FAULT, str(self._of_the_law(error, self.cycles))))
+            self._events.append((EventKind.FAULT, str(self._as_law_error(error, self.cycles))))
 
-    def _of_the_law(self, error: BaseException, tick: int | None) -> BaseException:
+    def _as_law_error(self, error: BaseException, tick: int | None) -> BaseException:
         """Return the exception to raise for an error within the law; a stop request stays."""
         return LawError(self._task.law_name, tick, error) if is_of_the_law(error) else error
 

@@ -169,10 +169,10 @@ class Exchange:
                 silence = PeerSilentError(Role.CONTROLLER, timeout_s, "reply to a state")
                 self._supervisor.fail(str(silence))
                 return
-            elif self._may_not_have_been_asked():
+            elif self._may_have_missed_state():
                 self._link.send_state(measurement.state, measurement.status)
 
-    def _may_not_have_been_asked(self) -> bool:
+    def _may_have_missed_state(self) -> bool:
         """Whether the controller may have missed the state, as the first one or a replacement."""
         if self._gate.commander is None:
             return self._link.may_miss_states()

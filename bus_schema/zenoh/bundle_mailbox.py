@@ -147,15 +147,15 @@ class BundleMailbox:
         left = self._left.copy()
         alone = self._direct.take() if self._direct is not None else None
         if alone is None:
-            self._forget(left)
+            self._forget_left(left)
             self._listen()
-            return self._look_for_missed()
+            return self._request_missed()
         key, (payload, attachment) = alone
         topic = self._topics.get(key)
         if topic is None:
             return []
         message = (topic, payload, *(Attachment.decode(attachment) or UNKNOWN))
-        return [] if self._is_bundled(message) else self._believed([message], None)
+        return [] if self._is_bundled(message) else self._without_forgeries([message], None)
 
     @property
     def dropped(self) -> int:
@@ -181,7 +181,7 @@ class BundleMailbox:
         ready = order.take_in(span, bundle.payload)
         return self._messages_in(ready if self._waits else [*ready, *order.rest()], role)
 
-    def _look_for_missed(self) -> list[Received] | None:
+    def _request_missed(self) -> list[Received] | None:
         """Request missing bundles, and give up those requested in vain too often."""
         now_s = time.monotonic()
         for order in self._orders.values():
@@ -200,19 +200,19 @@ class BundleMailbox:
     def _messages_in(self, bundles: list[bytes], role: str) -> list[Received]:
         topics = _RECORDED.get(role, {})
         messages = [message for bundle in bundles for message in unbundled(bundle, topics)]
-        return self._believed(messages, role)
+        return self._without_forgeries(messages, role)
 
-    def _believed(self, messages: list[Received], role: str | None) -> list[Received]:
+    def _without_forgeries(self, messages: list[Received], role: str | None) -> list[Received]:
         """Filter a role's bundled messages, or direct ones: no event in another role's name."""
         believed = [
             message for message in messages
-            if message[0] is not RUN_EVENTS or self._may_say(message[1], role)
+            if message[0] is not RUN_EVENTS or self._may_send(message[1], role)
         ]  # fmt: skip
         if len(believed) < len(messages):
             self.rejected[WRONG_ROLE] += len(messages) - len(believed)
         return believed
 
-    def _may_say(self, event: bytes, role: str | None) -> bool:
+    def _may_send(self, event: bytes, role: str | None) -> bool:
         try:
             source = RunEvent.decode(event).source
         except InvalidMessageError:
@@ -249,7 +249,7 @@ class BundleMailbox:
             else:
                 self._left.add(session)
 
-    def _forget(self, left: set[str]) -> None:
+    def _forget_left(self, left: set[str]) -> None:
         """Forget sessions that left, after all their direct messages have been handled."""
         with self._lock:
             for session in left & self._left:

@@ -114,9 +114,9 @@ class ZenohPlantLink(ZenohNode, PlantLink):
         """Whether a client may be a controller: a recorder subscribes too, but announces itself."""
         if self.sees(Role.CONTROLLER) or not self._states.has_subscribers():
             return False
-        return not self.sees(Role.RECORDER) or self._hears_a_stranger()
+        return not self.sees(Role.RECORDER) or self._has_unknown_session()
 
-    def _hears_a_stranger(self) -> bool:
+    def _has_unknown_session(self) -> bool:
         """Whether a session is connected that has announced nothing; routers do not count."""
         return not self._graph.knows_all(self._session.connected())
 
@@ -176,7 +176,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
             self.advertise(topic)
         self._states = self.inbox(topics.JOINT_STATES, _LARGEST_STATE_BACKLOG, lossless=False)
         self._closed = threading.Event()
-        self._knocking = threading.Thread(target=self._knock, daemon=True)
+        self._knocking = threading.Thread(target=self._wake_now_and_then, daemon=True)
         self._knocking.start()
         self.announce()
 
@@ -216,7 +216,7 @@ class ZenohControllerLink(ZenohNode, ControllerLink):
         if self._on_state is not None:
             self._on_state(delivery.payload, beside(delivery.attachment))
 
-    def _knock(self) -> None:
+    def _wake_now_and_then(self) -> None:
         """Wake the waiting thread now and then."""
         while not self._closed.wait(POLL_S):
             self._states.knock()

@@ -189,7 +189,7 @@ class Outbox:
             self._flow.await_recorders()
 
     def _send_what_waits(self) -> None:
-        unheard = self._unheard()
+        unheard = self._streams_without_listeners()
         for stream, payload, attachment in self._waiting:
             if stream not in unheard:
                 stream.publisher.put(payload, attachment)
@@ -200,7 +200,7 @@ class Outbox:
             self._flow.send(self._sent_bytes, self._mark)
             self._sent_bytes = self._mark = 0
 
-    def _unheard(self) -> set[Stream]:
+    def _streams_without_listeners(self) -> set[Stream]:
         """Return the streams whose only subscribers are recorders, which read bundles."""
         if self._bundler is None:
             return set()

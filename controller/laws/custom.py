@@ -27,7 +27,7 @@ OURS = ("bus_schema", "controller", "deploy", "plant_emulator", "funnel_hil")
 _OUR_FOLDER = str(Path(__file__).resolve().parents[2])
 
 
-class _OtherFilesOfOurFolderLast:
+class _UserModulesFirst:
     """Finds modules in a user's folder before modules in ours that belong to none of our packages.
 
     Our folder may be a clone with unrelated files. It precedes the user's folder on Python's path
@@ -52,7 +52,7 @@ class _OtherFilesOfOurFolderLast:
         return spec if spec is not None and spec.loader is not None else None  # no mere folder
 
 
-_finder = _OtherFilesOfOurFolderLast()
+_finder = _UserModulesFirst()
 
 
 def find_in_current_folder() -> None:

@@ -19,7 +19,7 @@ from deploy.scenario.setup import Setup
 _FRAME_S = 0.05
 _WAIT_S = 0.1
 _NICENESS = 10
-_LAST_WORDS_S = 0.3
+_END_NOTICE_S = 0.3
 """Time for browsers to receive the end of the run."""
 
 
@@ -90,7 +90,7 @@ class Viewer:
                 self._show()
         self._show()
         self._frames.end()
-        time.sleep(_LAST_WORDS_S)
+        time.sleep(_END_NOTICE_S)
 
     def close(self) -> None:
         """Stop serving."""

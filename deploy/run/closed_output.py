@@ -17,7 +17,7 @@ _LOST = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors that mean lost output, which the user must learn of."""
 
 
-class _UntilClosed(io.FileIO):
+class _DiscardsAfterError(io.FileIO):
     """A file descriptor that discards everything once a write fails."""
 
     def write(self, data: object) -> int:
@@ -30,20 +30,20 @@ class _UntilClosed(io.FileIO):
             if error.errno in _LOST and self.fileno() == 1:
                 with contextlib.suppress(OSError):
                     os.write(2, f"standard output is lost: {error.strerror}\n".encode())
-            _lead_nowhere(self.fileno())
+            _discard(self.fileno())
             return view.nbytes
         return written or 0
 
 
 def outlive_readers() -> None:
     """Let the process continue to its end and its exit code when its output is closed."""
-    sys.stdout = _outliving(sys.stdout, 1)
-    sys.stderr = _outliving(sys.stderr, 2)
+    sys.stdout = _tolerant(sys.stdout, 1)
+    sys.stderr = _tolerant(sys.stderr, 2)
 
 
-def _outliving(stream: TextIO | None, number: int) -> TextIO:
+def _tolerant(stream: TextIO | None, number: int) -> TextIO:
     if stream is None:  # closed at the start
-        _lead_nowhere(number)
+        _discard(number)
         return open(number, "w", errors="replace", closefd=False)
     try:
         is_standard = stream.fileno() == number
@@ -52,7 +52,7 @@ def _outliving(stream: TextIO | None, number: int) -> TextIO:
     if not is_standard:  # other code replaced it, and reads it
         return stream
     stream.flush()
-    raw = _UntilClosed(number, "w", closefd=False)
+    raw = _DiscardsAfterError(number, "w", closefd=False)
     return io.TextIOWrapper(
         io.BufferedWriter(raw), encoding=stream.encoding,
         errors="replace" if stream.errors == "strict" else stream.errors,  # unencodable
@@ -60,7 +60,7 @@ def _outliving(stream: TextIO | None, number: int) -> TextIO:
     )  # fmt: skip
 
 
-def _lead_nowhere(number: int) -> None:
+def _discard(number: int) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     if nowhere != number:
         os.dup2(nowhere, number)

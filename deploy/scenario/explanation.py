@@ -79,7 +79,7 @@ def _sentence(problem: Any, model: type[BaseModel], origin: Origin) -> str:
     if problem["type"] in ("model_type", "dataclass_type", "dict_type"):
         return f"{source}: {key} = {shown(problem['input'])}: must be a mapping of keys to values"
     if problem["type"] in ("tuple_type", "list_type"):
-        held = next(filter(None, (_held(_keys(s).get(str(place[-1]))) for s in sections)), "values")
+        held = next(filter(None, (_item(_keys(s).get(str(place[-1]))) for s in sections)), "values")
         return f"{source}: {key} = {shown(problem['input'])}: must be a list of {held}"
     if problem["type"] == "union_tag_invalid":
         return f"{source}: {key}.{_unknown_kind(**problem['ctx'])}"
@@ -161,7 +161,7 @@ def _sections(annotation: Any) -> Iterator[type]:
             yield from _sections(part)
 
 
-def _held(annotation: Any) -> str | None:
+def _item(annotation: Any) -> str | None:
     """Return the element type of an annotation's lists; None if it allows no list."""
     if get_origin(annotation) in (tuple, list):
         item = get_args(annotation)[0]
@@ -169,7 +169,7 @@ def _held(annotation: Any) -> str | None:
             item = get_args(item)[0]
         return _ITEMS.get(item, "mappings of keys to values")
     parts = annotation if isinstance(annotation, tuple) else get_args(annotation)
-    return next(filter(None, map(_held, parts)), None)
+    return next(filter(None, map(_item, parts)), None)
 
 
 def _is_within(key: str, section: str) -> bool:

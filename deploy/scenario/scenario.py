@@ -83,13 +83,11 @@ def build_setup(
     scenario = validated(given_values(values, source, overrides), ScenarioConfiguration, origin)
     name_code(scenario, origin)
     with naming(origin):
-        scenario = _judged_over_some_time(scenario, origin)
+        scenario = _with_judged_period(scenario, origin)
     return check(scenario, origin)
 
 
-def _judged_over_some_time(
-    scenario: ScenarioConfiguration, origin: Origin
-) -> ScenarioConfiguration:
+def _with_judged_period(scenario: ScenarioConfiguration, origin: Origin) -> ScenarioConfiguration:
     """Return the scenario with a period over which errors are judged.
 
     The default may begin after the end of a short run, whose second half is then judged. This

@@ -113,7 +113,7 @@ def drives_of(robot: RobotDescription) -> Drives:
         rotors = np.array(plant["actuator"]["rotor_inertia_kg_m2"])
         return Drives(rated, rotors, plant["friction"], data)
     rated = torque_limits(robot)
-    own = _believed(robot, rated)
+    own = _drives_in_file(robot, rated)
     rotors = own.rotor_inertia_kg_m2
     rotors = np.where(rotors > 0.0, rotors, ROTOR_INERTIA_S2_RAD * rated)
     given = {"coulomb_nm": own.friction_nm, "viscous_nm_s": own.damping_nm_s}
@@ -132,7 +132,7 @@ def drives_of(robot: RobotDescription) -> Drives:
     return Drives(rated, rotors, friction, ", ".join(data))
 
 
-def _believed(robot: RobotDescription, rated: Vector) -> DriveValues:
+def _drives_in_file(robot: RobotDescription, rated: Vector) -> DriveValues:
     """Return the drives in an arm's file, without friction that would exceed a motor's torque.
 
     Many files have 1 N m for every joint, from a template, and damping that stabilises a

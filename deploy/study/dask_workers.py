@@ -189,7 +189,7 @@ def _connect(scheduler: str) -> Client:
         ) from error
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
-        client.submit(_can_run, pure=False).result(timeout=_FIRST_TASK_S)
+        client.submit(_check_import, pure=False).result(timeout=_FIRST_TASK_S)
     except Exception as error:
         client.close()
         raise ScenarioError(
@@ -205,7 +205,7 @@ async def _identity(scheduler: str) -> None:
         await peer.identity()
 
 
-def _can_run() -> str:
+def _check_import() -> str:
     """Check that a worker can import the code; return the module's name."""
     return row_of.__module__
 

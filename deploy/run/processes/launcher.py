@@ -113,7 +113,7 @@ class Launcher:
             clear_left_behind()
         self._handle_messages(on_message)
         self._outcome.failures = in_causal_order(self._outcome.failures)
-        self._note_what_program_said()
+        self._note_suspicion()
         for start in range(1, self._starts[Role.RECORDER] + 1):
             record_failures(_numbered(self._log, start), self._outcome.failures)
         return self._outcome
@@ -156,7 +156,7 @@ class Launcher:
                 self._ask_to_stop()
             if self._has_gone(Role.RECORDER) or self._relay_has_gone():
                 plant.ask_to_stop()
-            self._look_after_program()
+            self._stop_program_or_peers()
             if self._has_gone(Role.PLANT) or self._has_gone(Role.CONTROLLER):
                 leave_by_s = leave_by_s or time.monotonic() + self._time_to_leave_s()
             if leave_by_s is not None and time.monotonic() > leave_by_s:
@@ -176,7 +176,7 @@ class Launcher:
         )
         return any(child.is_running() for child in ours)
 
-    def _look_after_program(self) -> None:
+    def _stop_program_or_peers(self) -> None:
         """Stop the user's program after the run, or the processes that wait for it in vain."""
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, ControllerProcess):
@@ -232,7 +232,7 @@ class Launcher:
             time.sleep(_POLL_S)
         return frozen
 
-    def _note_what_program_said(self) -> None:
+    def _note_suspicion(self) -> None:
         """Note the program's part in a failure: it may be the cause even if it did not fail."""
         program = self._children.get(Role.CONTROLLER)
         if not isinstance(program, ControllerProcess) or program.failure() is not None:

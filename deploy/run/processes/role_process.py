@@ -74,7 +74,7 @@ def prepare() -> None:
 
     Call it in the main thread. The server ends with this process.
     """
-    with _fork_server_survives(), _socket_without_a_path():
+    with _shielded_fork_server(), _socket_without_a_path():
         forkserver.ensure_running()
 
 
@@ -179,7 +179,7 @@ def _fork(
 
 
 @contextmanager
-def _fork_server_survives() -> Iterator[None]:
+def _shielded_fork_server() -> Iterator[None]:
     """Let a fork server start that survives signals meant for this process.
 
     It is in the process group that a terminal, or `timeout`, stops. Also, modules in the current

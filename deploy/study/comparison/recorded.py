@@ -205,10 +205,10 @@ def _is_in_force(key: str, runs: Sequence[RunData]) -> bool:
 def _differing(values: Sequence[dict[str, str]]) -> dict[str, list[str | None]]:
     keys = dict.fromkeys(key for each in values for key in each)
     by_key = {key: [each.get(key) for each in values] for key in keys}
-    return {key: _told(key, each) for key, each in by_key.items() if len(set(each)) > 1}
+    return {key: _shown(key, each) for key, each in by_key.items() if len(set(each)) > 1}
 
 
-def _told(key: str, values: list[str | None]) -> list[str | None]:
+def _shown(key: str, values: list[str | None]) -> list[str | None]:
     """Return values in a form to show: files are numbered by content."""
     if not key.endswith(_FILES):
         return values
