@@ -141,7 +141,7 @@ class JointLimits:
 
 
 class LimitCounts:
-    """How often each limit was hit.
+    """Counts of limit hits.
 
     Attributes:
         seen: limits that were hit at all.

@@ -95,7 +95,7 @@ class PlantLoop:
         supervisor.announce_mode("brakes engaged until the first valid command")
         try:
             self._run_ticks()
-        except Exception as error:  # noqa: BLE001 (whatever happens, the arm is stopped)
+        except Exception as error:  # noqa: BLE001 (the arm is stopped after any error)
             supervisor.stop_after_error(error)
         self._arm.end()
         supervisor.announce_mode("brakes engaged")

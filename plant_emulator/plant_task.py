@@ -58,7 +58,7 @@ class PlantTask:
 
 @dataclass
 class PlantOutcome:
-    """How a run ended.
+    """Outcome of a run.
 
     Attributes:
         ticks: ticks that passed.

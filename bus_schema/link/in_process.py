@@ -152,7 +152,7 @@ class InProcessControllerLink(InProcessNode, ControllerLink):
         self._bus.on_state = on_state
 
     def activate(self) -> None:
-        """Do nothing: whoever serves states has announced it, and no one waits."""
+        """Do nothing: no one waits for an announcement."""
 
     def spin(self, is_stop_requested: Callable[[], bool] = never) -> None:
         """Wait until the plant has left; the plant's thread calls the handler of states."""

@@ -138,8 +138,8 @@ class ControllerLink(Link, Protocol):
     """The controller's side.
 
     Attributes:
-        start_ns: when the run begins, on the clock of the states' stamps; None where only the
-            plant's states tell.
+        start_ns: when the run begins, on the clock of the states' stamps; None if only the plant's
+            states report it.
         cycle_ns: the current cycle, on the same clock, even if no state arrives in it; -1 where
             only states define cycles.
     """

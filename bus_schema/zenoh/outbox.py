@@ -18,7 +18,7 @@ logger = logging.getLogger(__name__)
 
 _BATCH = 32
 _LONGEST_WAIT_NS = 20_000_000
-"""Where ticks are far apart, a full batch would keep viewers waiting."""
+"""With rare ticks, a full batch would keep viewers waiting."""
 
 
 LARGEST_LEAD_BYTES = 1 << 19

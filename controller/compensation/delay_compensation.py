@@ -88,7 +88,7 @@ class Arm(NamedTuple):
         nominal: the nominal arm.
         belief: the current belief about it.
         identification: the filter that updates the belief.
-        drive: what the drives add of their own.
+        drive: gains of the drives' own loops.
         commands: all that were sent.
         last: position and velocity of the state answered last as rows, shape (2, joints).
         last_answered: its stamp in ns and the command in force at it, `HELD` for none; shape (2,).
@@ -109,7 +109,7 @@ class DelayCompensation:
     Args:
         nominal: the nominal arm.
         identification: the filter for its model, in its initial state.
-        drive: what the drives add of their own.
+        drive: gains of the drives' own loops.
         observer_bandwidth_rad_s: how fast disturbances are learned.
         least_horizon_ns: shortest time from a state until the torque that answers it acts.
         first_horizon_ns: assumed horizon until a command has come into force.

@@ -97,7 +97,7 @@ def simulated_otherwise(setup: Setup, path: Path) -> list[str]:
     recorded, simulated = (f"{one['verdict']}, digest {one['digest'][:16]}" for one in found)
     if recorded == simulated:
         return []
-    return [f"simulated again in one process, the run is another one: {simulated}; not {recorded}"]
+    return [f"a simulation in one process differs from the run: {simulated}, not {recorded}"]
 
 
 def other_physics(setup: Setup) -> dict[str, Setup]:

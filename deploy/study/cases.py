@@ -130,7 +130,7 @@ def _loops(wanted: CasesDefinition, base: Setup) -> Iterator[tuple[bool, Quantit
         try:
             yield running, build_quantity(wanted.quantity, wanted.direction, running, base)
         except ConfigurationError:
-            if not running or wanted.running is not None:  # else nobody asked for it
+            if not running or wanted.running is not None:  # not requested
                 raise
 
 

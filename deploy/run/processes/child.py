@@ -32,7 +32,7 @@ _POLL_S = 0.05
 
 
 class Failure(NamedTuple):
-    """How a process failed.
+    """Failure of a process.
 
     Attributes:
         text: one sentence.
@@ -48,7 +48,7 @@ class Failure(NamedTuple):
 
 @dataclass
 class RunOutcome:
-    """How the processes of a run ended.
+    """Outcome of the processes of a run.
 
     Attributes:
         failures: one sentence for each process that failed; causes come before consequences.
